@@ -1,0 +1,318 @@
+//! How does code outside the engine become a node? By one trait for leaves and one for decorators.
+//!
+//! The engine has no clock, no I/O and no robot: a leaf gets the time and its ports through
+//! [`LeafIo`], and everything else through the context `C` that the tree is ticked with.
+//!
+//! # What survives a crash
+//! A leaf object is made anew when a tree is restored. What it must not forget (an execution id, a
+//! start time) it puts into [`LeafIo::remember`], which is part of the tree's snapshot. A leaf with
+//! an effect outside remembers in `start` and acts in the next `tick`, so that the caller can store
+//! the snapshot in between; then no effect is ever unknown after a restart.
+
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::blackboard::Blackboard;
+use super::node::{Info, Memory};
+use super::ports::{PortError, Source};
+use super::status::Status;
+use super::value::{FromValue, Value};
+
+/// An action or a condition.
+///
+/// ```
+/// use zenav_cloud::behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Registry, Status, build};
+///
+/// struct Count;
+/// impl Leaf<u32> for Count {
+///     fn start(&mut self, io: &mut LeafIo<'_>, total: &mut u32) -> Status {
+///         let Ok(step) = io.get::<u64>("step") else { return io.fail("no step") };
+///         *total += step as u32;
+///         Status::Success
+///     }
+/// }
+///
+/// let mut registry = Registry::new();
+/// registry
+///     .leaf(
+///         NodeSpec::action("Count", "Adds to a total.").input_or("step", PortType::Unsigned, "1", "by how much"),
+///         |_| Box::new(Count),
+///     )
+///     .unwrap();
+/// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+///     <Sequence><Count step="40"/><Count step="2"/></Sequence>
+/// </BehaviorTree></root>"#;
+/// let mut tree = build("count.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into())).unwrap();
+/// let mut total = 0;
+/// assert_eq!(tree.tick(std::time::Duration::ZERO, &mut total).unwrap(), Status::Success);
+/// assert_eq!(total, 42);
+/// ```
+pub trait Leaf<C>: Send {
+    /// Called on entry from any status but `Running`. Answers `Running` to be ticked again.
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status;
+
+    /// Called on every later tick while `Running`. Unless overridden, asks `start` again, which
+    /// suits a leaf that only looks.
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
+        self.start(io, ctx)
+    }
+
+    /// Called instead of `tick` the first time after a restart found this leaf `Running`.
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
+        self.tick(io, ctx)
+    }
+
+    /// Called exactly once if the leaf is stopped while `Running`, never otherwise.
+    fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
+}
+
+/// What a decorator from outside does with its child in this tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pass {
+    /// Tick the child, then ask [`Gate::leave`].
+    Tick,
+    /// Leave the child alone and answer this.
+    Answer(Status),
+}
+
+/// A decorator that needs the context: ticking by distance or speed, goal updates.
+pub trait Gate<C>: Send {
+    /// Called before the child could be ticked. `child` is the child's status; `Running` means
+    /// that it was not finished when last ticked.
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Pass;
+
+    /// Called with the child's answer; what it returns is the decorator's.
+    fn leave(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C, child: Status) -> Status {
+        child
+    }
+
+    /// Called exactly once if the decorator is stopped while `Running`, after its child.
+    fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
+}
+
+/// What a leaf sees of the tree: time, its ports, its name, its memory.
+pub struct LeafIo<'a> {
+    pub(crate) info: &'a Info,
+    pub(crate) uid: u16,
+    pub(crate) now: Duration,
+    pub(crate) previous: Status,
+    pub(crate) board: &'a mut Blackboard,
+    pub(crate) memory: &'a mut Memory,
+    pub(crate) wake: &'a mut bool,
+    pub(crate) abort: Option<String>,
+}
+
+impl LeafIo<'_> {
+    /// Time of this tick, since the epoch of whoever ticks the tree.
+    pub fn now(&self) -> Duration {
+        self.now
+    }
+
+    /// The node's number: its place in document order, from 1.
+    pub fn uid(&self) -> u16 {
+        self.uid
+    }
+
+    /// The node's `name` in the tree file; its registration id if it has none.
+    pub fn name(&self) -> &str {
+        &self.info.name
+    }
+
+    /// The node's registration id.
+    pub fn id(&self) -> &str {
+        &self.info.id
+    }
+
+    /// The node's status before this tick. `Idle` means that the parent has reset it since: a
+    /// condition that compares with what it saw at its activation takes its sample then.
+    pub fn previous(&self) -> Status {
+        self.previous
+    }
+
+    /// Reads a port as `T`, through remapping, literal or default.
+    ///
+    /// # Errors
+    /// [`PortError`]: not set, entry never written, or of another type.
+    pub fn get<T: FromValue>(&self, port: &str) -> Result<T, PortError> {
+        let value = self.value(port)?;
+        T::from_value(value).ok_or_else(|| PortError::Type {
+            port: port.to_owned(),
+            value: shortened(value),
+            expected: T::EXPECTED.to_owned(),
+        })
+    }
+
+    /// Reads a port if it is set and its entry has been written: `None` otherwise.
+    ///
+    /// # Errors
+    /// [`PortError::Type`] alone.
+    pub fn get_optional<T: FromValue>(&self, port: &str) -> Result<Option<T>, PortError> {
+        match self.get(port) {
+            Ok(value) => Ok(Some(value)),
+            Err(PortError::Unset(_) | PortError::Empty(_)) => Ok(None),
+            Err(wrong) => Err(wrong),
+        }
+    }
+
+    /// Reads structured data; text is parsed as JSON.
+    ///
+    /// # Errors
+    /// [`PortError`]: not set, entry never written, or of another shape.
+    pub fn get_data<T: DeserializeOwned>(&self, port: &str) -> Result<T, PortError> {
+        let value = self.value(port)?;
+        let wrong = |why: serde_json::Error| PortError::Type {
+            port: port.to_owned(),
+            value: shortened(value),
+            expected: why.to_string(),
+        };
+        match value {
+            Value::Data(data) => T::deserialize(&**data).map_err(wrong),
+            Value::Text(text) => {
+                serde_json::from_str(text.strip_prefix("json:").unwrap_or(text)).map_err(wrong)
+            }
+            scalar => T::deserialize(scalar.to_json()).map_err(wrong),
+        }
+    }
+
+    /// The value on a port.
+    ///
+    /// # Errors
+    /// [`PortError`]: not set, or entry never written.
+    pub fn value(&self, port: &str) -> Result<&Value, PortError> {
+        match self.source(port) {
+            Some(Source::Literal(value)) => Ok(value),
+            Some(Source::Slot(slot)) => {
+                self.board.read(*slot).ok_or_else(|| PortError::Empty(port.to_owned()))
+            }
+            Some(Source::Unset) | None => Err(PortError::Unset(port.to_owned())),
+        }
+    }
+
+    /// How often the entry behind a port has been written: it changes with every write, also of
+    /// an equal value. 0 for a literal.
+    pub fn sequence(&self, port: &str) -> u64 {
+        match self.source(port) {
+            Some(Source::Slot(slot)) => self.board.sequence(*slot),
+            _ => 0,
+        }
+    }
+
+    /// Whether the tree has anything on this port.
+    pub fn is_set(&self, port: &str) -> bool {
+        matches!(self.source(port), Some(Source::Literal(_) | Source::Slot(_)))
+    }
+
+    /// Writes an output port; the value is converted to the port's type. A port that the tree
+    /// leaves open takes the value and forgets it.
+    ///
+    /// # Errors
+    /// [`PortError::Type`] if the entry behind it has another type, [`PortError::Literal`].
+    pub fn set(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
+        let value = value.into();
+        let Some(bound) = self.info.ports.iter().find(|bound| &*bound.name == port) else {
+            return Ok(());
+        };
+        let slot = match &bound.source {
+            Source::Unset => return Ok(()),
+            Source::Literal(_) => return Err(PortError::Literal(port.to_owned())),
+            Source::Slot(slot) => *slot,
+        };
+        let value = match bound.kind.value_type() {
+            Some(kind) if kind != value.kind() => match value.convert(kind) {
+                Some(converted) => converted,
+                None => {
+                    return Err(PortError::Type {
+                        port: port.to_owned(),
+                        value: shortened(&value),
+                        expected: bound.kind.expected(),
+                    });
+                }
+            },
+            _ => value,
+        };
+        self.board.write(slot, value).map_err(|wrong| PortError::Type {
+            port: port.to_owned(),
+            value: shortened(&wrong.value),
+            expected: format!("{:?}, the type of its entry", wrong.expected),
+        })
+    }
+
+    /// Reads a blackboard entry by its name in the scope of this node (`goal`, `@goal`). Ports are
+    /// the proper way; some Nav2 nodes fall back to fixed names.
+    pub fn entry(&self, key: &str) -> Option<&Value> {
+        self.board.find(self.info.scope, key).and_then(|slot| self.board.read(slot))
+    }
+
+    /// Writes a blackboard entry by its name in the scope of this node.
+    ///
+    /// # Errors
+    /// [`super::TypeError`] if the entry has another type.
+    pub fn set_entry(&mut self, key: &str, value: impl Into<Value>) -> Result<(), super::TypeError> {
+        let slot = self.board.resolve(self.info.scope, key);
+        self.board.write(slot, value.into())
+    }
+
+    /// Says in words what the node is doing; kept until it is started again.
+    pub fn say(&mut self, feedback: impl Into<String>) {
+        self.memory.feedback = feedback.into();
+    }
+
+    /// Says why and fails: `return io.fail("no path")`.
+    pub fn fail(&mut self, why: impl Into<String>) -> Status {
+        self.say(why);
+        Status::Failure
+    }
+
+    /// Ends the whole tree with an error: for what no recovery in the tree can mend.
+    pub fn abort(&mut self, why: impl Into<String>) -> Status {
+        let why = why.into();
+        self.memory.feedback.clone_from(&why);
+        self.abort = Some(why);
+        Status::Failure
+    }
+
+    /// What the node has remembered; `None` before it has, or if it was of another shape.
+    /// Outlives success, failure and halt.
+    pub fn recall<T: DeserializeOwned>(&self) -> Option<T> {
+        T::deserialize(&self.memory.kept).ok()
+    }
+
+    /// Keeps something in the tree's snapshot for this node.
+    ///
+    /// # Errors
+    /// What serde_json reports for what JSON cannot hold.
+    pub fn remember<T: Serialize>(&mut self, what: &T) -> Result<(), serde_json::Error> {
+        self.memory.kept = serde_json::to_value(what)?;
+        self.memory.writes += 1;
+        Ok(())
+    }
+
+    /// Asks for another tick at once, without waiting for the next period.
+    pub fn wake(&mut self) {
+        *self.wake = true;
+    }
+
+    fn source(&self, port: &str) -> Option<&Source> {
+        self.info.ports.iter().find(|bound| &*bound.name == port).map(|bound| &bound.source)
+    }
+}
+
+/// A value for a message: whole if it is short.
+fn shortened(value: &Value) -> String {
+    let text = value.to_string();
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text,
+    }
+}
+
+/// A leaf that is a function.
+pub(crate) struct FnLeaf<F>(pub(crate) F);
+
+impl<C, F: FnMut(&mut LeafIo<'_>, &mut C) -> Status + Send> Leaf<C> for FnLeaf<F> {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
+        (self.0)(io, ctx)
+    }
+}

@@ -1,0 +1,63 @@
+//! A behaviour-tree engine that knows no robot.
+//!
+//! Trees are BehaviorTree.CPP v4 XML, as Groot2 writes it; the semantics of every node are those
+//! of BehaviorTree.CPP 4.10 and Nav2 1.5, except where a node's documentation says otherwise.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `status`, `value`, `ports`, `blackboard` | what nodes exchange |
+//! | `registry`, `leaf` | how code outside becomes a node |
+//! | `node`, `builtins` | what a node is, and which ones exist |
+//! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is shown |
+//! | `controls`, `reactive`, `parallel`, `branches`, `decorators`, `timing`, `updates`, `loops`, `leaves`, `nav2` | what each node does |
+//! | `script` | the language inside attributes |
+//! | `xml` | how a file becomes a tree, or a list of errors |
+//! | `nav2_nodes` | Nav2's nodes and their ports, as data |
+//! | `simulate` | a tree against scripted leaves in simulated time |
+//!
+//! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C`
+//! that only the leaves understand. What runs can be stored between two ticks
+//! ([`Tree::snapshot`]) and taken up again later ([`Tree::restore`]).
+
+mod blackboard;
+mod branches;
+mod builtins;
+mod controls;
+mod decorators;
+mod leaf;
+mod leaves;
+mod loops;
+mod nav2;
+mod nav2_nodes;
+mod node;
+mod parallel;
+mod ports;
+mod reactive;
+mod registry;
+mod report;
+mod script;
+pub mod simulate;
+mod snapshot;
+mod status;
+#[cfg(test)]
+mod tests;
+mod tick;
+mod timing;
+mod tree;
+mod updates;
+mod value;
+mod xml;
+
+pub use blackboard::{Blackboard, TypeError};
+pub use leaf::{Gate, Leaf, LeafIo, Pass};
+pub use nav2_nodes::nav2_nodes;
+pub use node::NodeState;
+pub use ports::{Direction, PortError, PortSpec, PortType};
+pub use registry::{Category, DuplicateNode, LeafSite, NodeSpec, Registry};
+pub use report::NodeReport;
+pub use script::ScriptSyntax;
+pub use snapshot::{RestoreError, TreeSnapshot};
+pub use status::Status;
+pub use tree::{TickError, Tree};
+pub use value::{FromValue, Value, ValueType};
+pub use xml::{Include, Limits, TreeError, TreeErrors, build, build_within, check, Summary};

@@ -1,0 +1,183 @@
+//! What is a node of a tree, apart from what it is doing? Its kind, its children, its ports: fixed
+//! when the tree is built. What it is doing is [`NodeState`], plain data that can be stored.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::blackboard::{ScopeId, Slot};
+use super::ports::{BoundPort, Source};
+use super::registry::Category;
+use super::script::Program;
+use super::status::Status;
+
+/// Index of a node in its tree, in document order; its uid is one more.
+pub(crate) type NodeId = u32;
+
+/// What a node does. One variant a built-in node; the semantics stand in the file of its family.
+pub(crate) enum Kind {
+    // leaves from outside, index into the tree's bodies
+    Leaf(u32),
+    Gate(u32),
+    // leaves.rs
+    AlwaysSuccess,
+    AlwaysFailure,
+    Sleep(Source),
+    SetBlackboard { value: Source, slot: Slot },
+    UnsetBlackboard(Slot),
+    Script(Program),
+    ScriptCondition(Program),
+    WasEntryUpdated(Slot),
+    // controls.rs
+    Sequence { yields: bool },
+    SequenceWithMemory,
+    Fallback { yields: bool },
+    // reactive.rs
+    ReactiveSequence,
+    ReactiveFallback,
+    // parallel.rs
+    Parallel(Box<Thresholds>),
+    ParallelAll(Source),
+    ParallelAny,
+    // branches.rs
+    IfThenElse,
+    WhileDoElse,
+    Switch(Box<Cases>),
+    TryCatch { catch_on_halt: Source },
+    // decorators.rs
+    Inverter,
+    ForceSuccess,
+    ForceFailure,
+    Retry(Source),
+    Repeat(Source),
+    KeepRunningUntilFailure,
+    RunOnce { then_skip: Source },
+    Precondition(Box<Latch>),
+    SubTree,
+    // timing.rs
+    Timeout(Source),
+    Delay(Source),
+    // updates.rs
+    IfUpdated { slot: Slot, otherwise: Status },
+    // loops.rs
+    Loop(Box<Queue>),
+    // nav2.rs
+    PipelineSequence,
+    RecoveryNode(Source),
+    RoundRobin(Box<Rounds>),
+    NonblockingSequence,
+    PersistentSequence(Source),
+    RateController(Source),
+    SingleTrigger,
+}
+
+/// Ports of Parallel.
+pub(crate) struct Thresholds {
+    pub(crate) success: Source,
+    pub(crate) failure: Source,
+}
+
+/// Ports of Switch, and the numbers that names in them stand for.
+pub(crate) struct Cases {
+    pub(crate) variable: Source,
+    pub(crate) cases: Vec<Source>,
+    pub(crate) enums: Arc<std::collections::BTreeMap<String, i64>>,
+}
+
+/// Ports of Precondition.
+pub(crate) struct Latch {
+    pub(crate) condition: Program,
+    pub(crate) otherwise: Source,
+}
+
+/// Ports of the Loop family.
+pub(crate) struct Queue {
+    pub(crate) queue: Source,
+    pub(crate) value: Source,
+    pub(crate) if_empty: Source,
+    pub(crate) item: super::value::ValueType,
+}
+
+/// Ports of RoundRobin.
+pub(crate) struct Rounds {
+    pub(crate) wrap_around: Source,
+    pub(crate) last_may_succeed: Source,
+}
+
+/// Scripts that stand around a node (`_skipIf`, `_onSuccess`, …).
+#[derive(Default)]
+pub(crate) struct Guards {
+    pub(crate) failure_if: Option<Program>,
+    pub(crate) success_if: Option<Program>,
+    pub(crate) skip_if: Option<Program>,
+    pub(crate) while_true: Option<Program>,
+    pub(crate) on_success: Option<Program>,
+    pub(crate) on_failure: Option<Program>,
+    pub(crate) on_halted: Option<Program>,
+    pub(crate) post: Option<Program>,
+}
+
+/// What a tick needs of a node.
+pub(crate) struct Node {
+    pub(crate) kind: Kind,
+    pub(crate) guards: Option<Box<Guards>>,
+    /// Range of its children in the tree's list of children.
+    pub(crate) first_child: u32,
+    pub(crate) child_count: u32,
+}
+
+/// What a reader needs of a node.
+pub(crate) struct Info {
+    pub(crate) name: Arc<str>,
+    pub(crate) id: Arc<str>,
+    pub(crate) category: Category,
+    pub(crate) parent: Option<NodeId>,
+    pub(crate) depth: u16,
+    pub(crate) scope: ScopeId,
+    pub(crate) ports: Box<[BoundPort]>,
+}
+
+/// What a node is doing. The meaning of the counters belongs to the node's family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct NodeState {
+    /// As its parent sees it.
+    pub status: Status,
+    /// What it answered last, kept when the parent resets it.
+    pub last: Status,
+    /// Its parent has its answer and does not ask again (Parallel).
+    pub done: bool,
+    /// A latch of its own.
+    pub flag: bool,
+    /// Index of a child, or of an item.
+    pub cursor: u32,
+    /// Attempts, cycles, failures.
+    pub count: u32,
+    /// Children skipped in this activation.
+    pub skipped: u32,
+    /// A time in ns since the epoch of whoever ticks, or a sequence number.
+    pub mark: u64,
+    /// How often it was entered from not `Running`.
+    pub starts: u32,
+}
+
+/// What a node says and remembers.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Memory {
+    pub(crate) feedback: String,
+    pub(crate) kept: serde_json::Value,
+    /// How often `kept` was written.
+    pub(crate) writes: u64,
+    /// A restart found it running, and it has not been ticked since.
+    pub(crate) resuming: bool,
+}
+
+/// A time as the states keep it.
+pub(crate) fn nanos(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Milliseconds of a port as nanoseconds; negative ones are none.
+pub(crate) fn millis(ms: i64) -> u64 {
+    u64::try_from(ms).unwrap_or(0).saturating_mul(1_000_000)
+}

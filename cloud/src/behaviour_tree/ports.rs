@@ -1,0 +1,231 @@
+//! What may go into and come out of a node? Named, typed, documented ports, and what each use of
+//! a node in a tree has put on them.
+
+use super::blackboard::Slot;
+use super::value::{Value, ValueType, parse_bool};
+
+/// Which way a port's value goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// Read by the node.
+    Input,
+    /// Written by the node.
+    Output,
+    /// Both.
+    InOut,
+}
+
+/// What a port holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PortType {
+    /// Anything.
+    Any,
+    /// Truth value.
+    Bool,
+    /// Integer.
+    Int,
+    /// Integer of at least 0 (also milliseconds).
+    Unsigned,
+    /// Number.
+    Double,
+    /// Text.
+    Text,
+    /// `SUCCESS`, `FAILURE`, `SKIPPED`, `RUNNING`.
+    Status,
+    /// Integers separated by `;`, or a JSON list.
+    Ints,
+    /// A script.
+    Script,
+    /// The name of a blackboard entry, with or without braces.
+    Key,
+    /// Structured data of this type name (`Path`, `PoseStamped`); a literal stays text, or is
+    /// JSON after `json:`.
+    Data(String),
+}
+
+impl PortType {
+    /// The type that a `TreeNodesModel` names (C++ spelling).
+    pub fn from_name(name: &str) -> PortType {
+        let name = name.trim();
+        let short = name.rsplit("::").next().unwrap_or(name).trim();
+        match short {
+            "bool" => PortType::Bool,
+            "int" | "int8_t" | "int16_t" | "int32_t" | "int64_t" | "int16" | "int32" | "int64"
+            | "long" | "short" => PortType::Int,
+            "uint8_t" | "uint16_t" | "uint32_t" | "uint64_t" | "uint8" | "uint16" | "uint32"
+            | "uint64" | "unsigned int" | "unsigned" | "size_t" | "milliseconds" => {
+                PortType::Unsigned
+            }
+            "double" | "float" => PortType::Double,
+            "string" | "basic_string" | "string_view" => PortType::Text,
+            "NodeStatus" => PortType::Status,
+            "" | "Any" | "AnyTypeAllowed" => PortType::Any,
+            _ if name == "vector<int>" || name == "std::vector<int>" => PortType::Ints,
+            _ if name.contains('<') => PortType::Data(name.to_owned()),
+            other => PortType::Data(other.to_owned()),
+        }
+    }
+
+    /// What to write there, for messages.
+    pub fn expected(&self) -> String {
+        match self {
+            PortType::Any => "a value",
+            PortType::Bool => "true or false",
+            PortType::Int => "an integer",
+            PortType::Unsigned => "an integer of at least 0",
+            PortType::Double => "a number",
+            PortType::Text => "text",
+            PortType::Status => "SUCCESS, FAILURE, SKIPPED or RUNNING",
+            PortType::Ints => "integers separated by ;",
+            PortType::Script => "a script",
+            PortType::Key => "the name of a blackboard entry",
+            PortType::Data(name) => return format!("a {name}"),
+        }
+        .to_owned()
+    }
+
+    /// The type that a blackboard entry has once this port has written it, where that is known.
+    pub fn value_type(&self) -> Option<ValueType> {
+        match self {
+            PortType::Bool => Some(ValueType::Bool),
+            PortType::Int | PortType::Unsigned => Some(ValueType::Int),
+            PortType::Double => Some(ValueType::Double),
+            PortType::Text => Some(ValueType::Text),
+            _ => None,
+        }
+    }
+
+    /// A literal of the tree file as a value of this type; `None` if it is none.
+    pub fn parse(&self, text: &str) -> Option<Value> {
+        let whole = Value::text(text);
+        match self {
+            PortType::Bool => parse_bool(text).map(Value::Bool),
+            PortType::Int => whole.as_int().map(Value::Int),
+            PortType::Unsigned => whole.as_int().filter(|value| *value >= 0).map(Value::Int),
+            PortType::Double => whole.as_double().map(Value::Double),
+            PortType::Status => super::Status::from_name(text).map(|_| whole),
+            PortType::Ints => parse_ints(&whole).map(|_| whole),
+            PortType::Any | PortType::Data(_) => match text.strip_prefix("json:") {
+                Some(json) => serde_json::from_str::<serde_json::Value>(json).ok().map(Value::from),
+                None => Some(whole),
+            },
+            PortType::Text | PortType::Script | PortType::Key => Some(whole),
+        }
+    }
+
+    /// Whether one entry may serve a port of each type. Text and `Any` go with everything, and
+    /// numbers with one another: their values are converted when they are read.
+    pub(crate) fn shares_entry_with(&self, other: &PortType) -> bool {
+        use PortType::*;
+        match (self, other) {
+            (Data(one), Data(two)) => one == two,
+            (Data(_), Bool | Int | Unsigned | Double) => false,
+            (Bool | Int | Unsigned | Double, Data(_)) => false,
+            _ => true,
+        }
+    }
+}
+
+/// The integers of `1;2;3`, of `[1,2,3]` or of one integer.
+pub(crate) fn parse_ints(value: &Value) -> Option<Vec<i64>> {
+    match value {
+        Value::Text(text) => text
+            .split([';', ','])
+            .map(str::trim)
+            .filter(|item| !item.is_empty())
+            .map(|item| item.parse().ok())
+            .collect(),
+        Value::Data(data) => data.as_array()?.iter().map(serde_json::Value::as_i64).collect(),
+        other => other.as_int().map(|value| vec![value]),
+    }
+}
+
+/// A port that a node offers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PortSpec {
+    /// Its name, as in the tree file.
+    pub name: String,
+    /// Which way its value goes.
+    pub direction: Direction,
+    /// What it holds.
+    pub kind: PortType,
+    /// Used where the tree file says nothing. May be `{key}`.
+    pub default: Option<String>,
+    /// Whether a tree without it is refused.
+    pub required: bool,
+    /// What it means, with its unit.
+    pub doc: String,
+}
+
+/// What one use of a node has on a port.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Source {
+    Unset,
+    Literal(Value),
+    Slot(Slot),
+}
+
+/// A port of one node in a tree.
+#[derive(Debug, Clone)]
+pub(crate) struct BoundPort {
+    pub(crate) name: std::sync::Arc<str>,
+    pub(crate) kind: PortType,
+    pub(crate) source: Source,
+}
+
+/// Why a port could not be read or written.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PortError {
+    /// The tree file says nothing, and there is no default.
+    #[error("port `{0}` is not set in the tree")]
+    Unset(String),
+    /// The entry behind the port has never been written.
+    #[error("the blackboard entry behind port `{0}` has no value yet")]
+    Empty(String),
+    /// The value is of another type.
+    #[error("port `{port}` holds `{value}`: expected {expected}")]
+    Type {
+        /// The port.
+        port: String,
+        /// What it holds.
+        value: String,
+        /// What was wanted.
+        expected: String,
+    },
+    /// A literal cannot be written to.
+    #[error("output port `{0}` is a literal: expected a blackboard entry, as in `{{key}}`")]
+    Literal(String),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn literals_are_checked_by_type() {
+        assert_eq!(PortType::Unsigned.parse("-1"), None);
+        assert_eq!(PortType::Int.parse("-1"), Some(Value::Int(-1)));
+        assert_eq!(PortType::Double.parse("1e-3"), Some(Value::Double(1e-3)));
+        assert_eq!(PortType::Bool.parse("maybe"), None);
+        assert_eq!(PortType::Status.parse("success"), Some(Value::text("success")));
+        assert_eq!(PortType::Ints.parse("1;x"), None);
+        assert_eq!(PortType::Data("Path".into()).parse("json:{"), None);
+    }
+
+    #[test]
+    fn the_types_of_a_node_model_are_known_by_their_cpp_names() {
+        assert_eq!(PortType::from_name("chrono::milliseconds"), PortType::Unsigned);
+        assert_eq!(PortType::from_name("std::string"), PortType::Text);
+        assert_eq!(PortType::from_name("vector<int>"), PortType::Ints);
+        assert_eq!(PortType::from_name("nav_msgs::msg::Path"), PortType::Data("Path".into()));
+    }
+
+    #[test]
+    fn a_path_and_a_number_never_share_an_entry() {
+        let path = PortType::Data("Path".into());
+        assert!(!path.shares_entry_with(&PortType::Int));
+        assert!(!path.shares_entry_with(&PortType::Data("PoseStamped".into())));
+        assert!(path.shares_entry_with(&PortType::Text));
+        assert!(PortType::Int.shares_entry_with(&PortType::Double));
+    }
+}

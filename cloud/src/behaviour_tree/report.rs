@@ -1,0 +1,106 @@
+//! How is a tree shown? A line a node: for publishing, and drawn for a terminal.
+
+use serde::{Deserialize, Serialize};
+
+use super::node::NodeId;
+use super::status::Status;
+use super::tree::Tree;
+
+/// One node as others see it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeReport {
+    /// Number of the node: its place in document order, SubTrees unfolded, from 1.
+    pub uid: u16,
+    /// Number of its parent; `None` for the root.
+    pub parent: Option<u16>,
+    /// 0 for the root.
+    pub depth: u16,
+    /// `name` in the tree file, or the registration id.
+    pub name: String,
+    /// Registration id; of a SubTree, the id of its tree.
+    pub id: String,
+    /// `Action`, `Condition`, `Control`, `Decorator`, `SubTree`.
+    pub category: String,
+    /// As its parent sees it.
+    pub status: Status,
+    /// What it answered last: stays when the parent resets it.
+    pub last: Status,
+    /// How often it was entered from not `Running`.
+    pub starts: u32,
+    /// What a leaf says about itself.
+    pub feedback: String,
+}
+
+impl<C> Tree<C> {
+    /// Every node, in document order.
+    pub fn report(&self) -> Vec<NodeReport> {
+        self.iter().collect()
+    }
+
+    /// Every node, in document order, one at a time.
+    pub fn iter(&self) -> impl Iterator<Item = NodeReport> {
+        let parts = self.infos.iter().zip(&self.states).zip(&self.memories);
+        (1_u16..).zip(parts).map(|(uid, ((info, state), memory))| NodeReport {
+            uid,
+            parent: info.parent.map(|parent| (parent + 1) as u16),
+            depth: info.depth,
+            name: info.name.to_string(),
+            id: info.id.to_string(),
+            category: info.category.as_str().to_owned(),
+            status: state.status,
+            last: state.last,
+            starts: state.starts,
+            feedback: memory.feedback.clone(),
+        })
+    }
+
+    /// Number, status and last answer of every node: what changes from tick to tick, without a
+    /// copy of a name.
+    pub fn statuses(&self) -> impl Iterator<Item = (u16, Status, Status)> + '_ {
+        (1_u16..).zip(&self.states).map(|(uid, state)| (uid, state.status, state.last))
+    }
+
+    /// The tree drawn with lines, a node a row: name, id, status where it has one, feedback.
+    pub fn render(&self) -> String {
+        let mut drawn = String::new();
+        let mut todo: Vec<(NodeId, String, String)> = vec![(0, String::new(), String::new())];
+        while let Some((id, first, rest)) = todo.pop() {
+            self.render_row(id, &first, &mut drawn);
+            let Some(node) = self.nodes.get(id as usize) else { continue };
+            let children = node.first_child as usize..(node.first_child + node.child_count) as usize;
+            for (place, child) in self.children.get(children).unwrap_or_default().iter().rev().enumerate() {
+                let (branch, below) = if place == 0 { ("└─ ", "   ") } else { ("├─ ", "│  ") };
+                todo.push((*child, format!("{rest}{branch}"), format!("{rest}{below}")));
+            }
+        }
+        drawn
+    }
+
+    fn render_row(&self, id: NodeId, before: &str, drawn: &mut String) {
+        use std::fmt::Write as _;
+        let index = id as usize;
+        let (Some(info), Some(state), Some(memory)) =
+            (self.infos.get(index), self.states.get(index), self.memories.get(index))
+        else {
+            return;
+        };
+        // Writing to a String cannot fail.
+        let _ = write!(drawn, "{before}{}", info.name);
+        if info.id != info.name {
+            let _ = write!(drawn, " [{}]", info.id);
+        }
+        match (state.status, state.last) {
+            (Status::Idle, Status::Idle) => {}
+            (Status::Idle, last) => {
+                let _ = write!(drawn, "  ({last})");
+            }
+            (status, _) => {
+                let _ = write!(drawn, "  {status}");
+            }
+        }
+        if !memory.feedback.is_empty() {
+            let _ = write!(drawn, "  {}", memory.feedback);
+        }
+        drawn.push('\n');
+    }
+}

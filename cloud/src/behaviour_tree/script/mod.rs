@@ -1,0 +1,156 @@
+//! What does `x := a + 1; y = x > 3 ? 'far' : 'near'` do? The scripting language of
+//! BehaviorTree.CPP v4, for `Script`, `ScriptCondition` and the conditions around nodes.
+//!
+//! A script is parsed when the tree is checked, its names become slots of the blackboard when the
+//! tree is built, and a run only computes. Length, nesting and the text it can make are bounded.
+
+mod evaluate;
+mod parse;
+mod token;
+
+use std::collections::BTreeMap;
+
+use super::blackboard::{Blackboard, Slot};
+use super::value::Value;
+
+pub(crate) use evaluate::truth;
+pub(crate) use parse::parse;
+
+/// What a script consists of; `V` is how variables are named: text when parsed, slots when bound.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Expression<V> {
+    Literal(Value),
+    Variable(V),
+    Unary(Unary, Box<Expression<V>>),
+    Binary(Binary, Box<Expression<V>>, Box<Expression<V>>),
+    /// `a < b <= c`: every neighbouring pair must hold.
+    Compare(Box<Expression<V>>, Vec<(Comparison, Expression<V>)>),
+    Ternary(Box<[Expression<V>; 3]>),
+    Assign { to: V, operator: Assignment, value: Box<Expression<V>> },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Unary {
+    Minus,
+    Not,
+    Complement,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Binary {
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Concatenate,
+    BitAnd,
+    BitOr,
+    BitXor,
+    And,
+    Or,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Comparison {
+    Equal,
+    NotEqual,
+    Less,
+    LessOrEqual,
+    Greater,
+    GreaterOrEqual,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Assignment {
+    /// `:=`, makes the entry if it is new.
+    Create,
+    /// `=`, only an entry that has a value.
+    Existing,
+    /// `+=` and the like.
+    Update(Binary),
+}
+
+/// A script that does not parse.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}, at character {at}: expected {expected}")]
+pub struct ScriptSyntax {
+    /// Character of the script, from 1.
+    pub at: usize,
+    /// What is wrong.
+    pub message: String,
+    /// What should stand there.
+    pub expected: String,
+}
+
+/// Why a script could not be computed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub(crate) enum ScriptError {
+    #[error("the entry `{0}` has no value")]
+    Empty(String),
+    #[error("`{0}` is {1}: expected {2}")]
+    Type(String, &'static str, &'static str),
+    #[error("division by zero")]
+    ZeroDivision,
+    #[error("a number leaves the range of 64 bits")]
+    Overflow,
+    #[error("text of more than {0} bytes")]
+    TooLong(usize),
+    #[error("`{0}`: {1}")]
+    Assign(String, super::TypeError),
+}
+
+/// A variable of a bound script.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Variable {
+    pub(crate) slot: Slot,
+    pub(crate) name: Box<str>,
+}
+
+/// A script bound to a scope of a blackboard.
+#[derive(Debug, Clone)]
+pub(crate) struct Program {
+    text: Box<str>,
+    statements: Vec<Expression<Variable>>,
+}
+
+impl Program {
+    /// Gives every variable its slot; names in `enums` are numbers.
+    pub(crate) fn variable(name: String, resolve: &mut dyn FnMut(&str) -> Slot) -> Variable {
+    Variable { slot: resolve(&name), name: name.into() }
+}
+
+fn bind(
+    expression: Expression<String>,
+    enums: &BTreeMap<String, i64>,
+    resolve: &mut dyn FnMut(&str) -> Slot,
+) -> Expression<Variable> {
+    match expression {
+        Expression::Literal(value) => Expression::Literal(value),
+        Expression::Variable(name) => match enums.get(&name) {
+            Some(number) => Expression::Literal(Value::Int(*number)),
+            None => Expression::Variable(variable(name, resolve)),
+        },
+        Expression::Unary(operator, inner) => {
+            Expression::Unary(operator, Box::new(bind(*inner, enums, resolve)))
+        }
+        Expression::Binary(operator, left, right) => Expression::Binary(
+            operator,
+            Box::new(bind(*left, enums, resolve)),
+            Box::new(bind(*right, enums, resolve)),
+        ),
+        Expression::Compare(first, rest) => Expression::Compare(
+            Box::new(bind(*first, enums, resolve)),
+            rest.into_iter()
+                .map(|(comparison, next)| (comparison, bind(next, enums, resolve)))
+                .collect(),
+        ),
+        Expression::Ternary(parts) => {
+            Expression::Ternary(Box::new(parts.map(|part| bind(part, enums, resolve))))
+        }
+        Expression::Assign { to, operator, value } => Expression::Assign {
+            to: variable(to, resolve),
+            operator,
+            value: Box::new(bind(*value, enums, resolve)),
+        },
+    }
+}

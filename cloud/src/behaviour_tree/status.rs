@@ -1,0 +1,56 @@
+//! What can a node answer? The five statuses of BehaviorTree.CPP v4.
+
+use serde::{Deserialize, Serialize};
+
+/// What a node answered, or `Idle` before it is asked and after its parent has reset it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub enum Status {
+    /// Not started, or reset by the parent. A node never answers this.
+    #[default]
+    Idle,
+    /// Started, not finished: tick again.
+    Running,
+    /// Finished; the aim was reached.
+    Success,
+    /// Finished; the aim was not reached.
+    Failure,
+    /// Not applicable now: the parent goes on as if the node were not there.
+    Skipped,
+}
+
+impl Status {
+    /// `Success` or `Failure`.
+    pub fn is_completed(self) -> bool {
+        matches!(self, Status::Success | Status::Failure)
+    }
+
+    /// Neither `Idle` nor `Skipped`: the node has been ticked since its parent last reset it.
+    pub fn is_active(self) -> bool {
+        !matches!(self, Status::Idle | Status::Skipped)
+    }
+
+    /// The name that the ecosystem writes: `SUCCESS`, `FAILURE`, …
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Status::Idle => "IDLE",
+            Status::Running => "RUNNING",
+            Status::Success => "SUCCESS",
+            Status::Failure => "FAILURE",
+            Status::Skipped => "SKIPPED",
+        }
+    }
+
+    /// The status of that name, whatever its case.
+    pub fn from_name(name: &str) -> Option<Status> {
+        [Status::Idle, Status::Running, Status::Success, Status::Failure, Status::Skipped]
+            .into_iter()
+            .find(|status| status.as_str().eq_ignore_ascii_case(name.trim()))
+    }
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.pad(self.as_str())
+    }
+}

@@ -1,0 +1,194 @@
+//! How does a tree run? A tick asks the root, and asks again at once while a node wants to be
+//! woken (BehaviorTree.CPP's `tickOnce`).
+
+use std::time::Duration;
+
+use super::blackboard::Blackboard;
+use super::node::{Info, Memory, Node, NodeId, NodeState, nanos};
+use super::status::Status;
+use super::tick::{Body, Run, Stop};
+
+/// Most rounds of one tick: an endless retry of what fails at once goes on in the next tick.
+const ROUNDS: u32 = 1_000;
+/// Node visits after which a tick is not prolonged by a node that wants to be woken.
+const ROUND_VISITS: u32 = 100_000;
+
+/// A node in error: a script that cannot be computed, a port without a value, a leaf that aborts.
+/// The whole tree has been halted.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{path} (node {uid}): {message}")]
+pub struct TickError {
+    /// Number of the node.
+    pub uid: u16,
+    /// Names from the root to the node, joined by `/`.
+    pub path: String,
+    /// What went wrong and what was expected.
+    pub message: String,
+}
+
+/// A tree of nodes over a context `C`, ready to run.
+pub struct Tree<C> {
+    pub(crate) id: String,
+    pub(crate) nodes: Vec<Node>,
+    pub(crate) infos: Vec<Info>,
+    pub(crate) children: Vec<NodeId>,
+    pub(crate) states: Vec<NodeState>,
+    pub(crate) memories: Vec<Memory>,
+    pub(crate) bodies: Vec<Body<C>>,
+    pub(crate) board: Blackboard,
+    pub(crate) shape: u64,
+    pub(crate) changes: u64,
+}
+
+impl<C> std::fmt::Debug for Tree<C> {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "Tree({}, {} nodes, {})", self.id, self.nodes.len(), self.status())
+    }
+}
+
+impl<C> Tree<C> {
+    /// Id of the tree that is the root.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// How many nodes there are, SubTrees unfolded.
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Never: a tree has a root.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The root's status: `Running` between the ticks of an unfinished run, else `Idle`.
+    pub fn status(&self) -> Status {
+        self.states.first().map_or(Status::Idle, |root| root.status)
+    }
+
+    /// What the root answered last.
+    pub fn last_status(&self) -> Status {
+        self.states.first().map_or(Status::Idle, |root| root.last)
+    }
+
+    /// The blackboard; names given to it are those of the root scope.
+    pub fn blackboard(&self) -> &Blackboard {
+        &self.board
+    }
+
+    /// The blackboard, to write goals and parameters before and between ticks.
+    pub fn blackboard_mut(&mut self) -> &mut Blackboard {
+        &mut self.board
+    }
+
+    /// Counts every change of a status, an entry or a leaf's memory. While it stands still, a
+    /// stored snapshot is still good.
+    pub fn revision(&self) -> u64 {
+        let remembered: u64 = self.memories.iter().map(|memory| memory.writes).sum();
+        self.changes.wrapping_add(self.board.writes()).wrapping_add(remembered)
+    }
+
+    /// Ticks the tree at the time `now` (since any epoch, never going back), and again at once
+    /// while a node wants to be woken. `Success`, `Failure` or `Skipped` ends the run: the next
+    /// tick starts anew.
+    ///
+    /// Cost: no allocation unless a leaf or a text makes one.
+    ///
+    /// # Errors
+    /// [`TickError`]: a node in error. Every running leaf has been halted.
+    pub fn tick(&mut self, now: Duration, ctx: &mut C) -> Result<Status, TickError> {
+        self.run(now, ctx, ROUNDS)
+    }
+
+    /// As [`Tree::tick`], but asks the root exactly once.
+    ///
+    /// # Errors
+    /// [`TickError`]: a node in error. Every running leaf has been halted.
+    pub fn tick_exactly_once(&mut self, now: Duration, ctx: &mut C) -> Result<Status, TickError> {
+        self.run(now, ctx, 1)
+    }
+
+    /// Halts whatever runs; every node is `Idle` afterwards. `SequenceWithMemory` and `RunOnce`
+    /// keep what they keep.
+    ///
+    /// # Errors
+    /// [`TickError`] of a script that runs on halting; the tree is halted nevertheless.
+    pub fn halt(&mut self, now: Duration, ctx: &mut C) -> Result<(), TickError> {
+        let mut run = self.take_apart(now, ctx);
+        run.reset(0);
+        let (fault, changes) = (run.fault.take(), run.changes);
+        self.changes = changes;
+        match fault {
+            None => Ok(()),
+            Some(fault) => Err(self.tick_error(*fault)),
+        }
+    }
+
+    fn run(&mut self, now: Duration, ctx: &mut C, rounds: u32) -> Result<Status, TickError> {
+        let mut run = self.take_apart(now, ctx);
+        let mut answer = run.exec(0);
+        for _ in 1..rounds {
+            let woken = std::mem::take(&mut run.wake) && matches!(answer, Ok(Status::Running));
+            if !woken || run.visits > ROUND_VISITS || run.fault.is_some() {
+                break;
+            }
+            answer = run.exec(0);
+        }
+        // A script that failed while something was halted is a fault of the tick too.
+        if run.fault.is_some() {
+            answer = Err(Stop);
+        }
+        match answer {
+            Ok(Status::Running) => {}
+            Ok(_) => run.reset(0),
+            Err(Stop) => run.halt_everything(),
+        }
+        let (fault, changes) = (run.fault.take(), run.changes);
+        self.changes = changes;
+        match (answer, fault) {
+            (Ok(status), None) => Ok(status),
+            (_, Some(fault)) => Err(self.tick_error(*fault)),
+            (Err(Stop), None) => Err(TickError {
+                uid: 0,
+                path: self.id.clone(),
+                message: "the tree is not what it was built as".to_owned(),
+            }),
+        }
+    }
+
+    fn take_apart<'t>(&'t mut self, now: Duration, ctx: &'t mut C) -> Run<'t, C> {
+        Run {
+            nodes: &self.nodes,
+            infos: &self.infos,
+            children: &self.children,
+            states: &mut self.states,
+            memories: &mut self.memories,
+            bodies: &mut self.bodies,
+            board: &mut self.board,
+            ctx,
+            now,
+            now_ns: nanos(now),
+            wake: false,
+            changes: self.changes,
+            visits: 0,
+            fault: None,
+        }
+    }
+
+    fn tick_error(&self, fault: super::tick::Fault) -> TickError {
+        TickError { uid: (fault.node + 1) as u16, path: self.path(fault.node), message: fault.message }
+    }
+
+    /// Names from the root to a node, joined by `/`.
+    pub(crate) fn path(&self, node: NodeId) -> String {
+        let mut names = Vec::new();
+        let mut next = Some(node);
+        while let Some(info) = next.and_then(|id| self.infos.get(id as usize)) {
+            names.push(&*info.name);
+            next = info.parent;
+        }
+        names.reverse();
+        names.join("/")
+    }
+}

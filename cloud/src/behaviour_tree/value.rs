@@ -1,0 +1,338 @@
+//! What can stand in a blackboard entry or a port? Four scalars and structured data.
+//!
+//! Conversions follow BehaviorTree.CPP: text is read as what the reader wants, numbers are cast
+//! only where nothing is lost.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// The type that an entry keeps once it has been assigned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ValueType {
+    /// Truth value.
+    Bool,
+    /// 64-bit integer.
+    Int,
+    /// 64-bit float.
+    Double,
+    /// Text.
+    Text,
+    /// Structured data (poses, paths, lists).
+    Data,
+}
+
+/// A value on the blackboard. Cloning is cheap: long values are shared.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Truth value.
+    Bool(bool),
+    /// 64-bit integer.
+    Int(i64),
+    /// 64-bit float.
+    Double(f64),
+    /// Text.
+    Text(Arc<str>),
+    /// Structured data (poses, paths, lists).
+    Data(Arc<serde_json::Value>),
+}
+
+/// Largest magnitude below which every integer is an exact `f64`.
+const EXACT: i64 = 1 << 53;
+
+impl Value {
+    /// Text from anything that is text.
+    pub fn text(text: impl AsRef<str>) -> Value {
+        Value::Text(Arc::from(text.as_ref()))
+    }
+
+    /// Structured data from anything serde can write.
+    ///
+    /// # Errors
+    /// What serde_json reports, for example a map whose keys are not text.
+    pub fn data<T: Serialize>(data: &T) -> Result<Value, serde_json::Error> {
+        Ok(Value::Data(Arc::new(serde_json::to_value(data)?)))
+    }
+
+    /// The type of this value.
+    pub fn kind(&self) -> ValueType {
+        match self {
+            Value::Bool(_) => ValueType::Bool,
+            Value::Int(_) => ValueType::Int,
+            Value::Double(_) => ValueType::Double,
+            Value::Text(_) => ValueType::Text,
+            Value::Data(_) => ValueType::Data,
+        }
+    }
+
+    /// A JSON scalar as a scalar, anything longer as data; `None` for null.
+    pub fn from_json(json: &serde_json::Value) -> Option<Value> {
+        Some(match json {
+            serde_json::Value::Null => return None,
+            serde_json::Value::Bool(value) => Value::Bool(*value),
+            serde_json::Value::Number(number) => match number.as_i64() {
+                Some(value) => Value::Int(value),
+                None => Value::Double(number.as_f64()?),
+            },
+            serde_json::Value::String(text) => Value::text(text),
+            other => Value::Data(Arc::new(other.clone())),
+        })
+    }
+
+    /// The value as JSON, for display and the wire.
+    pub fn to_json(&self) -> serde_json::Value {
+        match self {
+            Value::Bool(value) => (*value).into(),
+            Value::Int(value) => (*value).into(),
+            Value::Double(value) => (*value).into(),
+            Value::Text(text) => (&**text).into(),
+            Value::Data(data) => (**data).clone(),
+        }
+    }
+
+    /// As a truth value: numbers 0 and 1, text `true`, `false`, `1`, `0`.
+    pub fn as_bool(&self) -> Option<bool> {
+        match self {
+            Value::Bool(value) => Some(*value),
+            Value::Int(0) => Some(false),
+            Value::Int(1) => Some(true),
+            Value::Text(text) => parse_bool(text),
+            Value::Data(data) => data.as_bool(),
+            _ => None,
+        }
+    }
+
+    /// As an integer, if nothing is lost.
+    pub fn as_int(&self) -> Option<i64> {
+        match self {
+            Value::Bool(value) => Some(i64::from(*value)),
+            Value::Int(value) => Some(*value),
+            Value::Double(value) if value.fract() == 0.0 && value.abs() <= EXACT as f64 => {
+                Some(*value as i64)
+            }
+            Value::Double(_) => None,
+            Value::Text(text) => text.trim().parse().ok(),
+            Value::Data(data) => data.as_i64(),
+        }
+    }
+
+    /// As a float, if nothing is lost. Text `nan` is no number.
+    pub fn as_double(&self) -> Option<f64> {
+        match self {
+            Value::Bool(value) => Some(f64::from(u8::from(*value))),
+            Value::Int(value) if value.abs() <= EXACT => Some(*value as f64),
+            Value::Int(_) => None,
+            Value::Double(value) => Some(*value),
+            Value::Text(text) => text.trim().parse().ok().filter(|value: &f64| !value.is_nan()),
+            Value::Data(data) => data.as_f64(),
+        }
+    }
+
+    /// Converted to `kind` without loss; a number does not become text by itself.
+    pub fn convert(&self, kind: ValueType) -> Option<Value> {
+        match kind {
+            ValueType::Bool => self.as_bool().map(Value::Bool),
+            ValueType::Int => self.as_int().map(Value::Int),
+            ValueType::Double => self.as_double().map(Value::Double),
+            ValueType::Text => match self {
+                Value::Text(_) => Some(self.clone()),
+                _ => None,
+            },
+            ValueType::Data => Some(match self {
+                Value::Data(_) => self.clone(),
+                other => Value::Data(Arc::new(other.to_json())),
+            }),
+        }
+    }
+}
+
+/// `true`, `false`, `1`, `0`, whatever the case.
+pub(crate) fn parse_bool(text: &str) -> Option<bool> {
+    let text = text.trim();
+    if text == "1" || text.eq_ignore_ascii_case("true") {
+        Some(true)
+    } else if text == "0" || text.eq_ignore_ascii_case("false") {
+        Some(false)
+    } else {
+        None
+    }
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Value::Bool(value) => write!(out, "{value}"),
+            Value::Int(value) => write!(out, "{value}"),
+            Value::Double(value) => write!(out, "{value}"),
+            Value::Text(text) => write!(out, "{text}"),
+            Value::Data(data) => write!(out, "{data}"),
+        }
+    }
+}
+
+impl From<bool> for Value {
+    fn from(value: bool) -> Value {
+        Value::Bool(value)
+    }
+}
+
+impl From<i64> for Value {
+    fn from(value: i64) -> Value {
+        Value::Int(value)
+    }
+}
+
+impl From<f64> for Value {
+    fn from(value: f64) -> Value {
+        Value::Double(value)
+    }
+}
+
+impl From<&str> for Value {
+    fn from(text: &str) -> Value {
+        Value::text(text)
+    }
+}
+
+impl From<String> for Value {
+    fn from(text: String) -> Value {
+        Value::Text(Arc::from(text))
+    }
+}
+
+impl From<serde_json::Value> for Value {
+    fn from(data: serde_json::Value) -> Value {
+        Value::Data(Arc::new(data))
+    }
+}
+
+/// What a leaf may read a port as.
+pub trait FromValue: Sized {
+    /// The value, if it converts without loss.
+    fn from_value(value: &Value) -> Option<Self>;
+    /// What the reader expected, for messages.
+    const EXPECTED: &'static str;
+}
+
+impl FromValue for bool {
+    fn from_value(value: &Value) -> Option<Self> {
+        value.as_bool()
+    }
+    const EXPECTED: &'static str = "true or false";
+}
+
+impl FromValue for i64 {
+    fn from_value(value: &Value) -> Option<Self> {
+        value.as_int()
+    }
+    const EXPECTED: &'static str = "an integer";
+}
+
+impl FromValue for u64 {
+    fn from_value(value: &Value) -> Option<Self> {
+        value.as_int().and_then(|value| value.try_into().ok())
+    }
+    const EXPECTED: &'static str = "an integer of at least 0";
+}
+
+impl FromValue for f64 {
+    fn from_value(value: &Value) -> Option<Self> {
+        value.as_double()
+    }
+    const EXPECTED: &'static str = "a number";
+}
+
+impl FromValue for String {
+    fn from_value(value: &Value) -> Option<Self> {
+        Some(value.to_string())
+    }
+    const EXPECTED: &'static str = "text";
+}
+
+impl FromValue for Value {
+    fn from_value(value: &Value) -> Option<Self> {
+        Some(value.clone())
+    }
+    const EXPECTED: &'static str = "a value";
+}
+
+/// The stored form: tagged, so that `1`, `1.0` and `"1"` come back as what they were.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Stored {
+    Bool(bool),
+    Int(i64),
+    Double(f64),
+    /// Infinities and NaN, which JSON numbers cannot hold.
+    Special(String),
+    Text(String),
+    Data(serde_json::Value),
+}
+
+impl Serialize for Value {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Value::Bool(value) => Stored::Bool(*value),
+            Value::Int(value) => Stored::Int(*value),
+            Value::Double(value) if value.is_finite() => Stored::Double(*value),
+            Value::Double(value) => Stored::Special(value.to_string()),
+            Value::Text(text) => Stored::Text(text.to_string()),
+            Value::Data(data) => Stored::Data((**data).clone()),
+        }
+        .serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Value {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(match Stored::deserialize(deserializer)? {
+            Stored::Bool(value) => Value::Bool(value),
+            Stored::Int(value) => Value::Int(value),
+            Stored::Double(value) => Value::Double(value),
+            Stored::Special(text) => {
+                Value::Double(text.parse().map_err(serde::de::Error::custom)?)
+            }
+            Stored::Text(text) => Value::Text(Arc::from(text)),
+            Stored::Data(data) => Value::Data(Arc::new(data)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn text_is_read_as_what_the_reader_wants() {
+        assert_eq!(Value::text(" 106 ").as_int(), Some(106));
+        assert_eq!(Value::text("0.5").as_double(), Some(0.5));
+        assert_eq!(Value::text("True").as_bool(), Some(true));
+        assert_eq!(Value::text("nan").as_double(), None);
+    }
+
+    #[test]
+    fn a_number_is_cast_only_where_nothing_is_lost() {
+        assert_eq!(Value::Double(3.0).as_int(), Some(3));
+        assert_eq!(Value::Double(3.5).as_int(), None);
+        assert_eq!(Value::Int(i64::MAX).as_double(), None);
+        assert_eq!(Value::Int(2).as_bool(), None);
+        assert_eq!(Value::Int(2).convert(ValueType::Text), None);
+    }
+
+    #[test]
+    fn what_is_stored_comes_back_as_it_was() {
+        for value in [
+            Value::Bool(true),
+            Value::Int(1),
+            Value::Double(1.0),
+            Value::Double(f64::INFINITY),
+            Value::text("1"),
+            Value::Data(Arc::new(serde_json::json!({"x": [1, 2.5]}))),
+        ] {
+            let stored = serde_json::to_string(&value).unwrap();
+            assert_eq!(serde_json::from_str::<Value>(&stored).unwrap(), value, "{stored}");
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! How does a file become a tree, or a list of everything that is wrong with it?
+//!
+//! In four steps, each of bounded time and memory: `guard` refuses what an XML parser should not
+//! be given, `document` reads files and their includes, `check` compares every tree with the
+//! registry, `expand` unfolds SubTrees into the arena of nodes. Errors are collected, not thrown:
+//! a tree file is input.
+
+mod check;
+mod document;
+mod error;
+mod expand;
+mod guard;
+mod nearest;
+
+use super::registry::Registry;
+use super::tree::Tree;
+
+pub use check::Summary;
+pub use error::{TreeError, TreeErrors};
+
+/// Finds an included file: given the including file and the `path` attribute, the name by which
+/// to know it and its bytes, or what went wrong.
+pub type Include<'a> = dyn FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + 'a;
+
+/// How large a tree file may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of all files together. A caller that reads a file should look at its size first.
+    pub bytes: usize,
+    /// Levels of nodes, SubTrees unfolded.
+    pub depth: usize,
+    /// Nodes, SubTrees unfolded. At most 65,534: a uid has 16 bits.
+    pub nodes: usize,
+    /// Included files.
+    pub includes: usize,
+    /// Errors that are told one by one.
+    pub errors: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits { bytes: 4 << 20, depth: 256, nodes: 10_000, includes: 64, errors: 100 }
+    }
+}
+
+impl Limits {
+    fn nodes(&self) -> u64 {
+        self.nodes.min(usize::from(u16::MAX) - 1) as u64
+    }
+
+    /// The recursion of a tick is as deep as the tree.
+    fn depth(&self) -> usize {
+        self.depth.min(1_000)
+    }
+}
+
+/// Checks every tree of a file without making one. `file` is its name for messages. A node that
+/// the registry does not know but the file's `TreeNodesModel` describes is accepted.
+///
+/// # Errors
+/// Everything that is wrong with it.
+pub fn check<C>(
+    file: &str,
+    bytes: &[u8],
+    registry: &Registry<C>,
+    include: &mut Include<'_>,
+    limits: Limits,
+) -> Result<Summary, TreeErrors> {
+    let mut errors = error::Collector::new(limits.errors);
+    let forest = document::read(file, bytes, include, &limits, &mut errors);
+    let summary = check::check(&forest, registry, &limits, &mut errors);
+    errors.into_result(summary)
+}
+
+/// Makes a tree from a file: `tree_id`, else the one that `main_tree_to_execute` names, else the
+/// only one.
+///
+/// # Errors
+/// Everything that is wrong with the file, whether this tree uses it or not.
+pub fn build<C>(
+    file: &str,
+    bytes: &[u8],
+    registry: &Registry<C>,
+    tree_id: Option<&str>,
+    include: &mut Include<'_>,
+) -> Result<Tree<C>, TreeErrors> {
+    build_within(file, bytes, registry, tree_id, include, Limits::default())
+}
+
+/// As [`build`], with other limits.
+///
+/// # Errors
+/// Everything that is wrong with the file, whether this tree uses it or not.
+pub fn build_within<C>(
+    file: &str,
+    bytes: &[u8],
+    registry: &Registry<C>,
+    tree_id: Option<&str>,
+    include: &mut Include<'_>,
+    limits: Limits,
+) -> Result<Tree<C>, TreeErrors> {
+    let mut errors = error::Collector::new(limits.errors);
+    let forest = document::read(file, bytes, include, &limits, &mut errors);
+    check::check(&forest, registry, &limits, &mut errors);
+    let main = check::main_tree(&forest, tree_id, &mut errors);
+    if let (Some(main), true) = (main, errors.is_empty()) {
+        if let Some(tree) = expand::expand(&forest, registry, &main, &mut errors) {
+            return errors.into_result(tree);
+        }
+    }
+    Err(errors.into_errors())
+}

@@ -1,0 +1,11 @@
+//! The off-board side of zenav: what a robot's readings and goals become.
+//!
+//! | module | answers |
+//! |---|---|
+//! | [`space`] | where may the robot be? configuration space, distances, exact checks |
+//! | [`smoothing`] | how does it drive a way, in time? |
+//! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
+
+pub mod behaviour_tree;
+pub mod smoothing;
+pub mod space;

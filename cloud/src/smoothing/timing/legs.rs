@@ -1,0 +1,179 @@
+//! What is always safe? Stop, turn towards the next corner, go straight, stop: the unsmoothed way with a time law of its own.
+//!
+//! It needs no map and no solver, and leaves the way's straight lines nowhere: what was free for the search stays free. A robot that is
+//! moving brakes first, along the arc that it is on, and then goes back to the nearest point of the way.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::messages::TrajectoryPoint;
+use zenav_protocol::robot::RobotModel;
+
+use super::limits::Limits;
+use super::motion::Motion;
+use super::path::GeometricPath;
+
+/// Points of a way nearer than this are one, m.
+const SAME_PLACE: f64 = 1e-3;
+/// Distance between samples on a straight line, m.
+const STEP: f64 = 0.02;
+/// Times between the points of a trajectory, s.
+pub const PERIOD: f64 = 0.05;
+/// A leg whose direction differs by less from the heading is begun at speed, rad.
+const ALIGNED: f64 = 0.02;
+
+/// The unsmoothed way (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end.
+///
+/// Points that are not finite are left out. Empty only when there is nothing to drive or to turn.
+#[must_use]
+pub fn safe_trajectory(path: &[Point2<f64>], start: Pose2, velocity: Twist2, goal_yaw: Option<f64>, model: &RobotModel) -> Vec<TrajectoryPoint> {
+    safe_motion(path, start, velocity, goal_yaw, &Limits::of(model)).trajectory(PERIOD)
+}
+
+/// As [`safe_trajectory`], as a motion.
+#[must_use]
+pub fn safe_motion(path: &[Point2<f64>], start: Pose2, velocity: Twist2, goal_yaw: Option<f64>, limits: &Limits) -> Motion {
+    let mut motion = Motion::new();
+    if !start.is_finite() {
+        return motion;
+    }
+    let velocity = if velocity.is_finite() { velocity } else { Twist2::ZERO };
+    let mut corners = corners_from(start.position(), path);
+    let mut speed = 0.0;
+    let mut at = start;
+    if limits.braking_time(velocity) > 1e-6 {
+        if begins_at_speed(start, velocity, &corners, limits) {
+            speed = velocity.v;
+        } else {
+            at = motion.brake(start, velocity, limits);
+            corners = rejoined(at.position(), &corners);
+        }
+    }
+    for to in corners.into_iter().skip(1) {
+        let Some(leg) = GeometricPath::straight(at.position(), to, STEP) else { continue };
+        let yaw = leg.points()[0].yaw;
+        if speed == 0.0 {
+            motion.spin(at, wrap_angle(yaw - at.yaw), limits);
+        }
+        let followed = motion.follow(leg, speed, limits);
+        debug_assert!(followed.is_ok(), "a straight line from rest can always be followed");
+        speed = 0.0;
+        at = Pose2::new(to.x, to.y, yaw);
+    }
+    if let Some(yaw) = goal_yaw.filter(|yaw| yaw.is_finite()) {
+        motion.spin(at, wrap_angle(yaw - at.yaw), limits);
+    }
+    motion
+}
+
+/// The start, and the way's points without repetitions and what is not finite.
+pub(crate) fn corners_from(start: Point2<f64>, path: &[Point2<f64>]) -> Vec<Point2<f64>> {
+    let mut corners = vec![start];
+    for &point in path {
+        let last = corners[corners.len() - 1];
+        if point.x.is_finite() && point.y.is_finite() && (point - last).norm() > SAME_PLACE {
+            corners.push(point);
+        }
+    }
+    corners
+}
+
+/// Whether the first leg can be begun without stopping: it lies ahead, the robot does not turn, and it can stop at the leg's end.
+fn begins_at_speed(start: Pose2, velocity: Twist2, corners: &[Point2<f64>], limits: &Limits) -> bool {
+    let [from, to, ..] = corners else { return false };
+    let leg = to - from;
+    let ahead = wrap_angle(leg.y.atan2(leg.x) - start.yaw).abs() < ALIGNED;
+    let stops = velocity.v * velocity.v < 2.0 * 0.9 * limits.wheel_acceleration * leg.norm();
+    ahead && velocity.v > 0.0 && velocity.v <= limits.speed && velocity.w.abs() < 2.0 * ALIGNED && stops
+}
+
+/// The way from a place beside it: to its nearest point, and on from there.
+fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f64>> {
+    let mut nearest = (f64::INFINITY, 0, corners[0]);
+    for (i, pair) in corners.windows(2).enumerate() {
+        let leg = pair[1] - pair[0];
+        let share = ((at - pair[0]).dot(&leg) / leg.norm_squared()).clamp(0.0, 1.0);
+        let point = pair[0] + leg * share;
+        let distance = (at - point).norm();
+        if distance < nearest.0 {
+            nearest = (distance, i + 1, point);
+        }
+    }
+    let (_, next, point) = nearest;
+    let rest: Vec<_> = std::iter::once(point).chain(corners.iter().copied().skip(next.max(1))).collect();
+    corners_from(at, &rest)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use zenav_protocol::robot::shipped;
+
+    fn tiago() -> RobotModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    }
+
+    /// Every step obeys the drive's limits and leads where its velocity says.
+    fn assert_drivable(points: &[TrajectoryPoint], model: &RobotModel) {
+        for pair in points.windows(2) {
+            let dt = pair[1].t - pair[0].t;
+            assert!(dt > 0.0 && dt <= PERIOD + 1e-9);
+            let [before, after] = [0, 1].map(|i| model.drive.wheels(pair[i].twist()));
+            for wheel in 0..2 {
+                assert!(after[wheel].abs() <= 0.95 * model.drive.max_wheel_speed + 1e-6);
+                let acceleration = (after[wheel] - before[wheel]) / dt;
+                assert!(acceleration.abs() <= 0.95 * model.drive.max_wheel_acceleration + 1e-6, "{acceleration} at {}", pair[0].t);
+            }
+            let moved = pair[0].pose().distance(&pair[1].pose());
+            assert!(moved <= 0.95 * model.drive.top_speed() * dt + 1e-6, "moved {moved} in {dt}");
+        }
+    }
+
+    #[test]
+    fn a_corner_is_turned_on_the_spot_and_the_end_is_at_rest() {
+        let path = [Point2::new(0.0, 0.0), Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
+        let points = safe_trajectory(&path, Pose2::new(0.0, 0.0, 1.0), Twist2::ZERO, Some(0.5), &tiago());
+        assert_drivable(&points, &tiago());
+        let last = points.last().unwrap();
+        assert!(last.pose().distance(&Pose2::new(2.0, 1.0, 0.0)) < 1e-9 && (last.yaw - 0.5).abs() < 1e-9);
+        assert_eq!((last.v, last.w), (0.0, 0.0));
+        assert!(points.iter().all(|p| p.y.abs() < 1e-9 || (p.x - 2.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn nothing_to_drive_is_an_empty_trajectory() {
+        let here = Point2::new(1.0, 1.0);
+        let still = Pose2::new(1.0, 1.0, 0.0);
+        assert!(safe_trajectory(&[], still, Twist2::ZERO, None, &tiago()).is_empty());
+        assert!(safe_trajectory(&[here, here], still, Twist2::ZERO, None, &tiago()).is_empty());
+        assert!(safe_trajectory(&[Point2::new(f64::NAN, 0.0)], still, Twist2::ZERO, Some(f64::NAN), &tiago()).is_empty());
+        assert!(safe_trajectory(&[here], Pose2 { x: f64::NAN, ..still }, Twist2::ZERO, None, &tiago()).is_empty());
+    }
+
+    #[test]
+    fn a_robot_at_speed_goes_straight_on_without_stopping() {
+        let points = safe_trajectory(&[Point2::new(2.0, 0.0)], Pose2::IDENTITY, Twist2::new(0.5, 0.0), None, &tiago());
+        assert_drivable(&points, &tiago());
+        assert!((points[0].v - 0.5).abs() < 1e-9);
+        assert!(points.iter().filter(|p| p.x < 1.0).all(|p| p.v >= 0.5 - 1e-9));
+    }
+
+    proptest! {
+        #[test]
+        fn any_way_from_any_state_is_drivable(
+            raw in prop::collection::vec((-3.0..3.0_f64, -3.0..3.0_f64), 0..6),
+            yaw in -3.0..3.0_f64, v in -0.3..0.55_f64, w in -1.0..1.0_f64, goal_yaw in prop::option::of(-3.0..3.0_f64),
+        ) {
+            let path: Vec<_> = raw.into_iter().map(|(x, y)| Point2::new(x, y)).collect();
+            let wheels = tiago().drive.wheels(Twist2::new(v, w));
+            prop_assume!(wheels.iter().all(|speed| speed.abs() < 0.95 * 6.28));
+            let points = safe_trajectory(&path, Pose2::new(0.1, 0.2, yaw), Twist2::new(v, w), goal_yaw, &tiago());
+            assert_drivable(&points, &tiago());
+            if let (Some(last), Some(end)) = (points.last(), path.last()) {
+                prop_assert!((last.pose().position() - end).norm() < 2.0 * SAME_PLACE);
+                prop_assert!(last.v.abs() < 1e-9 && last.w.abs() < 1e-9);
+            }
+        }
+    }
+}

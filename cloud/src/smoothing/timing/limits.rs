@@ -1,0 +1,78 @@
+//! How fast may a differential drive be, at which curvature? Wheel speed, wheel acceleration, lateral acceleration, yaw rate.
+//!
+//! With curvature `k` the wheels run at `v (1 ± k b/2)`: a limit of the wheels is a limit of `v`.
+
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::robot::{Drive, RobotModel};
+
+/// Share of every limit that a plan may use; the rest is for control.
+pub const PLAN_SHARE: f64 = 0.95;
+
+/// Fastest turn on the spot that a plan asks for, rad/s: faster ones blur a scan and gain little.
+const TOP_SPIN: f64 = 1.5;
+
+/// What a plan may ask of a robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Speed of a wheel on the floor, m/s.
+    pub wheel_speed: f64,
+    /// Acceleration of a wheel on the floor, m/s².
+    pub wheel_acceleration: f64,
+    /// Half the distance between the wheels, m.
+    pub half_separation: f64,
+    /// Speed of the base, m/s.
+    pub speed: f64,
+    /// Lateral acceleration, m/s².
+    pub lateral_acceleration: f64,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: f64,
+}
+
+impl Limits {
+    /// [`PLAN_SHARE`] of a robot's limits.
+    #[must_use]
+    pub fn of(model: &RobotModel) -> Self {
+        Self::with_share(&model.drive, PLAN_SHARE)
+    }
+
+    /// A share (0 to 1) of a drive's limits.
+    #[must_use]
+    pub fn with_share(drive: &Drive, share: f64) -> Self {
+        Self {
+            wheel_speed: share * drive.max_wheel_speed * drive.wheel_radius,
+            wheel_acceleration: share * drive.acceleration(),
+            half_separation: 0.5 * drive.wheel_separation,
+            speed: share * drive.top_speed(),
+            lateral_acceleration: share * drive.max_lateral_acceleration,
+            yaw_rate: share * drive.top_yaw_rate(),
+        }
+    }
+
+    /// Largest squared speed at a curvature (1/m), m²/s².
+    #[must_use]
+    pub fn speed_squared(&self, curvature: f64) -> f64 {
+        let k = curvature.abs();
+        let wheels = self.wheel_speed / (1.0 + k * self.half_separation);
+        let base = self.speed.min(wheels);
+        // Without curvature the last two are infinite.
+        (base * base).min(self.lateral_acceleration / k).min((self.yaw_rate / k).powi(2))
+    }
+
+    /// Largest yaw rate on the spot, rad/s.
+    #[must_use]
+    pub fn spin_rate(&self) -> f64 {
+        self.yaw_rate.min(self.wheel_speed / self.half_separation).min(TOP_SPIN)
+    }
+
+    /// Largest yaw acceleration on the spot, rad/s².
+    #[must_use]
+    pub fn spin_acceleration(&self) -> f64 {
+        self.wheel_acceleration / self.half_separation
+    }
+
+    /// Time to come to rest with both wheels slowed evenly, so that the arc is kept, s.
+    #[must_use]
+    pub fn braking_time(&self, twist: Twist2) -> f64 {
+        (twist.v.abs() + twist.w.abs() * self.half_separation) / self.wheel_acceleration
+    }
+}

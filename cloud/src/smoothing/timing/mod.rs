@@ -1,0 +1,20 @@
+//! When is the robot where? Time laws along a given way, for a differential drive.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`limits`] | how fast may it be, at which curvature? |
+//! | [`path`] | where does the way run, by arc length? |
+//! | [`sweep`] | what is the fastest law along it? |
+//! | [`motion`] | where is the robot at a time? |
+//! | [`legs`] | what is always safe: stop, turn, go straight |
+
+pub mod legs;
+pub mod limits;
+pub mod motion;
+pub mod path;
+pub mod sweep;
+
+pub use legs::safe_trajectory;
+pub use limits::Limits;
+pub use motion::{Motion, State};
+pub use path::{GeometricPath, PathPoint};

@@ -1,0 +1,190 @@
+//! Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
+
+use zenav_protocol::grid::Cell;
+
+/// Rows of bits, lowest row first; bit `x % 64` of word `x / 64` is column `x`. Bits beyond the width are zero.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BitGrid {
+    width: u32,
+    height: u32,
+    stride: usize,
+    words: Vec<u64>,
+}
+
+impl BitGrid {
+    /// No bit set.
+    #[must_use]
+    pub fn new(width: u32, height: u32) -> Self {
+        let stride = (width as usize).div_ceil(64);
+        Self { width, height, stride, words: vec![0; stride * height as usize] }
+    }
+
+    /// Sets a bit wherever `is_set` says so.
+    #[must_use]
+    pub fn from_fn(width: u32, height: u32, mut is_set: impl FnMut(Cell) -> bool) -> Self {
+        let mut bits = Self::new(width, height);
+        for y in 0..height {
+            for x in 0..width {
+                if is_set(Cell::new(x, y)) {
+                    bits.words[y as usize * bits.stride + x as usize / 64] |= 1 << (x % 64);
+                }
+            }
+        }
+        bits
+    }
+
+    /// Columns.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Words a row.
+    #[must_use]
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The words of a row.
+    ///
+    /// # Panics
+    /// For a row outside the grid.
+    #[must_use]
+    pub fn row(&self, y: u32) -> &[u64] {
+        let start = y as usize * self.stride;
+        &self.words[start..start + self.stride]
+    }
+
+    /// The words of a row. Bits beyond the width must stay zero.
+    ///
+    /// # Panics
+    /// For a row outside the grid.
+    pub fn row_mut(&mut self, y: u32) -> &mut [u64] {
+        let start = y as usize * self.stride;
+        &mut self.words[start..start + self.stride]
+    }
+
+    /// All words, row by row.
+    #[must_use]
+    pub fn words(&self) -> &[u64] {
+        &self.words
+    }
+
+    /// Whether a cell's bit is set; `false` outside the grid.
+    #[must_use]
+    pub fn get(&self, cell: Cell) -> bool {
+        cell.x < self.width && cell.y < self.height && self.words[cell.y as usize * self.stride + cell.x as usize / 64] >> (cell.x % 64) & 1 == 1
+    }
+
+    /// Sets or clears a cell's bit; nothing happens outside the grid.
+    pub fn set(&mut self, cell: Cell, value: bool) {
+        if cell.x < self.width && cell.y < self.height {
+            let word = &mut self.words[cell.y as usize * self.stride + cell.x as usize / 64];
+            let bit = 1 << (cell.x % 64);
+            *word = if value { *word | bit } else { *word & !bit };
+        }
+    }
+
+    /// How many bits are set.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.words.iter().map(|word| u64::from(word.count_ones())).sum()
+    }
+
+    /// The first set column of row `y` in `from..=to`; columns outside the grid are never set.
+    #[must_use]
+    pub fn next_set(&self, y: u32, from: i64, to: i64) -> Option<u32> {
+        let (from, to) = self.clamp_columns(y, from, to)?;
+        let row = self.row(y);
+        let (first, last) = (from / 64, to / 64);
+        let mut word = row[first] & (u64::MAX << (from % 64));
+        let mut at = first;
+        loop {
+            if at == last {
+                word &= u64::MAX >> (63 - to % 64);
+            }
+            if word != 0 {
+                return Some((at * 64) as u32 + word.trailing_zeros());
+            }
+            if at == last {
+                return None;
+            }
+            at += 1;
+            word = row[at];
+        }
+    }
+
+    /// The last set column of row `y` in `from..=to`; columns outside the grid are never set.
+    #[must_use]
+    pub fn previous_set(&self, y: u32, from: i64, to: i64) -> Option<u32> {
+        let (from, to) = self.clamp_columns(y, from, to)?;
+        let row = self.row(y);
+        let (first, last) = (from / 64, to / 64);
+        let mut word = row[last] & (u64::MAX >> (63 - to % 64));
+        let mut at = last;
+        loop {
+            if at == first {
+                word &= u64::MAX << (from % 64);
+            }
+            if word != 0 {
+                return Some((at * 64) as u32 + 63 - word.leading_zeros());
+            }
+            if at == first {
+                return None;
+            }
+            at -= 1;
+            word = row[at];
+        }
+    }
+
+    /// All set columns of row `y` in `from..=to`, in order.
+    pub fn set_in_row(&self, y: u32, from: i64, to: i64) -> impl Iterator<Item = u32> + '_ {
+        let mut next = from;
+        std::iter::from_fn(move || {
+            let x = self.next_set(y, next, to)?;
+            next = i64::from(x) + 1;
+            Some(x)
+        })
+    }
+
+    fn clamp_columns(&self, y: u32, from: i64, to: i64) -> Option<(usize, usize)> {
+        let (from, to) = (from.max(0), to.min(i64::from(self.width) - 1));
+        (y < self.height && from <= to).then_some((from as usize, to as usize))
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_nearest_set_columns_are_those_of_a_plain_search(set in proptest::collection::btree_set(0_u32..200, 0..20), from in -20_i64..220, length in -5_i64..230) {
+            let to = from + length;
+            let bits = BitGrid::from_fn(200, 1, |cell| set.contains(&cell.x));
+            let inside: Vec<u32> = set.iter().copied().filter(|x| i64::from(*x) >= from && i64::from(*x) <= to).collect();
+            prop_assert_eq!(bits.next_set(0, from, to), inside.first().copied());
+            prop_assert_eq!(bits.previous_set(0, from, to), inside.last().copied());
+            prop_assert_eq!(bits.set_in_row(0, from, to).collect::<Vec<_>>(), inside);
+            prop_assert_eq!(bits.count(), set.len() as u64);
+        }
+    }
+
+    #[test]
+    fn nothing_is_set_outside_the_grid() {
+        let mut bits = BitGrid::new(70, 2);
+        bits.set(Cell::new(69, 1), true);
+        bits.set(Cell::new(70, 1), true);
+        assert!(bits.get(Cell::new(69, 1)) && !bits.get(Cell::new(70, 1)) && !bits.get(Cell::new(69, 2)));
+        assert_eq!(bits.count(), 1);
+        assert_eq!(bits.next_set(5, 0, 100), None);
+    }
+}

@@ -1,0 +1,118 @@
+//! Which commands are there? One enum; each command's arguments and work live in its own module.
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use zenav_protocol::messages::exit_code;
+
+use crate::failure::Outcome;
+use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator};
+
+/// Mobile-robot navigation, split between robot and cloud, over Zenoh.
+#[derive(Debug, Parser)]
+#[command(name = "zenav", version, about, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run one scenario on this machine over real Zenoh sessions, to its end, and report
+    Demo(demo::DemoArgs),
+    /// Run one goal in lockstep, without a network: repeatable bit for bit from a seed
+    Run(lockstep::RunArgs),
+    /// Run a deployment on this machine until Ctrl-C
+    Up(launch::UpArgs),
+    /// Run a router
+    Router(launch::RouterArgs),
+    /// Run a robot
+    Edge(launch::EdgeArgs),
+    /// Run off-board services: mapping, planning, mission, or all
+    Cloud(launch::CloudArgs),
+    /// Submit, list, watch and cancel goals
+    Goal(goal::GoalArgs),
+    /// Stop a robot; it stays stopped until resumed
+    Stop(operator::StopArgs),
+    /// Allow a stopped robot to take a new plan
+    Resume(operator::StopArgs),
+    /// Drive a robot by hand
+    Teleop(operator::TeleopArgs),
+    /// Show who may command a robot, or take and release the right
+    Lease(operator::LeaseArgs),
+    /// List, print and measure topics
+    Topic(inspect::TopicArgs),
+    /// Save, show, convert and build maps
+    Map(inspect::MapArgs),
+    /// Behaviour trees: validate, show, watch, simulate
+    Bt(inspect::BtArgs),
+    /// Check a deployment and say what is wrong
+    Doctor(inspect::DoctorArgs),
+    /// Plan many queries offline
+    Plan(batch::PlanArgs),
+    /// Smooth many queries offline
+    Smooth(batch::SmoothArgs),
+    /// Simulator benches
+    Sim(batch::SimArgs),
+    /// What this machine holds
+    Bench(batch::BenchArgs),
+    /// Print the configuration
+    Config(config::ConfigArgs),
+    /// Print shell completions
+    Completions {
+        /// Shell to complete for
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Runs the command line of this process.
+pub(crate) fn main() -> ExitCode {
+    // clap exits by itself with 2 on wrong usage and 0 on help.
+    let cli = Cli::parse();
+    init_logging();
+    match run(cli.command) {
+        Ok(code) => ExitCode::from(code),
+        Err(failure) => {
+            eprintln!("zenav: {failure}");
+            ExitCode::from(failure.code)
+        }
+    }
+}
+
+/// Logs go to stderr; `RUST_LOG` overrides what is shown.
+fn init_logging() {
+    use std::io::IsTerminal as _;
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_link=off,zenoh_transport=off"));
+    let colors = std::io::stderr().is_terminal();
+    // A second initialisation (tests in one process) changes nothing.
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colors).with_target(false).try_init();
+}
+
+fn run(command: Command) -> Outcome {
+    match command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Run(args) => lockstep::run(&args),
+        Command::Up(args) => launch::up(&args),
+        Command::Router(args) => launch::router(&args),
+        Command::Edge(args) => launch::edge(&args),
+        Command::Cloud(args) => launch::cloud(&args),
+        Command::Goal(args) => goal::run(&args),
+        Command::Stop(args) => operator::stop(&args),
+        Command::Resume(args) => operator::resume(&args),
+        Command::Teleop(args) => operator::teleop(&args),
+        Command::Lease(args) => operator::lease(&args),
+        Command::Topic(args) => inspect::topic(&args),
+        Command::Map(args) => inspect::map(&args),
+        Command::Bt(args) => inspect::bt(&args),
+        Command::Doctor(args) => inspect::doctor(&args),
+        Command::Plan(args) => batch::plan(&args),
+        Command::Smooth(args) => batch::smooth(&args),
+        Command::Sim(args) => batch::sim(&args),
+        Command::Bench(args) => batch::bench(&args),
+        Command::Config(args) => config::run(&args),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Cli::command(), "zenav", &mut std::io::stdout());
+            Ok(exit_code::OK)
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! How does a command fail? With one clear message on stderr and an exit code.
+
+use miette::Diagnostic;
+use thiserror::Error;
+use zenav_protocol::bus::{AskError, BusError};
+use zenav_protocol::messages::exit_code;
+
+/// A command's failure: what to tell, and the exit code.
+#[derive(Debug, Error, Diagnostic)]
+#[error("{message}")]
+pub struct Failure {
+    /// Exit code, one of [`exit_code`].
+    pub code: u8,
+    /// What went wrong, and what was expected.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure with a code of its own.
+    #[must_use]
+    pub fn new(code: u8, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+
+    /// The command's input was wrong.
+    #[must_use]
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self::new(exit_code::USAGE, message)
+    }
+
+    /// No such robot, goal, file.
+    #[must_use]
+    pub fn not_found(message: impl Into<String>) -> Self {
+        Self::new(exit_code::NOT_FOUND, message)
+    }
+
+    /// It was tried, and failed.
+    #[must_use]
+    pub fn failed(message: impl Into<String>) -> Self {
+        Self::new(exit_code::FAILED, message)
+    }
+}
+
+impl From<BusError> for Failure {
+    fn from(error: BusError) -> Self {
+        let code = match &error {
+            BusError::CannotConnect { .. } | BusError::Closed => exit_code::CANNOT_CONNECT,
+            BusError::CannotListen { .. } => exit_code::FAILED,
+            BusError::Config { .. } | BusError::Key { .. } => exit_code::USAGE,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl From<AskError> for Failure {
+    fn from(error: AskError) -> Self {
+        let code = match &error {
+            AskError::Timeout { .. } => exit_code::TIMEOUT,
+            AskError::Refused(refusal) => refusal.exit_code(),
+            _ => exit_code::FAILED,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        let code = if error.kind() == std::io::ErrorKind::NotFound { exit_code::NOT_FOUND } else { exit_code::FAILED };
+        Self::new(code, error.to_string())
+    }
+}
+
+/// What every command returns: its exit code.
+pub type Outcome = Result<u8, Failure>;

@@ -1,0 +1,36 @@
+//! The composition root: the `zenav` command, every part as a subcommand.
+//!
+//! | module | answers |
+//! |---|---|
+//! | `cli` | which commands there are, and their exit codes |
+//! | `config` | what a deployment is made of, and where each value came from |
+//! | `launch` | how the parts start and end, in one process or in many |
+//! | `router` | the router |
+//! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
+//! | `lockstep` | the same cores without a network, bit for bit repeatable |
+//! | `goal`, `operator` | goals and hand control from anywhere |
+//! | `inspect` | topics, maps, trees, health |
+//! | `batch` | planning, smoothing and mapping offline |
+//! | `files` | worlds, robots and maps by file or shipped name |
+//! | `output`, `failure` | tables and JSON; errors with their exit codes |
+
+pub mod batch;
+pub mod cli;
+pub mod config;
+pub mod demo;
+pub mod failure;
+pub mod files;
+pub mod goal;
+pub mod inspect;
+pub mod launch;
+pub mod lockstep;
+pub mod operator;
+pub mod output;
+pub mod report;
+pub mod router;
+
+/// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
+#[must_use]
+pub fn main() -> std::process::ExitCode {
+    cli::main()
+}

@@ -1,0 +1,5 @@
+//! The `zenav` command.
+
+fn main() -> std::process::ExitCode {
+    zenav::main()
+}

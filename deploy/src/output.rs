@@ -1,0 +1,72 @@
+//! How is data printed? On stdout, as a table for people or as JSON for programs.
+
+use std::io::Write as _;
+
+use clap::ValueEnum;
+use serde::Serialize;
+
+use crate::failure::Failure;
+
+/// Form of printed data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people.
+    #[default]
+    Table,
+    /// One document.
+    Json,
+    /// One object a line.
+    Ndjson,
+}
+
+/// Writes a line to stdout; a closed pipe is no error (`zenav topic echo | head`).
+pub fn line(text: &str) {
+    let mut out = std::io::stdout().lock();
+    if writeln!(out, "{text}").and_then(|()| out.flush()).is_err() {
+        std::process::exit(0);
+    }
+}
+
+/// Prints one value: pretty as JSON, in one line as NDJSON, or by `table`.
+///
+/// # Errors
+/// When the value cannot be written as JSON.
+pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Result<(), Failure> {
+    let text = match format {
+        Format::Table => table(value),
+        Format::Json => serde_json::to_string_pretty(value).map_err(|error| Failure::failed(error.to_string()))?,
+        Format::Ndjson => serde_json::to_string(value).map_err(|error| Failure::failed(error.to_string()))?,
+    };
+    line(text.trim_end_matches('\n'));
+    Ok(())
+}
+
+/// Prints many values: a JSON array, one object a line, or one table.
+///
+/// # Errors
+/// When a value cannot be written as JSON.
+pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T]) -> String) -> Result<(), Failure> {
+    match format {
+        Format::Ndjson => {
+            for one in values {
+                value(Format::Ndjson, one, |_| String::new())?;
+            }
+            Ok(())
+        }
+        other => value(other, &values, |values| table(values)),
+    }
+}
+
+/// Aligns rows of cells under a header.
+#[must_use]
+pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+    let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).chain([header[column].chars().count()]).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..header.len()).map(width).collect();
+    let print = |cells: &mut dyn Iterator<Item = &str>| {
+        let padded: Vec<String> = cells.zip(&widths).map(|(cell, width)| format!("{cell:<width$}")).collect();
+        padded.join("  ").trim_end().to_owned()
+    };
+    let mut lines = vec![print(&mut header.iter().copied())];
+    lines.extend(rows.iter().map(|row| print(&mut row.iter().map(String::as_str))));
+    lines.join("\n")
+}

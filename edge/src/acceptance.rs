@@ -1,0 +1,324 @@
+//! May this plan move the robot? Trust but verify: every plan is judged on the robot before it is driven.
+//!
+//! A plan must be of the current grant and boot, newer than every one before, not expired, finite, monotone in time,
+//! within the robot's own limits, begin where the robot will be, and be free in the robot's own latest scan as far as
+//! that sees. A rejection has no effect but its reason.
+
+use nalgebra::Point2;
+use thiserror::Error;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::messages::{Plan, Revision, TrajectoryPoint};
+use zenav_protocol::robot::{Drive, Footprint, RobotModel};
+use zenav_protocol::time::Stamp;
+
+/// Largest distance between where a trajectory starts and where the robot will be, m.
+const START_DISTANCE: f64 = 0.25;
+/// The same for the heading, rad.
+const START_YAW: f64 = 0.6;
+/// The same for the wheels' surface speed, m/s.
+const START_SPEED: f64 = 0.35;
+/// Overshoot of speed and acceleration limits that rounding and sampling explain, as a share.
+const LIMIT_SLACK: f64 = 0.02;
+/// Slack of a wheel's speed change between two points, rad/s.
+const STEP_SLACK: f64 = 0.1;
+/// A trajectory ends at rest: largest wheel surface speed there, m/s.
+const END_SPEED: f64 = 0.1;
+/// Most trajectory points and waypoints looked at.
+const MOST_POINTS: usize = 100_000;
+/// Longest goal id.
+const LONGEST_ID: usize = 128;
+/// The footprint that is checked against the scan is smaller than the true one by this, for the noise of ranges, m.
+const SCAN_SLACK: f64 = 0.02;
+/// And by this for each metre from the robot, for the error of its heading.
+const SCAN_SLACK_PER_METRE: f64 = 0.01;
+/// Farther from the robot than this the scan does not judge, m.
+const SCAN_HORIZON: f64 = 4.0;
+/// Spacing of the poses checked against the scan, m and rad.
+const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
+
+/// Why a plan was refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Rejection {
+    /// Another grant's.
+    #[error("it was written under epoch {got}; the current one is {current}")]
+    WrongEpoch {
+        /// The plan's.
+        got: u64,
+        /// The current one.
+        current: u64,
+    },
+    /// Nobody holds a live lease, or an operator does.
+    #[error("no mission holds a live lease")]
+    NoLease,
+    /// Stopped by hand.
+    #[error("the robot is stopped")]
+    Stopped,
+    /// A behaviour of the edge's own runs.
+    #[error("the behaviour {0} runs")]
+    Busy(String),
+    /// Older than or the same as one seen before.
+    #[error("revision {}.{} is not newer than {}.{}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
+    Stale {
+        /// The plan's.
+        got: Revision,
+        /// The newest seen under this epoch.
+        newest: Revision,
+    },
+    /// The motion was thrown away before.
+    #[error("the motion {0} was discarded; a new one is needed")]
+    Discarded(u64),
+    /// Based on another life of this edge.
+    #[error("it is based on boot {got}, this is {current}")]
+    WrongBoot {
+        /// The plan's, shortened.
+        got: String,
+        /// This one.
+        current: String,
+    },
+    /// Based on a time that is yet to come.
+    #[error("it is based on a stamp {0:.3} s in the future")]
+    Future(f64),
+    /// Based on a time before the last resume.
+    #[error("it is based on a stamp from before the robot was resumed")]
+    BeforeResume,
+    /// Its time is over.
+    #[error("it expired {0:.3} s ago")]
+    Expired(f64),
+    /// A number that is not finite, or a name that is too long.
+    #[error("{0}")]
+    Malformed(&'static str),
+    /// Another frame than the map.
+    #[error("its frame is not `map`")]
+    Frame,
+    /// Nowhere to go.
+    #[error("it has neither trajectory nor waypoints")]
+    Empty,
+    /// Time does not grow from point to point.
+    #[error("time does not grow at point {0}")]
+    TimeOrder(usize),
+    /// Faster than the robot is.
+    #[error("{what} at point {point} is {value:.3}, the limit {limit:.3}")]
+    OverLimit {
+        /// Which quantity.
+        what: &'static str,
+        /// Where.
+        point: usize,
+        /// Its value.
+        value: f64,
+        /// The limit.
+        limit: f64,
+    },
+    /// It does not begin where the robot will be.
+    #[error("it starts {distance:.2} m, {yaw:.2} rad and {speed:.2} m/s from where the robot will be")]
+    Start {
+        /// m.
+        distance: f64,
+        /// rad.
+        yaw: f64,
+        /// m/s.
+        speed: f64,
+    },
+    /// It does not end at rest.
+    #[error("it ends at {0:.2} m/s")]
+    EndsMoving(f64),
+    /// Something stands there.
+    #[error("blocked in the latest scan at ({x:.2}, {y:.2}), {time:.1} s ahead")]
+    Blocked {
+        /// Obstacle, map frame, m.
+        x: f64,
+        /// Obstacle, map frame, m.
+        y: f64,
+        /// Plan time, s.
+        time: f64,
+    },
+    /// The same name for another motion.
+    #[error("motion {0} is known with another course")]
+    Changed(u64),
+}
+
+/// The robot's own grant and clock, as a plan's head is judged by.
+#[derive(Clone, Debug)]
+pub struct Grant<'a> {
+    /// Now, on the edge's clock.
+    pub now: Stamp,
+    /// This boot.
+    pub boot_id: &'a str,
+    /// The current epoch.
+    pub epoch: u64,
+    /// Whether a mission's lease is live.
+    pub mission_live: bool,
+    /// Whether the stop is latched.
+    pub stopped: bool,
+    /// When the robot was resumed last.
+    pub resumed: Option<Stamp>,
+    /// The newest revision seen under this epoch.
+    pub newest: Option<Revision>,
+    /// Longest validity that counts, s.
+    pub max_validity: f64,
+}
+
+/// Judges a plan's head: who wrote it, when, for how long. Returns its expiry on the edge's clock.
+///
+/// # Errors
+/// [`Rejection`].
+pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
+    if plan.epoch != grant.epoch {
+        return Err(Rejection::WrongEpoch { got: plan.epoch, current: grant.epoch });
+    }
+    if !grant.mission_live {
+        return Err(Rejection::NoLease);
+    }
+    if grant.stopped {
+        return Err(Rejection::Stopped);
+    }
+    if plan.based_on.boot_id != grant.boot_id {
+        return Err(Rejection::WrongBoot { got: plan.based_on.boot_id.chars().take(40).collect(), current: grant.boot_id.to_owned() });
+    }
+    if let Some(newest) = grant.newest.filter(|newest| plan.revision <= *newest) {
+        return Err(Rejection::Stale { got: plan.revision, newest });
+    }
+    if plan.based_on.stamp > grant.now {
+        return Err(Rejection::Future(plan.based_on.stamp.secs_since(grant.now)));
+    }
+    if grant.resumed.is_some_and(|resumed| plan.based_on.stamp < resumed) {
+        return Err(Rejection::BeforeResume);
+    }
+    if !(plan.valid_for.is_finite() && plan.valid_for > 0.0) {
+        return Err(Rejection::Malformed("its validity is not a positive number"));
+    }
+    if plan.goal_id.len() > LONGEST_ID {
+        return Err(Rejection::Malformed("its goal id is too long"));
+    }
+    if plan.frame != "map" {
+        return Err(Rejection::Frame);
+    }
+    let expiry = plan.based_on.stamp.plus_secs(plan.valid_for.min(grant.max_validity));
+    if expiry <= grant.now {
+        return Err(Rejection::Expired(grant.now.secs_since(expiry)));
+    }
+    Ok(expiry)
+}
+
+/// Judges a plan's course by itself: finite, monotone, within the limits of this robot.
+///
+/// # Errors
+/// [`Rejection`].
+pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
+    if plan.trajectory.is_empty() && plan.waypoints.is_empty() {
+        return Err(Rejection::Empty);
+    }
+    if plan.trajectory.len() > MOST_POINTS || plan.waypoints.len() > MOST_POINTS {
+        return Err(Rejection::Malformed("it has too many points"));
+    }
+    if !plan.waypoints.iter().all(|point| point.coords.iter().all(|value| value.is_finite())) {
+        return Err(Rejection::Malformed("a waypoint is not finite"));
+    }
+    if !plan.trajectory.iter().all(|p| p.t.is_finite() && p.pose().is_finite() && p.twist().is_finite()) {
+        return Err(Rejection::Malformed("a trajectory point is not finite"));
+    }
+    if plan.splice.is_some_and(|splice| !splice.time.is_finite()) {
+        return Err(Rejection::Malformed("its splice is not finite"));
+    }
+    if plan.trajectory.first().is_some_and(|first| first.t.abs() > 1e-6) {
+        return Err(Rejection::Malformed("its trajectory does not begin at time zero"));
+    }
+    for (index, point) in plan.trajectory.iter().enumerate() {
+        judge_speed(index, point.twist(), drive)?;
+    }
+    for (index, pair) in plan.trajectory.windows(2).enumerate() {
+        if let [from, to] = pair {
+            judge_step(index + 1, from, to, drive)?;
+        }
+    }
+    if let Some(last) = plan.trajectory.last() {
+        let speed = crate::limiter::wheel_surface_speed(drive, last.twist());
+        if speed > END_SPEED {
+            return Err(Rejection::EndsMoving(speed));
+        }
+    }
+    Ok(())
+}
+
+fn within(what: &'static str, point: usize, value: f64, limit: f64) -> Result<(), Rejection> {
+    if value.abs() > limit * (1.0 + LIMIT_SLACK) { Err(Rejection::OverLimit { what, point, value: value.abs(), limit }) } else { Ok(()) }
+}
+
+fn judge_speed(point: usize, twist: Twist2, drive: &Drive) -> Result<(), Rejection> {
+    for wheel in drive.wheels(twist) {
+        within("wheel speed", point, wheel, drive.max_wheel_speed)?;
+    }
+    within("speed", point, twist.v, drive.top_speed())?;
+    within("yaw rate", point, twist.w, drive.top_yaw_rate())
+}
+
+fn judge_step(point: usize, from: &TrajectoryPoint, to: &TrajectoryPoint, drive: &Drive) -> Result<(), Rejection> {
+    let dt = to.t - from.t;
+    if dt <= 0.0 {
+        return Err(Rejection::TimeOrder(point));
+    }
+    let (before, after) = (drive.wheels(from.twist()), drive.wheels(to.twist()));
+    for (before, after) in before.iter().zip(after) {
+        let limit = drive.max_wheel_acceleration * dt + STEP_SLACK;
+        if (after - before).abs() > limit * (1.0 + LIMIT_SLACK) {
+            return Err(Rejection::OverLimit { what: "wheel acceleration", point, value: (after - before).abs() / dt, limit: drive.max_wheel_acceleration });
+        }
+    }
+    // The course must be one that these speeds can drive.
+    let (way, turn) = (from.pose().distance(&to.pose()), wrap_angle(to.yaw - from.yaw));
+    within("way to the point", point, way, drive.top_speed() * dt + 0.01)?;
+    within("turn to the point", point, turn, drive.top_yaw_rate() * dt + 0.02)
+}
+
+/// Judges whether a trajectory begins where the robot will be.
+///
+/// # Errors
+/// [`Rejection::Start`].
+pub fn judge_start(start: &TrajectoryPoint, predicted: Pose2, velocity: Twist2, drive: &Drive) -> Result<(), Rejection> {
+    let distance = predicted.distance(&start.pose());
+    let yaw = wrap_angle(start.yaw - predicted.yaw).abs();
+    let speed = crate::limiter::wheel_surface_speed(drive, Twist2::new(start.v - velocity.v, start.w - velocity.w));
+    if distance > START_DISTANCE || yaw > START_YAW || speed > START_SPEED { Err(Rejection::Start { distance, yaw, speed }) } else { Ok(()) }
+}
+
+/// Judges whether a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
+/// from `map_from_base`.
+///
+/// # Errors
+/// [`Rejection::Blocked`].
+pub fn judge_free(trajectory: &[TrajectoryPoint], model: &RobotModel, map_from_base: Pose2, obstacles: &[Point2<f64>]) -> Result<(), Rejection> {
+    let footprint = &model.footprint;
+    let reach = footprint.circumscribed_radius();
+    let mut last: Option<Pose2> = None;
+    // Only what the way may come near.
+    let horizon = SCAN_HORIZON + reach;
+    let near: Vec<_> = obstacles.iter().filter(|point| (*point - map_from_base.position()).norm() < horizon).collect();
+    for point in trajectory {
+        let pose = point.pose();
+        let spaced = |last: Pose2| last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1;
+        let distance = pose.distance(&map_from_base);
+        if distance > SCAN_HORIZON || !last.is_none_or(spaced) {
+            continue;
+        }
+        last = Some(pose);
+        let slack = SCAN_SLACK + SCAN_SLACK_PER_METRE * distance;
+        let base_from_map = pose.inverse();
+        let hit = near.iter().find(|obstacle| {
+            (**obstacle - pose.position()).norm_squared() < reach * reach && depth(footprint, base_from_map.transform_point(***obstacle)) > slack
+        });
+        if let Some(hit) = hit {
+            return Err(Rejection::Blocked { x: hit.x, y: hit.y, time: point.t });
+        }
+    }
+    Ok(())
+}
+
+/// How deep a point lies inside an outline (base frame), m; zero outside.
+fn depth(footprint: &Footprint, point: Point2<f64>) -> f64 {
+    match footprint {
+        Footprint::Radius(radius) => (radius - point.coords.norm()).max(0.0),
+        Footprint::Polygon(corners) => {
+            let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+            edges.map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm()).fold(f64::INFINITY, f64::min).max(0.0)
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! What must a robot be able to do to be driven? Give its readings, take wheel speeds.
+
+use thiserror::Error;
+use zenav_protocol::readings::Readings;
+
+/// A robot's hardware, real or simulated.
+pub trait Body: Send {
+    /// The readings of this control tick. A simulated body advances its world by one tick first.
+    ///
+    /// # Errors
+    /// [`BodyError`] when the hardware does not answer; the caller brakes and tries again at the next tick.
+    fn read(&mut self) -> Result<Readings, BodyError>;
+
+    /// Sets the wanted wheel speeds (left, right; rad/s) until the next call. Hardware that is not called for 0.1 s
+    /// must stop by itself.
+    ///
+    /// # Errors
+    /// [`BodyError`] when the hardware does not answer.
+    fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError>;
+}
+
+/// The hardware did not answer.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("body: {0}")]
+pub struct BodyError(pub String);

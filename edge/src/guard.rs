@@ -1,0 +1,273 @@
+//! May the robot move as it wants to? The guard has the last word: after the limiters, straight before the wheels.
+//!
+//! The wanted twist is followed along its own arc to the first contact of the true footprint with anything seen. It is
+//! scaled down, curvature kept, until the robot can stop before that: reaction (scan age, tick, motor lag) plus braking
+//! distance `u tau + u²/(2 a)` within the free way. Where that would pin a robot that only grazes something within the
+//! margin, a time to collision of at least [`CREEP_TIME`] to the last centimetre allows it to go on slowly; motion that
+//! does not reduce the clearance is always free. A stale scan, a command that is not finite, and contact stop it.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{Bump, GuardZone};
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::time::Stamp;
+
+use crate::contact::Sweeper;
+use crate::limiter::wheel_surface_speed;
+use crate::surroundings::Surroundings;
+
+/// Least time to collision with the last centimetre while creeping inside the margin, s.
+const CREEP_TIME: f64 = 1.0;
+/// Closer than this nothing is approached, m.
+const LAST_CENTIMETRE: f64 = 0.01;
+/// Motion slower than this share of the wanted counts as stopped.
+const STOPPED: f64 = 0.02;
+/// Motion faster than this share of the wanted counts as clear.
+const CLEAR: f64 = 0.95;
+/// A zone must last this long before it is left for a milder one, s.
+const HYSTERESIS: f64 = 0.3;
+
+/// The last word.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    model: RobotModel,
+    /// The footprint's distances are small against this: points farther away are not looked at.
+    tick: f64,
+    scan_timeout: f64,
+    /// Distance kept beyond the braking distance, m.
+    pub margin: f64,
+    zone: GuardZone,
+    since: Stamp,
+}
+
+/// What the guard lets through.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// The twist to drive.
+    pub twist: Twist2,
+    /// How near something is.
+    pub zone: GuardZone,
+    /// Why, when the zone has changed with this verdict.
+    pub change: Option<String>,
+}
+
+impl Guard {
+    /// A guard for a robot, with its control period and the age at which a scan is too old, both in s.
+    #[must_use]
+    pub fn new(model: &RobotModel, tick: f64, scan_timeout: f64) -> Self {
+        Self { model: model.clone(), tick, scan_timeout, margin: model.controller.guard_margin, zone: GuardZone::Clear, since: Stamp::ZERO }
+    }
+
+    /// The zone of the last verdict.
+    #[must_use]
+    pub fn zone(&self) -> GuardZone {
+        self.zone
+    }
+
+    /// Judges a wanted twist.
+    pub fn judge(&mut self, now: Stamp, wanted: Twist2, around: &Surroundings, odom_from_base: Pose2, bump: &Bump) -> Verdict {
+        let (share, reason) = self.share(now, wanted, around, odom_from_base, bump);
+        let moving = wheel_surface_speed(&self.model.drive, wanted) > 1e-3 || !wanted.is_finite();
+        let zone = match share {
+            _ if !moving => GuardZone::Clear,
+            share if share < STOPPED => GuardZone::Stop,
+            share if share < CLEAR => GuardZone::Slow,
+            _ => GuardZone::Clear,
+        };
+        let twist = if share <= 0.0 || !wanted.is_finite() { Twist2::ZERO } else { Twist2::new(share * wanted.v, share * wanted.w) };
+        Verdict { twist, zone, change: self.enter(now, zone, reason) }
+    }
+
+    /// How far the base could go along a twist's arc before contact, as a time at that twist, s; `None` for free way
+    /// within the horizon.
+    #[must_use]
+    pub fn free_time(&self, twist: Twist2, horizon: f64, around: &Surroundings, odom_from_base: Pose2) -> Option<f64> {
+        let close = Sweeper::new(&self.model.footprint, LAST_CENTIMETRE, twist);
+        let times = around.in_base(odom_from_base).filter_map(|point| {
+            if close.holds(point) { approaches(&self.model.footprint, twist, point).then_some(0.0) } else { close.contact(point) }
+        });
+        times.filter(|time| *time < horizon).reduce(f64::min)
+    }
+
+    fn share(&self, now: Stamp, wanted: Twist2, around: &Surroundings, odom_from_base: Pose2, bump: &Bump) -> (f64, &'static str) {
+        if !wanted.is_finite() {
+            return (0.0, "the command is not a number");
+        }
+        let age = match around.age(now) {
+            Some(age) if age <= self.scan_timeout => age.max(0.0),
+            Some(_) => return (0.0, "the scan is too old"),
+            None => return (0.0, "no scan yet"),
+        };
+        if bump.pressed && !self.leaves(wanted, bump) {
+            return (0.0, "contact");
+        }
+        let drive = &self.model.drive;
+        let speed = wheel_surface_speed(drive, wanted);
+        if speed < 1e-6 {
+            return (1.0, "");
+        }
+        let reaction = age + self.tick + drive.motor_lag;
+        let braking = drive.hard_braking;
+        let reach = speed * reaction + 0.5 * speed * speed / braking;
+        let near = self.model.footprint.circumscribed_radius() + self.margin + reach + LAST_CENTIMETRE;
+        let outer = Sweeper::new(&self.model.footprint, self.margin, wanted);
+        let inner = Sweeper::new(&self.model.footprint, LAST_CENTIMETRE.min(self.margin), wanted);
+        let mut share: f64 = 1.0;
+        for point in around.in_base(odom_from_base) {
+            if point.coords.norm_squared() > near * near {
+                continue;
+            }
+            // The fastest surface speed that stops within the free way `d`: u tau + u²/2a = d.
+            let stopping = if outer.holds(point) {
+                0.0
+            } else {
+                let Some(time) = outer.contact(point) else { continue };
+                let free = speed * time;
+                let lag = braking * reaction;
+                ((lag * lag + 2.0 * braking * free).sqrt() - lag) / speed
+            };
+            if stopping >= share {
+                continue;
+            }
+            let creeping = if inner.holds(point) {
+                if approaches(&self.model.footprint, wanted, point) { 0.0 } else { 1.0 }
+            } else {
+                inner.contact(point).map_or(1.0, |time| time / CREEP_TIME)
+            };
+            share = share.min(stopping.max(creeping));
+        }
+        (share, "an obstacle in the way")
+    }
+
+    /// Whether a motion leaves what is touched. Without a bearing the contact is taken to lie ahead.
+    fn leaves(&self, wanted: Twist2, bump: &Bump) -> bool {
+        let toward = wanted.v * bump.bearing.unwrap_or(0.0).cos();
+        let turns = wanted.w.abs() > 1e-6;
+        let round = matches!(self.model.footprint, Footprint::Radius(_));
+        toward < 0.0 || (wanted.v.abs() < 1e-6 && (round || !turns))
+    }
+
+    /// Notes the zone; returns a reason when it has changed. Worse zones count at once, milder ones after a while.
+    fn enter(&mut self, now: Stamp, zone: GuardZone, reason: &str) -> Option<String> {
+        let rank = |zone| match zone {
+            GuardZone::Clear => 0,
+            GuardZone::Slow => 1,
+            GuardZone::Stop => 2,
+        };
+        if rank(zone) >= rank(self.zone) {
+            self.since = now;
+        }
+        let leaves = rank(zone) < rank(self.zone) && now.secs_since(self.since) >= HYSTERESIS;
+        if rank(zone) > rank(self.zone) || leaves {
+            self.zone = zone;
+            self.since = now;
+            return Some(if zone == GuardZone::Clear { "the way is free".to_owned() } else { reason.to_owned() });
+        }
+        None
+    }
+}
+
+/// Whether a twist brings the outline nearer to a point (base frame).
+fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool {
+    let motion = nalgebra::Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
+    let (here, there) = (footprint.distance(point), footprint.distance(point + motion * 1e-3));
+    // Inside the outline (noise, or the robot saw itself) distances are zero: go by the way to the base.
+    if here > 0.0 { there < here - 1e-9 } else { point.coords.dot(&motion) < -1e-6 }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use zenav_protocol::readings::Sweep;
+    use zenav_protocol::robot::shipped;
+
+    const NO_BUMP: Bump = Bump { stamp: Stamp::ZERO, pressed: false, bearing: None };
+
+    fn tiago() -> RobotModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    }
+
+    /// A wall across the way at `distance` ahead of the base.
+    fn wall(model: &RobotModel, distance: f64) -> Surroundings {
+        let lidar = &model.lidar;
+        let mut around = Surroundings::new(lidar);
+        let range = |beam: usize| {
+            let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
+            if cos > 0.05 { ((distance - lidar.mount.x) / cos) as f32 } else { f32::INFINITY }
+        };
+        around.insert(&Sweep { stamp: Stamp::from_secs(1.0), ranges: (0..lidar.beams).map(range).collect() }, Pose2::IDENTITY);
+        around
+    }
+
+    fn judge(model: &RobotModel, around: &Surroundings, wanted: Twist2) -> Verdict {
+        Guard::new(model, 0.02, 0.5).judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+    }
+
+    #[test]
+    fn full_speed_at_a_wall_is_slowed_and_stopped_before_it() {
+        let model = tiago();
+        let full = Twist2::new(0.6, 0.0);
+        assert_eq!(judge(&model, &wall(&model, 2.0), full).zone, GuardZone::Clear);
+        let near = judge(&model, &wall(&model, 0.42), full);
+        assert!(near.zone == GuardZone::Slow && near.twist.v < 0.5, "{near:?}");
+        assert_eq!(judge(&model, &wall(&model, 0.27), full).twist.v, 0.0);
+        assert_eq!(judge(&model, &wall(&model, 0.27), full).zone, GuardZone::Stop);
+    }
+
+    #[test]
+    fn a_robot_at_a_wall_may_turn_and_back_away() {
+        let model = tiago();
+        let around = wall(&model, 0.28);
+        assert_eq!(judge(&model, &around, Twist2::new(0.0, 1.5)).twist.w, 1.5);
+        assert_eq!(judge(&model, &around, Twist2::new(-0.3, 0.0)).twist.v, -0.3);
+    }
+
+    #[test]
+    fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
+        let model = tiago();
+        let lidar = &model.lidar;
+        let mut around = Surroundings::new(lidar);
+        let ranges = (0..lidar.beams).map(|beam| {
+            let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
+            if sin > 0.05 { (0.365 / sin) as f32 } else { f32::INFINITY }
+        });
+        around.insert(&Sweep { stamp: Stamp::from_secs(1.0), ranges: ranges.collect() }, Pose2::IDENTITY);
+        assert_eq!(judge(&model, &around, Twist2::new(0.6, 0.0)).twist.v, 0.6);
+    }
+
+    #[test]
+    fn without_a_fresh_scan_nothing_moves() {
+        let model = tiago();
+        let mut guard = Guard::new(&model, 0.02, 0.5);
+        let stale = guard.judge(Stamp::from_secs(1.6), Twist2::new(0.1, 0.0), &wall(&model, 3.0), Pose2::IDENTITY, &NO_BUMP);
+        assert_eq!((stale.twist, stale.zone), (Twist2::ZERO, GuardZone::Stop));
+        assert_eq!(stale.change.as_deref(), Some("the scan is too old"));
+        let none = guard.judge(Stamp::from_secs(1.6), Twist2::new(0.1, 0.0), &Surroundings::new(&model.lidar), Pose2::IDENTITY, &NO_BUMP);
+        assert_eq!(none.twist, Twist2::ZERO);
+    }
+
+    #[test]
+    fn contact_allows_only_the_way_back() {
+        let model = tiago();
+        let around = wall(&model, 3.0);
+        let bump = Bump { stamp: Stamp::ZERO, pressed: true, bearing: Some(0.3) };
+        let mut guard = Guard::new(&model, 0.02, 0.5);
+        let now = Stamp::from_secs(1.05);
+        assert_eq!(guard.judge(now, Twist2::new(0.2, 0.0), &around, Pose2::IDENTITY, &bump).twist, Twist2::ZERO);
+        assert_eq!(guard.judge(now, Twist2::new(-0.2, 0.0), &around, Pose2::IDENTITY, &bump).twist.v, -0.2);
+    }
+
+    proptest! {
+        #[test]
+        fn the_guard_only_ever_scales_down(v in prop::num::f64::ANY, w in prop::num::f64::ANY, distance in 0.3..3.0) {
+            let model = tiago();
+            let verdict = judge(&model, &wall(&model, distance), Twist2::new(v, w));
+            prop_assert!(verdict.twist.is_finite());
+            if v.is_finite() && w.is_finite() {
+                prop_assert!(verdict.twist.v.abs() <= v.abs() && verdict.twist.w.abs() <= w.abs());
+            }
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! What may move the robot, given the link, the lease and the plan? The motion table.
+//!
+//! | lease | plan | motion |
+//! |---|---|---|
+//! | live, a mission's | valid | follow |
+//! | live, a mission's | expired or none | at rest |
+//! | expired | valid | `finish_horizon`: follow to the expiry; `stop`: brake now |
+//! | expired | expired or none | at rest |
+//! | live, an operator's | any | teleop only |
+
+use std::time::Duration;
+
+use zenav_protocol::messages::{LeaseRole, Link, LostPolicy};
+
+/// What moves the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motive {
+    /// The accepted plan.
+    Plan,
+    /// The operator's twists.
+    Teleop,
+    /// Nothing: at rest, or on the way there within the normal limits.
+    Rest,
+    /// Nothing: brake as hard as possible.
+    Brake,
+}
+
+/// Reads the motion table. `plan_valid`: there is an accepted plan that has not expired.
+#[must_use]
+pub fn motive(lease_live: bool, role: Option<LeaseRole>, plan_valid: bool, policy: LostPolicy) -> Motive {
+    match (lease_live, role) {
+        (true, Some(LeaseRole::Operator)) => Motive::Teleop,
+        (true, _) if plan_valid => Motive::Plan,
+        (false, _) if plan_valid && policy == LostPolicy::FinishHorizon => Motive::Plan,
+        (false, _) if plan_valid => Motive::Brake,
+        _ => Motive::Rest,
+    }
+}
+
+/// The link by the age of the lease's last renewal; nobody has the lease: lost.
+#[must_use]
+pub fn link(age: Option<Duration>, stale_after: Duration, lost_after: Duration) -> Link {
+    match age {
+        Some(age) if age < stale_after => Link::Connected,
+        Some(age) if age < lost_after => Link::Stale,
+        _ => Link::Lost,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_motion_table_is_as_written() {
+        use LeaseRole::{Mission, Operator};
+        use LostPolicy::{FinishHorizon, Stop};
+        for policy in [FinishHorizon, Stop] {
+            assert_eq!(motive(true, Some(Mission), true, policy), Motive::Plan);
+            assert_eq!(motive(true, Some(Mission), false, policy), Motive::Rest);
+            assert_eq!(motive(false, Some(Mission), false, policy), Motive::Rest);
+            assert_eq!(motive(true, Some(Operator), true, policy), Motive::Teleop);
+            assert_eq!(motive(false, None, false, policy), Motive::Rest);
+        }
+        assert_eq!(motive(false, Some(Mission), true, FinishHorizon), Motive::Plan);
+        assert_eq!(motive(false, Some(Mission), true, Stop), Motive::Brake);
+    }
+
+    #[test]
+    fn the_link_ages() {
+        let at = |ms| link(Some(Duration::from_millis(ms)), Duration::from_millis(500), Duration::from_secs(3));
+        assert_eq!((at(0), at(499), at(500), at(2999), at(3000)), (Link::Connected, Link::Connected, Link::Stale, Link::Stale, Link::Lost));
+        assert_eq!(link(None, Duration::ZERO, Duration::ZERO), Link::Lost);
+    }
+}

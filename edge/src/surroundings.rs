@@ -1,0 +1,155 @@
+//! What stands around the robot? The newest sweep, and in the lidar's blind sector what earlier sweeps saw there.
+//!
+//! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::LidarModel;
+use zenav_protocol::time::Stamp;
+
+/// How long a point that left the field of view is remembered, s.
+const MEMORY: f64 = 10.0;
+/// Remembered points farther off than this are let go, m.
+const MEMORY_RANGE: f64 = 1.5;
+/// Remembered points at most.
+const MEMORY_POINTS: usize = 1024;
+
+/// Obstacle points around the robot.
+#[derive(Clone, Debug)]
+pub struct Surroundings {
+    lidar: LidarModel,
+    /// Directions of the beams in the base frame.
+    beams: Vec<Vector2<f64>>,
+    stamp: Option<Stamp>,
+    seen: Vec<Point2<f64>>,
+    remembered: VecDeque<(Stamp, Point2<f64>)>,
+}
+
+impl Surroundings {
+    /// Nothing seen yet.
+    #[must_use]
+    pub fn new(lidar: &LidarModel) -> Self {
+        let direction = |beam: usize| {
+            let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            Vector2::new(angle.cos(), angle.sin())
+        };
+        Self { beams: (0..lidar.beams).map(direction).collect(), lidar: lidar.clone(), stamp: None, seen: Vec::new(), remembered: VecDeque::new() }
+    }
+
+    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
+    /// number of beams, or not newer than the last, is not.
+    pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
+        if sweep.ranges.len() != self.beams.len() || self.stamp.is_some_and(|last| sweep.stamp <= last) {
+            return false;
+        }
+        self.remember(sweep.stamp, odom_from_base);
+        let mount = self.lidar.mount;
+        self.seen.clear();
+        for (range, beam) in sweep.ranges.iter().zip(&self.beams) {
+            let range = f64::from(*range);
+            // Written so that NaN is no return.
+            if range >= self.lidar.range_min && range <= self.lidar.range_max {
+                self.seen.push(odom_from_base.transform_point(Point2::new(mount.x + range * beam.x, mount.y + range * beam.y)));
+            }
+        }
+        self.stamp = Some(sweep.stamp);
+        true
+    }
+
+    /// Keeps of all known points those that the lidar cannot see from here.
+    fn remember(&mut self, now: Stamp, odom_from_base: Pose2) {
+        let laser_from_odom = (odom_from_base * self.lidar.mount).inverse();
+        let first = self.lidar.angle_min();
+        let last = first + self.lidar.angle_increment() * (self.lidar.beams.max(1) - 1) as f64;
+        let blind = |point: &Point2<f64>| {
+            let local = laser_from_odom.transform_point(*point);
+            let bearing = wrap_angle(local.y.atan2(local.x));
+            local.coords.norm() < MEMORY_RANGE && (bearing < first || bearing > last)
+        };
+        self.remembered.retain(|(stamp, point)| now.secs_since(*stamp) < MEMORY && blind(point));
+        let Some(seen_at) = self.stamp else {
+            return;
+        };
+        for point in self.seen.iter().filter(|point| blind(point)) {
+            if self.remembered.len() == MEMORY_POINTS {
+                self.remembered.pop_front();
+            }
+            self.remembered.push_back((seen_at, *point));
+        }
+    }
+
+    /// Age of the newest sweep, s; `None` before the first.
+    #[must_use]
+    pub fn age(&self, now: Stamp) -> Option<f64> {
+        self.stamp.map(|stamp| now.secs_since(stamp))
+    }
+
+    /// All known points in the base frame of a robot at `odom_from_base`.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let base_from_odom = odom_from_base.inverse();
+        let (sin, cos) = base_from_odom.yaw.sin_cos();
+        let points = self.seen.iter().chain(self.remembered.iter().map(|(_, point)| point));
+        points.map(move |point| Point2::new(base_from_odom.x + cos * point.x - sin * point.y, base_from_odom.y + sin * point.x + cos * point.y))
+    }
+
+    /// The newest sweep's points in another frame.
+    pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        self.seen.iter().map(move |point| frame_from_odom.transform_point(*point))
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    fn tiago() -> LidarModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+    }
+
+    fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
+        let mut ranges = vec![f32::INFINITY; lidar.beams];
+        if let Some((beam, range)) = hit {
+            ranges[beam] = range;
+        }
+        Sweep { stamp: Stamp::from_secs(secs), ranges }
+    }
+
+    #[test]
+    fn what_leaves_the_field_of_view_is_remembered_and_forgotten_in_time() {
+        let lidar = tiago();
+        let mut around = Surroundings::new(&lidar);
+        assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
+        assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
+        let points: Vec<_> = around.in_base(behind).collect();
+        assert_eq!(points.len(), 1);
+        assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
+        assert!(around.insert(&sweep(&lidar, 12.0, None), behind));
+        assert_eq!(around.in_base(behind).count(), 0);
+    }
+
+    #[test]
+    fn what_the_lidar_sees_again_is_not_remembered() {
+        let lidar = tiago();
+        let mut around = Surroundings::new(&lidar);
+        around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
+        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+    }
+
+    #[test]
+    fn a_broken_sweep_is_no_sweep() {
+        let lidar = tiago();
+        let mut around = Surroundings::new(&lidar);
+        assert!(!around.insert(&Sweep { stamp: Stamp(5), ranges: vec![1.0; 3] }, Pose2::IDENTITY));
+        assert_eq!(around.age(Stamp(6)), None);
+        assert!(around.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        assert!(!around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY), "the same stamp twice");
+    }
+}

@@ -1,0 +1,321 @@
+//! Which twist follows a time-stamped trajectory? Feed-forward plus feedback on the pose error, after
+//! Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous mobile robot", ICRA 1990,
+//! with the cross-track term of Samson and Ait-Abderrahim (`v * sin(e)/e * error`).
+//!
+//! Plan time advances with progress: its rate falls below one when the robot lags behind, must brake for the plan's
+//! expiry, or still speeds up from rest. Nothing is ever caught up.
+
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::messages::TrajectoryPoint;
+use zenav_protocol::robot::{ControllerGains, Drive};
+
+use super::{Progress, View};
+use crate::limiter::wheel_surface_speed;
+
+/// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
+const LAG: (f64, f64) = (0.05, 0.20);
+/// The same for the error across the track, m.
+const OFF_TRACK: (f64, f64) = (0.10, 0.40);
+/// The same for the heading, rad.
+const TURN_LAG: (f64, f64) = (0.15, 0.60);
+/// Heading feedback while the robot hardly rolls, 1/s.
+const SPIN_GAIN: f64 = 2.0;
+/// Fastest correction at the end, m/s.
+const SETTLE_SPEED: f64 = 0.10;
+/// Errors at which the end counts as reached, m and rad.
+const SETTLED: (f64, f64) = (0.015, 0.03);
+/// Time to settle at the end; then where the robot stands is the end, s.
+const SETTLE_TIME: f64 = 2.0;
+/// At rest: wheel surface speed, m/s.
+const AT_REST: f64 = 0.02;
+
+/// Trajectory points with the way along them. Time may begin below zero: what is left of the motion before a splice.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Timeline {
+    points: Vec<TrajectoryPoint>,
+    lengths: Vec<f64>,
+}
+
+impl Timeline {
+    /// From points in the order of time.
+    #[must_use]
+    pub fn new(points: Vec<TrajectoryPoint>) -> Self {
+        let mut length = 0.0;
+        let mut lengths = Vec::with_capacity(points.len());
+        let mut last: Option<Pose2> = None;
+        for point in &points {
+            length += last.map_or(0.0, |last| last.distance(&point.pose()));
+            lengths.push(length);
+            last = Some(point.pose());
+        }
+        Self { points, lengths }
+    }
+
+    /// The part of this motion from `now` up to `until`, then `next`, whose time zero is `until` here.
+    #[must_use]
+    pub fn spliced(&self, now: f64, until: f64, next: &[TrajectoryPoint]) -> Self {
+        let mut points = Vec::with_capacity(next.len() + 64);
+        if now < until {
+            let first = self.sample(now);
+            let rest = self.points.iter().filter(|point| point.t > now && point.t < until);
+            points.extend(std::iter::once(&first).chain(rest).map(|point| TrajectoryPoint { t: point.t - until, ..*point }));
+        }
+        points.extend_from_slice(next);
+        Self::new(points)
+    }
+
+    /// The points.
+    #[must_use]
+    pub fn points(&self) -> &[TrajectoryPoint] {
+        &self.points
+    }
+
+    /// When it begins, s.
+    #[must_use]
+    pub fn start(&self) -> f64 {
+        self.points.first().map_or(0.0, |point| point.t)
+    }
+
+    /// When it ends, s.
+    #[must_use]
+    pub fn end(&self) -> f64 {
+        self.points.last().map_or(0.0, |point| point.t)
+    }
+
+    /// Where the robot is to be at a time; held at both ends.
+    #[must_use]
+    pub fn sample(&self, t: f64) -> TrajectoryPoint {
+        let after = self.points.partition_point(|point| point.t <= t);
+        let (Some(from), to) = (self.points.get(after.saturating_sub(1)), self.points.get(after)) else {
+            return TrajectoryPoint::default();
+        };
+        let Some(to) = to.filter(|_| after > 0) else {
+            return TrajectoryPoint { t, ..*from };
+        };
+        let share = (t - from.t) / (to.t - from.t);
+        let between = |a: f64, b: f64| a + share * (b - a);
+        TrajectoryPoint {
+            t,
+            x: between(from.x, to.x),
+            y: between(from.y, to.y),
+            yaw: wrap_angle(from.yaw + share * wrap_angle(to.yaw - from.yaw)),
+            v: between(from.v, to.v),
+            w: between(from.w, to.w),
+        }
+    }
+
+    /// Way from a time to the end, m.
+    #[must_use]
+    pub fn length_left(&self, t: f64) -> f64 {
+        let after = self.points.partition_point(|point| point.t <= t);
+        let Some((to, length)) = self.points.get(after).zip(self.lengths.get(after)) else {
+            return 0.0;
+        };
+        self.lengths.last().copied().unwrap_or(0.0) - length + self.sample(t).pose().distance(&to.pose())
+    }
+}
+
+/// Follows a trajectory.
+#[derive(Clone, Debug)]
+pub struct TrajectoryTracker {
+    drive: Drive,
+    timeline: Timeline,
+    time: f64,
+    settling: f64,
+    finished: bool,
+    off: f64,
+}
+
+impl TrajectoryTracker {
+    /// From plan time `time` on.
+    #[must_use]
+    pub fn new(drive: &Drive, timeline: Timeline, time: f64) -> Self {
+        let time = time.clamp(timeline.start(), timeline.end().max(timeline.start()));
+        Self { drive: drive.clone(), timeline, time, settling: 0.0, finished: false, off: 0.0 }
+    }
+
+    /// The motion.
+    #[must_use]
+    pub fn timeline(&self) -> &Timeline {
+        &self.timeline
+    }
+
+    /// Distance from where the robot should be, m, at the last tick.
+    #[must_use]
+    pub fn off_track(&self) -> f64 {
+        self.off
+    }
+
+    /// Plan time reached, s.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Where the robot should be now.
+    #[must_use]
+    pub fn reference(&self) -> TrajectoryPoint {
+        self.timeline.sample(self.time)
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        let end = self.timeline.end();
+        Progress { time: self.time, waypoint: 0, distance_left: self.timeline.length_left(self.time), time_left: (end - self.time).max(0.0), finished: self.finished }
+    }
+
+    /// One tick: the wanted twist.
+    pub fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+        let goal = self.timeline.sample(self.time);
+        let error = view.map_from_base.inverse() * goal.pose();
+        self.off = error.x.hypot(error.y);
+        if self.finished {
+            return Twist2::ZERO;
+        }
+        let ended = self.time >= self.timeline.end();
+        if ended {
+            return self.settle(view, &error, gains);
+        }
+        let rate = self.rate(view, &goal, &error);
+        self.time = (self.time + rate * view.dt).min(self.timeline.end());
+
+        // The motors answer late: ask for the speed of the moment at which they will have it.
+        let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
+        let (v, w) = (rate * ahead.v, rate * ahead.w);
+        let sinc = if error.yaw.abs() < 1e-3 { 1.0 } else { error.yaw.sin() / error.yaw };
+        let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
+        let wanted = Twist2::new(v * error.yaw.cos() + gains.along_gain * error.x, w + gains.cross_gain * v * sinc * error.y + spin * error.yaw);
+        capped(&self.drive, wanted, view.speed_cap)
+    }
+
+    /// How fast plan time runs, 0 to 1.
+    fn rate(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
+        let falling = |value: f64, (full, none): (f64, f64)| ((none - value) / (none - full)).clamp(0.0, 1.0);
+        let direction = if goal.v < 0.0 { -1.0 } else { 1.0 };
+        let turn_lag = if goal.v.abs() < 0.05 { error.yaw * goal.w.signum() } else { error.yaw.abs() };
+        let lagging = falling(direction * error.x, LAG).min(falling(error.y.abs(), OFF_TRACK)).min(falling(turn_lag, TURN_LAG));
+        let planned = wheel_surface_speed(&self.drive, goal.twist());
+        if planned < 1e-6 {
+            return lagging;
+        }
+        // From rest, or after a slowdown, the reference speeds up as the robot can, not at once.
+        let reachable = wheel_surface_speed(&self.drive, view.velocity) + self.drive.acceleration() * (self.drive.motor_lag + 4.0 * view.dt) + 0.02;
+        lagging.min(view.speed_cap / planned).min(reachable / planned)
+    }
+
+    /// At the end: closes what is left along and in heading; a differential drive cannot close what is left sideways.
+    fn settle(&mut self, view: &View, error: &Pose2, gains: &ControllerGains) -> Twist2 {
+        self.settling += view.dt;
+        let near = error.x.abs() < SETTLED.0 && error.yaw.abs() < SETTLED.1;
+        let at_rest = wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+        if near || self.settling > SETTLE_TIME {
+            self.finished = at_rest;
+            return Twist2::ZERO;
+        }
+        let wanted = Twist2::new((gains.along_gain * error.x).clamp(-SETTLE_SPEED, SETTLE_SPEED), SPIN_GAIN * error.yaw);
+        capped(&self.drive, wanted, view.speed_cap)
+    }
+}
+
+/// Scales a twist down to a wheel surface speed; the curvature stays.
+fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
+    let share = (cap / wheel_surface_speed(drive, twist).max(1e-9)).min(1.0);
+    Twist2::new(share * twist.v, share * twist.w)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::limiter::{Braking, Limiter};
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    fn model() -> RobotModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    }
+
+    /// Rest, 0.5 m/s on a circle of 1 m radius, rest; 20 ms apart.
+    fn curve() -> Timeline {
+        let mut points = Vec::new();
+        let mut pose = Pose2::IDENTITY;
+        for i in 0..=400 {
+            let t = f64::from(i) * 0.02;
+            let v = (0.5 * t).min(0.5).min(0.5 * (8.0 - t)).max(0.0);
+            points.push(TrajectoryPoint { t, x: pose.x, y: pose.y, yaw: pose.yaw, v, w: v });
+            pose = pose.advance(Twist2::new(v, v), 0.02);
+        }
+        Timeline::new(points)
+    }
+
+    /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
+    fn drive(tracker: &mut TrajectoryTracker, mut pose: Pose2, ticks: usize, cap: impl Fn(usize) -> f64) -> (f64, Pose2) {
+        let model = model();
+        let mut limiter = Limiter::new(&model.drive);
+        let mut velocity = Twist2::ZERO;
+        let mut worst: f64 = 0.0;
+        for tick in 0..ticks {
+            let view = View { dt: 0.02, map_from_base: pose, velocity, speed_cap: cap(tick) };
+            let wheels = limiter.limit(tracker.step(&view, &model.controller), 0.02, Braking::Normal);
+            limiter.set(wheels);
+            let (wanted, share) = (limiter.twist(), 0.02 / (model.drive.motor_lag + 0.02));
+            velocity = Twist2::new(velocity.v + share * (wanted.v - velocity.v), velocity.w + share * (wanted.w - velocity.w));
+            pose = pose.advance(velocity, 0.02);
+            worst = worst.max(tracker.off_track());
+        }
+        (worst, pose)
+    }
+
+    #[test]
+    fn a_curve_is_followed_to_within_two_centimetres_and_ended_at_rest() {
+        let timeline = curve();
+        let end = timeline.sample(8.0).pose();
+        let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
+        let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 600, |_| f64::INFINITY);
+        assert!(worst < 0.02, "{worst}");
+        assert!(tracker.progress().finished && pose.distance(&end) < 0.02 && wrap_angle(pose.yaw - end.yaw).abs() < 0.04, "{pose:?} {end:?}");
+    }
+
+    #[test]
+    fn an_offset_at_the_start_is_closed() {
+        let mut tracker = TrajectoryTracker::new(&model().drive, curve(), 0.0);
+        let (_, pose) = drive(&mut tracker, Pose2::new(-0.05, 0.1, 0.2), 700, |_| f64::INFINITY);
+        assert!(pose.distance(&curve().sample(8.0).pose()) < 0.03, "{pose:?}");
+    }
+
+    #[test]
+    fn after_a_halt_on_the_way_nothing_is_caught_up() {
+        let mut tracker = TrajectoryTracker::new(&model().drive, curve(), 0.0);
+        let halt = |tick: usize| if (150..300).contains(&tick) { 0.0 } else { f64::INFINITY };
+        let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 800, halt);
+        assert!(worst < 0.12, "{worst}");
+        assert!(tracker.progress().finished && pose.distance(&curve().sample(8.0).pose()) < 0.02);
+    }
+
+    #[test]
+    fn a_turn_on_the_spot_is_followed() {
+        let points = (0..=200).map(|i| {
+            let t = f64::from(i) * 0.01;
+            let w = (2.0 * t).min(1.0).min(2.0 * (2.0 - t)).max(0.0);
+            (t, w)
+        });
+        let mut yaw = 0.0;
+        let points = points.map(|(t, w)| { yaw += 0.01 * w; TrajectoryPoint { t, yaw, w, ..Default::default() } }).collect();
+        let timeline = Timeline::new(points);
+        let end = timeline.sample(2.0).yaw;
+        let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
+        let (_, pose) = drive(&mut tracker, Pose2::IDENTITY, 300, |_| f64::INFINITY);
+        assert!(tracker.progress().finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01, "{pose:?} {end}");
+    }
+
+    #[test]
+    fn a_splice_keeps_the_old_motion_until_the_new_one_begins() {
+        let old = curve();
+        let next: Vec<_> = old.points().iter().filter(|p| p.t >= 3.0).map(|p| TrajectoryPoint { t: p.t - 3.0, ..*p }).collect();
+        let merged = old.spliced(2.5, 3.0, &next);
+        assert!((merged.start() + 0.5).abs() < 1e-12 && (merged.end() - 5.0).abs() < 1e-9);
+        let before = merged.sample(-0.25);
+        assert!(before.pose().distance(&old.sample(2.75).pose()) < 1e-9);
+        assert!(merged.points().windows(2).all(|pair| pair[0].t < pair[1].t));
+    }
+}

@@ -1,0 +1,220 @@
+//! What time is it? The wall's, or a simulation's; a service has no other clock than the one it is given.
+//!
+//! The wall clock is UNIX time at the start plus monotonic time since then: it never jumps with the system's time.
+//! A simulated clock stands still until its handle, or topic `zenav/sim/clock`, moves it.
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use super::{Bus, BusError};
+use crate::time::Stamp;
+use crate::topics::SIM_CLOCK;
+
+/// A step back by more than this is a simulation that began anew, less is a reordered message.
+const RESTART: Duration = Duration::from_secs(1);
+
+/// The clock of a service. Clones show the same time.
+#[derive(Clone, Debug)]
+pub struct Clock(Kind);
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Wall { start: Instant, start_stamp: Stamp },
+    Simulated(watch::Receiver<Stamp>),
+}
+
+/// Moves a simulated clock.
+#[derive(Clone, Debug)]
+pub struct ClockHandle(Arc<watch::Sender<Stamp>>);
+
+impl ClockHandle {
+    /// Sets the time and wakes who waited for it. A small step back is ignored; a large one is a new simulation.
+    pub fn set(&self, now: Stamp) {
+        self.0.send_if_modified(|current| {
+            let moved = now > *current || current.since(now) > RESTART;
+            if moved {
+                *current = now;
+            }
+            moved
+        });
+    }
+
+    /// Moves the time on.
+    pub fn advance(&self, by: Duration) {
+        self.0.send_modify(|current| *current = *current + by);
+    }
+}
+
+impl Clock {
+    /// The wall clock, UNIX time.
+    #[must_use]
+    pub fn wall() -> Self {
+        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self(Kind::Wall { start: Instant::now(), start_stamp: Stamp::ZERO + since_epoch })
+    }
+
+    /// A simulated clock, and the handle that moves it.
+    #[must_use]
+    pub fn simulated(start: Stamp) -> (Self, ClockHandle) {
+        let (sender, receiver) = watch::channel(start);
+        (Self(Kind::Simulated(receiver)), ClockHandle(Arc::new(sender)))
+    }
+
+    /// The simulated clock that others publish; stands at zero until the first message. In a Tokio runtime only.
+    ///
+    /// # Errors
+    /// [`BusError`] when the topic cannot be subscribed to.
+    pub fn follow(bus: &Bus) -> Result<Self, BusError> {
+        let mut topic = bus.latest(&SIM_CLOCK, &[])?;
+        let (clock, handle) = Self::simulated(Stamp::ZERO);
+        tokio::spawn(async move {
+            loop {
+                tokio::select! {
+                    // The last clone of the clock is gone.
+                    () = handle.0.closed() => return,
+                    open = topic.changed() => if !open { return },
+                }
+                if let Some(message) = topic.take() {
+                    handle.set(message.stamp);
+                }
+            }
+        });
+        Ok(clock)
+    }
+
+    /// Whether this is a simulation's time.
+    #[must_use]
+    pub const fn is_simulated(&self) -> bool {
+        matches!(self.0, Kind::Simulated(_))
+    }
+
+    /// Now.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        match &self.0 {
+            Kind::Wall { start, start_stamp } => *start_stamp + start.elapsed(),
+            Kind::Simulated(time) => *time.borrow(),
+        }
+    }
+
+    /// Waits until the clock shows `stamp`. For ever, if a simulation ends before.
+    pub async fn sleep_until(&self, stamp: Stamp) {
+        match &self.0 {
+            Kind::Wall { start, start_stamp } => match start.checked_add(stamp.since(*start_stamp)) {
+                Some(instant) => tokio::time::sleep_until(instant).await,
+                None => std::future::pending().await,
+            },
+            Kind::Simulated(time) => {
+                if time.clone().wait_for(|now| *now >= stamp).await.is_err() {
+                    std::future::pending::<()>().await;
+                }
+            }
+        }
+    }
+
+    /// Waits this long on this clock.
+    pub async fn sleep(&self, duration: Duration) {
+        self.sleep_until(self.now() + duration).await;
+    }
+
+    /// The future's output, or `None` when this clock shows `duration` more before.
+    pub async fn timeout<F: Future>(&self, duration: Duration, future: F) -> Option<F::Output> {
+        tokio::select! {
+            biased;
+            output = future => Some(output),
+            () = self.sleep(duration) => None,
+        }
+    }
+
+    /// Ticks every `period`, the first at once.
+    #[must_use]
+    pub fn interval(&self, period: Duration) -> Interval {
+        Interval { next: self.now(), clock: self.clone(), period: period.max(Duration::from_nanos(1)) }
+    }
+}
+
+/// Absolute deadlines one period apart; missed ones are skipped, never caught up.
+#[derive(Clone, Debug)]
+pub struct Interval {
+    clock: Clock,
+    next: Stamp,
+    period: Duration,
+}
+
+impl Interval {
+    /// Waits for the next deadline; the time now.
+    pub async fn tick(&mut self) -> Stamp {
+        self.clock.sleep_until(self.next).await;
+        let now = self.clock.now();
+        // A simulation that began anew takes the deadlines back with it.
+        if self.next.since(now) > RESTART {
+            self.next = now;
+        }
+        let period = u64::try_from(self.period.as_nanos()).unwrap_or(u64::MAX);
+        let late = now.0.saturating_sub(self.next.0) / period;
+        self.next = Stamp(self.next.0.saturating_add(period.saturating_mul(late.saturating_add(1))));
+        now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn simulated_time_moves_by_its_handle_alone() {
+        let (clock, handle) = Clock::simulated(Stamp(100));
+        let sleeper = tokio::spawn({
+            let clock = clock.clone();
+            async move {
+                clock.sleep_until(Stamp(150)).await;
+                clock.now()
+            }
+        });
+        tokio::task::yield_now().await;
+        handle.set(Stamp(149));
+        handle.set(Stamp(120));
+        assert_eq!(clock.now(), Stamp(149), "a reordered message does not turn time back");
+        tokio::task::yield_now().await;
+        assert!(!sleeper.is_finished());
+        handle.set(Stamp(151));
+        assert_eq!(sleeper.await.ok(), Some(Stamp(151)));
+    }
+
+    #[tokio::test]
+    async fn a_simulation_that_begins_anew_is_followed() {
+        let (clock, handle) = Clock::simulated(Stamp::from_secs(100.0));
+        handle.set(Stamp::from_secs(0.5));
+        assert_eq!(clock.now(), Stamp::from_secs(0.5));
+    }
+
+    #[tokio::test]
+    async fn missed_ticks_are_skipped() {
+        let (clock, handle) = Clock::simulated(Stamp(0));
+        let mut interval = clock.interval(Duration::from_nanos(10));
+        assert_eq!(interval.tick().await, Stamp(0));
+        handle.set(Stamp(37));
+        assert_eq!(interval.tick().await, Stamp(37));
+        assert_eq!(interval.next, Stamp(40));
+    }
+
+    #[tokio::test]
+    async fn a_timeout_is_of_this_clock() {
+        let (clock, handle) = Clock::simulated(Stamp(0));
+        let wait = tokio::spawn(async move { clock.timeout(Duration::from_secs(3600), std::future::pending::<()>()).await });
+        tokio::task::yield_now().await;
+        handle.advance(Duration::from_secs(3600));
+        assert_eq!(wait.await.ok(), Some(None));
+    }
+
+    #[test]
+    fn the_wall_clock_is_monotonic_unix_time() {
+        let clock = Clock::wall();
+        let first = clock.now();
+        assert!(first.as_secs() > 1.7e9);
+        assert!(clock.now() >= first);
+    }
+}

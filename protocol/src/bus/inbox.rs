@@ -1,0 +1,274 @@
+//! What stands between Zenoh's receiving threads, which must never wait, and ours? Two bounded boxes:
+//! [`Queue`] keeps the last so many items, [`Newest`] the last item of each key. Both drop the oldest, and count it.
+
+use std::collections::{HashMap, VecDeque};
+use std::hash::Hash;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+/// Most keys that a [`Newest`] tells apart; what comes under further ones is dropped.
+const MAX_KEYS: usize = 4096;
+
+/// A store behind a box: how items go in and come out.
+pub(super) trait Store {
+    type Item;
+    /// Whether nothing had to be dropped.
+    fn put(&mut self, item: Self::Item) -> bool;
+    fn pop(&mut self) -> Option<Self::Item>;
+    fn len(&self) -> usize;
+}
+
+/// All items in order, the oldest dropped when full.
+pub(super) struct Queue<T> {
+    items: VecDeque<T>,
+    capacity: usize,
+}
+
+impl<T> Queue<T> {
+    pub(super) fn new(capacity: usize) -> Self {
+        Self { items: VecDeque::new(), capacity: capacity.max(1) }
+    }
+}
+
+impl<T> Store for Queue<T> {
+    type Item = T;
+
+    fn put(&mut self, item: T) -> bool {
+        let full = self.items.len() >= self.capacity;
+        if full {
+            self.items.pop_front();
+        }
+        self.items.push_back(item);
+        !full
+    }
+
+    fn pop(&mut self) -> Option<T> {
+        self.items.pop_front()
+    }
+
+    fn len(&self) -> usize {
+        self.items.len()
+    }
+}
+
+/// The newest item of each key; keys take turns.
+pub(super) struct Newest<K, T> {
+    turns: VecDeque<K>,
+    items: HashMap<K, T>,
+}
+
+impl<K, T> Newest<K, T> {
+    pub(super) fn new() -> Self {
+        Self { turns: VecDeque::new(), items: HashMap::new() }
+    }
+}
+
+impl<K: Hash + Eq + Clone, T> Store for Newest<K, T> {
+    type Item = (K, T);
+
+    fn put(&mut self, (key, item): (K, T)) -> bool {
+        if let Some(place) = self.items.get_mut(&key) {
+            // Skipping what nobody looked at is what this box is for: not counted as a loss.
+            *place = item;
+            return true;
+        }
+        if self.items.len() >= MAX_KEYS {
+            return false;
+        }
+        self.turns.push_back(key.clone());
+        self.items.insert(key, item);
+        true
+    }
+
+    fn pop(&mut self) -> Option<(K, T)> {
+        let key = self.turns.pop_front()?;
+        self.items.remove(&key).map(|item| (key, item))
+    }
+
+    fn len(&self) -> usize {
+        self.items.len()
+    }
+}
+
+/// A box with one reader.
+pub(super) struct Inbox<S> {
+    state: Mutex<State<S>>,
+    ready: Notify,
+    dropped: AtomicU64,
+}
+
+struct State<S> {
+    store: S,
+    closed: bool,
+}
+
+impl<S: Store> Inbox<S> {
+    /// The box and its one slot to put things in; when the slot is dropped, the reader learns that nothing more comes.
+    pub(super) fn new(store: S) -> (Arc<Self>, Slot<S>) {
+        let inbox = Arc::new(Self { state: Mutex::new(State { store, closed: false }), ready: Notify::new(), dropped: AtomicU64::new(0) });
+        (Arc::clone(&inbox), Slot(inbox))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<S>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The next item, if there is one.
+    pub(super) fn try_next(&self) -> Option<S::Item> {
+        self.lock().store.pop()
+    }
+
+    /// The next item; `None` once the box is empty and closed.
+    pub(super) async fn next(&self) -> Option<S::Item> {
+        loop {
+            {
+                let mut state = self.lock();
+                if let Some(item) = state.store.pop() {
+                    return Some(item);
+                }
+                if state.closed {
+                    return None;
+                }
+            }
+            // A permit given since the look above is kept: no wake-up is lost.
+            self.ready.notified().await;
+        }
+    }
+
+    /// Waits until there is something; false once the box is empty and closed.
+    pub(super) async fn filled(&self) -> bool {
+        loop {
+            {
+                let state = self.lock();
+                if state.store.len() > 0 {
+                    return true;
+                }
+                if state.closed {
+                    return false;
+                }
+            }
+            self.ready.notified().await;
+        }
+    }
+
+    /// Items lost so far because the reader was slower than the writers.
+    pub(super) fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+}
+
+/// Where items go in.
+pub(super) struct Slot<S: Store>(Arc<Inbox<S>>);
+
+impl<S: Store> Slot<S> {
+    /// Never waits (but for the reader's own short look).
+    pub(super) fn put(&self, item: S::Item) {
+        if !self.0.lock().store.put(item) {
+            self.0.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        self.0.ready.notify_one();
+    }
+
+    /// Puts unless `capacity` items wait already; gives the item back then.
+    pub(super) fn put_within(&self, item: S::Item, capacity: usize) -> Option<S::Item> {
+        {
+            let mut state = self.0.lock();
+            if state.store.len() >= capacity {
+                return Some(item);
+            }
+            state.store.put(item);
+        }
+        self.0.ready.notify_one();
+        None
+    }
+}
+
+impl<S: Store> Drop for Slot<S> {
+    fn drop(&mut self) {
+        self.0.lock().closed = true;
+        self.0.ready.notify_one();
+    }
+}
+
+/// A counter of things that should not happen often: tells when to log (the 1st, 2nd, 4th, 8th, … time).
+#[derive(Default)]
+pub(super) struct Complaints(AtomicU64);
+
+impl Complaints {
+    /// Counts one more; the count, when it is time to say so.
+    pub(super) fn add(&self) -> Option<u64> {
+        let count = self.0.fetch_add(1, Ordering::Relaxed) + 1;
+        count.is_power_of_two().then_some(count)
+    }
+
+    pub(super) fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_full_queue_drops_the_oldest_and_counts() {
+        let (inbox, slot) = Inbox::new(Queue::new(3));
+        for item in 0..5 {
+            slot.put(item);
+        }
+        assert_eq!(inbox.dropped(), 2);
+        drop(slot);
+        let mut seen = Vec::new();
+        while let Some(item) = inbox.next().await {
+            seen.push(item);
+        }
+        assert_eq!(seen, [2, 3, 4]);
+    }
+
+    #[tokio::test]
+    async fn the_newest_of_each_key_is_kept_and_keys_take_turns() {
+        let (inbox, slot) = Inbox::new(Newest::new());
+        for item in [("a", 1), ("b", 1), ("a", 2)] {
+            slot.put(item);
+        }
+        assert_eq!(inbox.try_next(), Some(("a", 2)));
+        slot.put(("a", 3));
+        assert_eq!(inbox.try_next(), Some(("b", 1)), "a busy key does not starve another");
+        assert_eq!(inbox.try_next(), Some(("a", 3)));
+        assert_eq!(inbox.try_next(), None);
+        assert_eq!(inbox.dropped(), 0);
+    }
+
+    #[test]
+    fn keys_from_outside_do_not_fill_the_memory() {
+        let (inbox, slot) = Inbox::new(Newest::new());
+        for key in 0..MAX_KEYS + 10 {
+            slot.put((key, ()));
+        }
+        assert_eq!(inbox.lock().store.len(), MAX_KEYS);
+        assert_eq!(inbox.dropped(), 10);
+    }
+
+    #[tokio::test]
+    async fn a_waiting_reader_is_woken_by_an_item_and_by_the_end() {
+        let (inbox, slot) = Inbox::new(Queue::new(1));
+        let reader = tokio::spawn({
+            let inbox = Arc::clone(&inbox);
+            async move { (inbox.next().await, inbox.next().await) }
+        });
+        tokio::task::yield_now().await;
+        slot.put(7);
+        tokio::task::yield_now().await;
+        drop(slot);
+        assert_eq!(reader.await.unwrap(), (Some(7), None));
+    }
+
+    #[test]
+    fn complaints_are_rare() {
+        let complaints = Complaints::default();
+        assert_eq!((0..1000).filter_map(|_| complaints.add()).collect::<Vec<_>>(), [1, 2, 4, 8, 16, 32, 64, 128, 256, 512]);
+    }
+}

@@ -1,0 +1,134 @@
+//! What do tools see that know no types? Keys, bytes and encodings as they are on the wire.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use zenoh::Wait;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::query::Selector;
+
+use super::inbox::{Inbox, Queue};
+use super::{Bus, BusError};
+use crate::time::Stamp;
+
+/// Replies to one raw query that are kept.
+const MAX_REPLIES: usize = 4096;
+
+/// A sample as it came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawSample {
+    /// Its key.
+    pub key: String,
+    /// Its payload.
+    pub bytes: Vec<u8>,
+    /// Its encoding's name.
+    pub encoding: String,
+    /// When its writer's Zenoh stamped it, UNIX time.
+    pub stamp: Option<Stamp>,
+    /// Whether it deletes its key.
+    pub deleted: bool,
+}
+
+impl From<&Sample> for RawSample {
+    fn from(sample: &Sample) -> Self {
+        Self {
+            key: sample.key_expr().to_string(),
+            bytes: sample.payload().to_bytes().into_owned(),
+            encoding: sample.encoding().to_string(),
+            stamp: sample.timestamp().map(|stamp| Stamp::ZERO + stamp.get_time().to_duration()),
+            deleted: sample.kind() == SampleKind::Delete,
+        }
+    }
+}
+
+/// One reply to a raw query.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RawReply {
+    /// A value.
+    Ok(RawSample),
+    /// An error reply's payload and encoding.
+    Err {
+        /// The payload.
+        bytes: Vec<u8>,
+        /// Its encoding's name.
+        encoding: String,
+    },
+}
+
+/// Samples as they come.
+pub struct RawSubscription {
+    inbox: Arc<Inbox<Queue<Sample>>>,
+    _subscriber: Subscriber<()>,
+}
+
+impl fmt::Debug for RawSubscription {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RawSubscription").finish_non_exhaustive()
+    }
+}
+
+impl RawSubscription {
+    /// Waits for the next sample; `None` when the bus was closed.
+    pub async fn next(&mut self) -> Option<RawSample> {
+        self.inbox.next().await.as_ref().map(RawSample::from)
+    }
+
+    /// Samples dropped because the reader was too slow.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.inbox.dropped()
+    }
+}
+
+impl Bus {
+    /// All samples on keys that match, live only; at most `capacity` wait to be read, beyond that the oldest are dropped.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], [`BusError::Closed`].
+    pub fn raw_subscribe(&self, pattern: &str, capacity: usize) -> Result<RawSubscription, BusError> {
+        let key = Self::key(pattern.to_owned())?;
+        let (inbox, slot) = Inbox::new(Queue::new(capacity));
+        let subscriber = self.session.declare_subscriber(key).callback(move |sample| slot.put(sample)).wait();
+        Ok(RawSubscription { inbox, _subscriber: self.declared(subscriber)? })
+    }
+
+    /// Publishes bytes as they are.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], [`BusError::Closed`].
+    pub fn raw_put(&self, key: &str, bytes: Vec<u8>, encoding: &str) -> Result<(), BusError> {
+        let key = Self::key(key.to_owned())?;
+        self.declared(self.session.put(key, bytes).encoding(zenoh::bytes::Encoding::from(encoding)).wait())
+    }
+
+    /// All replies to a selector (`zenav/tiago/ask/cloud/map?format=png`), asked once; a payload, if any, is JSON.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], [`BusError::Closed`].
+    pub async fn raw_query(&self, selector: &str, payload: Option<Vec<u8>>, timeout: Duration) -> Result<Vec<RawReply>, BusError> {
+        let target = Selector::try_from(selector).map_err(|error| BusError::Key { key: selector.to_owned(), reason: error.to_string() })?;
+        let (inbox, slot) = Inbox::new(Queue::new(MAX_REPLIES));
+        let mut query = self
+            .session
+            .get(target)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            .callback(move |reply| slot.put(reply));
+        if let Some(payload) = payload {
+            query = query.payload(payload).encoding(zenoh::bytes::Encoding::APPLICATION_JSON);
+        }
+        self.declared(query.wait())?;
+        let mut replies = Vec::new();
+        while let Some(reply) = inbox.next().await {
+            replies.push(match reply.result() {
+                Ok(sample) => RawReply::Ok(sample.into()),
+                Err(error) => RawReply::Err { bytes: error.payload().to_bytes().into_owned(), encoding: error.encoding().to_string() },
+            });
+        }
+        Ok(replies)
+    }
+}

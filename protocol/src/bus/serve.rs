@@ -1,0 +1,156 @@
+//! How are questions answered? One after the other, from a bounded queue; what is not a proper question never gets there.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use zenoh::Wait;
+use zenoh::bytes::Encoding as Wire;
+use zenoh::key_expr::KeyExpr;
+use zenoh::query::{Query, Queryable};
+
+use super::inbox::{Inbox, Queue};
+use super::subscribe::encoding_of;
+use super::{Bus, BusError};
+use crate::codec::{self, CodecError, Encoding};
+use crate::messages::Refusal;
+use crate::topics::Ask;
+
+/// Questions that wait to be answered; further ones are refused as `Busy`.
+const MAX_WAITING: usize = 64;
+
+/// Answers one ask.
+pub struct Server<Q, R> {
+    inbox: Arc<Inbox<Queue<Query>>>,
+    ask: Ask<Q, R>,
+    key: KeyExpr<'static>,
+    _queryable: Queryable<()>,
+}
+
+impl<Q, R> fmt::Debug for Server<Q, R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Server").field("key", &self.key).finish_non_exhaustive()
+    }
+}
+
+impl Bus {
+    /// Answers questions on the ask's key with these chunks. A chunk may be `*` (one mapping for all robots): questions must then
+    /// name the robot.
+    ///
+    /// # Errors
+    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    pub fn serve<Q, R>(&self, ask: &Ask<Q, R>, chunks: &[&str]) -> Result<Server<Q, R>, BusError> {
+        let key = Self::key(ask.key(chunks))?;
+        let (inbox, slot) = Inbox::new(Queue::new(MAX_WAITING));
+        let limit = ask.max_bytes;
+        let queryable = self
+            .session
+            .declare_queryable(key.clone())
+            .callback(move |query: Query| {
+                if query.payload().is_some_and(|payload| payload.len() > limit) {
+                    refuse(&query, &Refusal::TooLarge { limit });
+                } else if let Some(query) = slot.put_within(query, MAX_WAITING) {
+                    refuse(&query, &Refusal::Busy { reason: format!("{MAX_WAITING} requests wait already") });
+                }
+            })
+            .wait();
+        Ok(Server { inbox, ask: *ask, key, _queryable: self.declared(queryable)? })
+    }
+}
+
+impl<Q: DeserializeOwned, R> Server<Q, R> {
+    /// Waits for the next question; `None` when the bus was closed. What cannot be read is refused here with the reason.
+    pub async fn next(&mut self) -> Option<Request<Q, R>> {
+        loop {
+            let query = self.inbox.next().await?;
+            match self.read(query) {
+                Ok(request) => return Some(request),
+                Err((query, refusal)) => refuse(&query, &refusal),
+            }
+        }
+    }
+
+    fn read(&self, query: Query) -> Result<Request<Q, R>, (Query, Refusal)> {
+        let key = if !self.key.is_wild() {
+            self.key.clone()
+        } else if !query.key_expr().is_wild() {
+            query.key_expr().clone()
+        } else {
+            return Err((query, Refusal::bad_request("this server needs a key without wildcards")));
+        };
+        let body = match read_body(&query, self.ask.max_bytes) {
+            Ok(body) => body,
+            Err(CodecError::TooLarge { limit, .. }) => return Err((query, Refusal::TooLarge { limit })),
+            Err(error) => return Err((query, Refusal::bad_request(error.to_string()))),
+        };
+        let chunks = self.ask.chunks(key.as_str()).unwrap_or_default().into_iter().map(str::to_owned).collect();
+        let parameters = query.parameters().iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect();
+        Ok(Request { body, chunks, parameters, key, query, reply: PhantomData })
+    }
+}
+
+/// An empty payload stands for `{}`, or for `null` where that is what the request may be.
+fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, CodecError> {
+    match query.payload().filter(|payload| !payload.is_empty()) {
+        Some(payload) => codec::decode(&payload.to_bytes(), query.encoding().map_or(Encoding::Json, encoding_of), max_bytes),
+        None => codec::decode(b"{}", Encoding::Json, max_bytes).or_else(|error| codec::decode(b"null", Encoding::Json, max_bytes).map_err(|_| error)),
+    }
+}
+
+/// A question to be answered once. Dropped without a reply it counts as not heard: the asker asks again until its deadline.
+pub struct Request<Q, R> {
+    /// The question.
+    pub body: Q,
+    /// The chunks of the server's key, in the order of the pattern's names.
+    pub chunks: Vec<String>,
+    /// The selector's parameters: `format` is `png` in `map?format=png`.
+    pub parameters: BTreeMap<String, String>,
+    key: KeyExpr<'static>,
+    query: Query,
+    reply: PhantomData<fn(&R)>,
+}
+
+impl<Q: fmt::Debug, R> fmt::Debug for Request<Q, R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Request").field("key", &self.key).field("body", &self.body).finish_non_exhaustive()
+    }
+}
+
+impl<Q, R: Serialize> Request<Q, R> {
+    /// Answers, in JSON unless the asker's selector says `format=cbor`.
+    pub fn reply(self, reply: &R) {
+        let encoding = if self.parameters.get("format").is_some_and(|format| format == "cbor") { Encoding::Cbor } else { Encoding::Json };
+        match codec::encode(reply, encoding) {
+            Ok(bytes) => self.reply_bytes(bytes, encoding.mime()),
+            Err(error) => self.refuse(&Refusal::Internal { reason: error.to_string() }),
+        }
+    }
+}
+
+impl<Q, R> Request<Q, R> {
+    /// Answers with bytes of any encoding: `image/png`.
+    pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
+        sent(&self.query, self.query.reply(&self.key, bytes).encoding(Wire::from(mime)).wait());
+    }
+
+    /// Refuses.
+    pub fn refuse(self, refusal: &Refusal) {
+        refuse(&self.query, refusal);
+    }
+}
+
+fn refuse(query: &Query, refusal: &Refusal) {
+    // A refusal always has a JSON form.
+    let bytes = codec::encode(refusal, Encoding::Json).unwrap_or_default();
+    sent(query, query.reply_err(bytes).encoding(Wire::APPLICATION_JSON).wait());
+}
+
+fn sent(query: &Query, result: zenoh::Result<()>) {
+    if let Err(error) = result {
+        // The asker is gone or has given up: its business.
+        tracing::debug!(key = %query.key_expr(), %error, "reply not sent");
+    }
+}

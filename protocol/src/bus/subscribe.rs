@@ -1,0 +1,257 @@
+//! How does a part get a topic's values? The newest of each key ([`Latest`]), or all of them in order ([`Subscription`]).
+//!
+//! Both decode when the reader asks, not in Zenoh's thread: what is skipped is never decoded. A payload over the topic's limit is
+//! let go of at once.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::de::DeserializeOwned;
+use zenoh::Wait;
+use zenoh::key_expr::KeyExpr;
+use zenoh::sample::{Sample, SampleKind};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+
+use super::inbox::{Complaints, Inbox, Newest, Queue, Slot, Store};
+use super::publish::kept;
+use super::{Bus, BusError};
+use crate::codec::{self, CodecError, Encoding};
+use crate::topics::{Qos, Topic};
+
+/// How long one try to get a writer's past samples may take; newer ones wait behind it.
+const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// A value and the chunks of the key it came on, in the order of the pattern's names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Received<T> {
+    /// `["tiago"]` for `zenav/tiago/edge/scan`.
+    pub chunks: Vec<String>,
+    /// The value.
+    pub message: T,
+}
+
+/// Keeps a subscription alive.
+#[expect(dead_code, reason = "held for their drop, which undeclares")]
+enum Carrier {
+    Plain(zenoh::pubsub::Subscriber<()>),
+    Advanced(AdvancedSubscriber<()>),
+}
+
+/// What a reader does to a sample, and what it could not read.
+struct Reader<T> {
+    topic: Topic<T>,
+    unreadable: Arc<Complaints>,
+    _carrier: Carrier,
+}
+
+impl<T: DeserializeOwned> Reader<T> {
+    fn read(&self, sample: &Sample) -> Option<T> {
+        match decode_sample(sample, self.topic.max_bytes) {
+            Ok(message) => Some(message),
+            Err(error) => {
+                complain(&self.unreadable, sample.key_expr(), &error);
+                None
+            }
+        }
+    }
+
+    fn chunks(&self, key: &KeyExpr<'_>) -> Vec<String> {
+        self.topic.chunks(key.as_str()).unwrap_or_default().into_iter().map(str::to_owned).collect()
+    }
+}
+
+/// The message in a sample, by the sample's own encoding.
+pub(super) fn decode_sample<T: DeserializeOwned>(sample: &Sample, max_bytes: usize) -> Result<T, CodecError> {
+    codec::decode(&sample.payload().to_bytes(), encoding_of(sample.encoding()), max_bytes)
+}
+
+/// Without building the encoding's name for the two that matter.
+pub(super) fn encoding_of(encoding: &zenoh::bytes::Encoding) -> Encoding {
+    use zenoh::bytes::Encoding as Wire;
+    if *encoding == Wire::APPLICATION_JSON {
+        Encoding::Json
+    } else if encoding.id() == Wire::APPLICATION_CBOR.id() {
+        Encoding::Cbor
+    } else {
+        Encoding::of(&encoding.to_string())
+    }
+}
+
+fn complain(complaints: &Complaints, key: &KeyExpr<'_>, error: &CodecError) {
+    if let Some(count) = complaints.add() {
+        tracing::warn!(%key, %error, count, "payload ignored");
+    }
+}
+
+impl Bus {
+    /// The newest value of the topic on the key with these chunks; a chunk may be `*`.
+    ///
+    /// # Errors
+    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
+        let (inbox, slot) = Inbox::new(Newest::new());
+        let reader = self.read(topic, chunks, slot, |sample| (sample.key_expr().clone(), sample))?;
+        Ok(Latest { inbox, reader, current: None })
+    }
+
+    /// All values of the topic on the key with these chunks (a chunk may be `*`), each writer's in order. At most `capacity` wait
+    /// to be read; beyond that the oldest are dropped and counted.
+    ///
+    /// # Errors
+    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    pub fn subscribe<T>(&self, topic: &Topic<T>, chunks: &[&str], capacity: usize) -> Result<Subscription<T>, BusError> {
+        let (inbox, slot) = Inbox::new(Queue::new(capacity));
+        let reader = self.read(topic, chunks, slot, |sample| sample)?;
+        Ok(Subscription { inbox, reader })
+    }
+
+    fn read<T, S>(&self, topic: &Topic<T>, chunks: &[&str], slot: Slot<S>, item: fn(Sample) -> S::Item) -> Result<Reader<T>, BusError>
+    where
+        S: Store + Send + 'static,
+        S::Item: Send,
+    {
+        let key = Self::key(topic.key(chunks))?;
+        let unreadable = Arc::new(Complaints::default());
+        let max_bytes = topic.max_bytes;
+        let callback = {
+            let unreadable = Arc::clone(&unreadable);
+            move |sample: Sample| {
+                let got = sample.payload().len();
+                if got > max_bytes {
+                    complain(&unreadable, sample.key_expr(), &CodecError::TooLarge { limit: max_bytes, got });
+                } else if sample.kind() == SampleKind::Put {
+                    slot.put(item(sample));
+                }
+            }
+        };
+        let plain = self.session.declare_subscriber(key).callback(callback);
+        let carrier = match topic.qos {
+            Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
+            Qos::Events { .. } | Qos::State => {
+                let advanced = plain
+                    .history(HistoryConfig::default().detect_late_publishers().max_samples(kept(topic.qos)))
+                    .recovery(RecoveryConfig::default().heartbeat())
+                    .query_timeout(HISTORY_TIMEOUT);
+                Carrier::Advanced(self.declared(advanced.wait())?)
+            }
+        };
+        Ok(Reader { topic: *topic, unreadable, _carrier: carrier })
+    }
+}
+
+/// The newest value of a topic; under a wild chunk, of each of its keys. Usable from any thread.
+pub struct Latest<T> {
+    inbox: Arc<Inbox<Newest<KeyExpr<'static>, Sample>>>,
+    reader: Reader<T>,
+    current: Option<T>,
+}
+
+impl<T> fmt::Debug for Latest<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Latest").field("pattern", &self.reader.topic.pattern).finish_non_exhaustive()
+    }
+}
+
+impl<T: DeserializeOwned> Latest<T> {
+    /// The newest value that was not taken yet. Never waits. Under a wild chunk the keys take turns.
+    pub fn take(&mut self) -> Option<T> {
+        while let Some((_, sample)) = self.inbox.try_next() {
+            if let Some(message) = self.reader.read(&sample) {
+                return Some(message);
+            }
+        }
+        None
+    }
+
+    /// As [`Self::take`], with the chunks of its key.
+    pub fn take_received(&mut self) -> Option<Received<T>> {
+        while let Some((key, sample)) = self.inbox.try_next() {
+            if let Some(message) = self.reader.read(&sample) {
+                return Some(Received { chunks: self.reader.chunks(&key), message });
+            }
+        }
+        None
+    }
+
+    /// The newest value known to `borrow`, old or new; what [`Self::take`] took is not.
+    pub fn borrow(&mut self) -> Option<&T> {
+        while let Some(message) = self.take() {
+            self.current = Some(message);
+        }
+        self.current.as_ref()
+    }
+
+    /// Waits until something was received that was not taken; false when nothing more comes, because the bus was closed.
+    /// (What was received may turn out to be unreadable.)
+    pub async fn changed(&mut self) -> bool {
+        self.inbox.filled().await
+    }
+
+    /// Waits for the next value that was not taken; `None` when the bus was closed.
+    pub async fn next(&mut self) -> Option<Received<T>> {
+        loop {
+            let (key, sample) = self.inbox.next().await?;
+            if let Some(message) = self.reader.read(&sample) {
+                return Some(Received { chunks: self.reader.chunks(&key), message });
+            }
+        }
+    }
+
+    /// Payloads that were too large or could not be decoded.
+    #[must_use]
+    pub fn unreadable(&self) -> u64 {
+        self.reader.unreadable.count()
+    }
+}
+
+/// All values of a topic in order.
+pub struct Subscription<T> {
+    inbox: Arc<Inbox<Queue<Sample>>>,
+    reader: Reader<T>,
+}
+
+impl<T> fmt::Debug for Subscription<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Subscription").field("pattern", &self.reader.topic.pattern).finish_non_exhaustive()
+    }
+}
+
+impl<T: DeserializeOwned> Subscription<T> {
+    /// Waits for the next value; `None` when the bus was closed.
+    pub async fn next(&mut self) -> Option<Received<T>> {
+        loop {
+            let sample = self.inbox.next().await?;
+            if let Some(received) = self.received(&sample) {
+                return Some(received);
+            }
+        }
+    }
+
+    /// The next value if there is one. Never waits.
+    pub fn try_next(&mut self) -> Option<Received<T>> {
+        while let Some(sample) = self.inbox.try_next() {
+            if let Some(received) = self.received(&sample) {
+                return Some(received);
+            }
+        }
+        None
+    }
+
+    fn received(&self, sample: &Sample) -> Option<Received<T>> {
+        let message = self.reader.read(sample)?;
+        Some(Received { chunks: self.reader.chunks(sample.key_expr()), message })
+    }
+
+    /// Values dropped because the reader was too slow.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.inbox.dropped()
+    }
+
+    /// Payloads that were too large or could not be decoded.
+    #[must_use]
+    pub fn unreadable(&self) -> u64 {
+        self.reader.unreadable.count()
+    }
+}

@@ -1,0 +1,31 @@
+//! What two machines of zenav must agree on.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`geometry`] | poses, twists, angles (REP-103) |
+//! | [`grid`] | the grid convention, occupancy values, the one ray walk |
+//! | [`time`] | stamps in nanoseconds |
+//! | [`id`] | names that may stand in a key |
+//! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
+//! | [`readings`] | what a body gives its pilot |
+//! | [`messages`] | everything that crosses the wire |
+//! | [`lease`] | who may command a robot |
+//! | [`topics`] | the key table |
+//! | [`codec`] | JSON and CBOR by encoding |
+//! | `bus` | typed Zenoh (feature `bus`) |
+
+#[cfg(feature = "bus")]
+pub mod bus;
+pub mod codec;
+pub mod geometry;
+pub mod grid;
+pub mod id;
+pub mod lease;
+pub mod messages;
+pub mod readings;
+pub mod robot;
+pub mod time;
+pub mod topics;
+
+/// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
+pub const SCHEMA_VERSION: u32 = 1;

@@ -1,0 +1,20 @@
+//! Everything that crosses the wire: small plain structs, one file a part of the data way.
+//!
+//! Every message carries the stamp of its writer's own clock. Unknown fields are ignored; missing optional ones take
+//! their default. Numbers are SI units; yaw in (-pi, pi].
+
+mod edge;
+mod goal;
+mod map;
+mod mission;
+mod plan;
+mod refusal;
+mod sense;
+
+pub use edge::*;
+pub use goal::*;
+pub use map::*;
+pub use mission::*;
+pub use plan::*;
+pub use refusal::*;
+pub use sense::*;

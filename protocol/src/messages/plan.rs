@@ -1,0 +1,232 @@
+//! How is the robot to move? The plan, and the questions that planning and smoothing answer.
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use super::MapRef;
+use crate::geometry::{Pose2, Twist2};
+use crate::robot::RobotModel;
+use crate::time::Stamp;
+
+/// Order of the plans of one robot: a restarted writer is newer, never stale.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Revision {
+    /// Number of the writer's life, greater after every restart.
+    pub incarnation: u64,
+    /// Counts the writer's plans from one.
+    pub counter: u64,
+}
+
+/// Where the robot is to be at a time of the trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrajectoryPoint {
+    /// Time since the trajectory's start, s.
+    pub t: f64,
+    /// Map x, m.
+    pub x: f64,
+    /// Map y, m.
+    pub y: f64,
+    /// Heading in the map, rad.
+    pub yaw: f64,
+    /// Forward speed, m/s.
+    pub v: f64,
+    /// Yaw rate, rad/s.
+    pub w: f64,
+}
+
+impl TrajectoryPoint {
+    /// The pose.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        Pose2 { x: self.x, y: self.y, yaw: self.yaw }
+    }
+
+    /// The velocity.
+    #[must_use]
+    pub fn twist(&self) -> Twist2 {
+        Twist2::new(self.v, self.w)
+    }
+}
+
+/// The edge pose that something was computed from.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BasedOn {
+    /// Its stamp, on the edge's own clock.
+    pub stamp: Stamp,
+    /// The boot that the clock belongs to.
+    pub boot_id: String,
+}
+
+/// What moves a robot. Written only by the mission that holds the robot's lease.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// The goal it serves.
+    pub goal_id: String,
+    /// The lease that it is written under.
+    pub epoch: u64,
+    /// Newer plans replace older ones.
+    pub revision: Revision,
+    /// Names the motion: a renewal keeps it, and the robot goes on where it is; a new one starts a new motion.
+    pub trajectory_id: u64,
+    /// The map it was checked on.
+    pub map: MapRef,
+    /// Frame of all coordinates: `map`.
+    pub frame: String,
+    /// The edge pose it was planned from or rechecked at; validity counts from here.
+    pub based_on: BasedOn,
+    /// For how long after `based_on` the robot may move by it, s. By then it is at rest.
+    pub valid_for: f64,
+    /// The way as corner points, start excluded; driven by the waypoint law when there is no trajectory.
+    pub waypoints: Vec<Point2<f64>>,
+    /// The time-stamped trajectory; empty for a plain list of waypoints.
+    pub trajectory: Vec<TrajectoryPoint>,
+    /// Where on the motion before this one the trajectory begins; without it, where the robot rests.
+    #[serde(default)]
+    pub splice: Option<Splice>,
+    /// How it came about.
+    pub statistics: PlanStatistics,
+}
+
+/// A point on the motion that a new one replaces: a replan starts at the state predicted there, speed included.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Splice {
+    /// The motion being driven.
+    pub trajectory_id: u64,
+    /// Its plan time at which the new trajectory begins, s.
+    pub time: f64,
+}
+
+/// How a plan came about, and its certificate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlanStatistics {
+    /// Planner, such as `astar`.
+    pub planner: String,
+    /// Time in the search, ms.
+    pub search_ms: f64,
+    /// Time in shortcut and corridor, ms.
+    pub corridor_ms: f64,
+    /// Time in the geometry solver, ms.
+    pub geometry_ms: f64,
+    /// Time in the time law, ms.
+    pub timing_ms: f64,
+    /// Length of the way, m.
+    pub length: f64,
+    /// Duration of the trajectory, s.
+    pub duration: f64,
+    /// Least distance of the true footprint to an occupied cell along the way, m; `None` when there is nothing near.
+    pub min_clearance: Option<f64>,
+    /// `smoothed`, `fallback:REASON`, or `waypoints`.
+    pub status: String,
+    /// The geometry solver's own status.
+    pub solver: String,
+}
+
+/// A question for a way through the robot's current map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanRequest {
+    /// Whose map to plan on.
+    pub robot: String,
+    /// Footprint and limits.
+    pub model: RobotModel,
+    /// The map must be at least at this revision; a worker with an older one asks for the whole first.
+    pub map: MapRef,
+    /// Start, map frame.
+    pub start: Pose2,
+    /// Goal, map frame.
+    pub goal: Pose2,
+    /// Planner (`astar`, …).
+    pub planner: String,
+    /// Whether unknown cells may be driven through.
+    #[serde(default)]
+    pub unknown_is_free: bool,
+    /// Time the search may take, ms.
+    pub budget_ms: u64,
+}
+
+/// Answer to a [`PlanRequest`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanReply {
+    /// The map that was planned on.
+    pub map: MapRef,
+    /// What came out.
+    pub outcome: PlanOutcome,
+    /// Time in the search, ms.
+    pub search_ms: f64,
+    /// Nodes expanded.
+    pub expansions: u64,
+}
+
+/// What came out of a search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "outcome")]
+pub enum PlanOutcome {
+    /// A way, from start to goal, as corner points in the map frame.
+    Found {
+        /// Corner points, start and goal included.
+        path: Vec<Point2<f64>>,
+        /// Its length, m.
+        length: f64,
+    },
+    /// The robot does not fit where it is to go.
+    GoalOccupied {
+        /// The nearest place where it does.
+        nearest_free: Option<Point2<f64>>,
+    },
+    /// The robot does not fit where it stands, by this map.
+    StartOccupied {
+        /// The nearest place where it does.
+        nearest_free: Option<Point2<f64>>,
+    },
+    /// Start and goal are not connected.
+    NoPath,
+    /// Start or goal lie outside the map.
+    OutOfMap,
+    /// The budget ran out.
+    TimedOut,
+    /// The worker has no such map.
+    NoMap,
+}
+
+/// A question for a trajectory along a way.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SmoothRequest {
+    /// Whose map to smooth on.
+    pub robot: String,
+    /// Footprint and limits.
+    pub model: RobotModel,
+    /// The map that the way was found on.
+    pub map: MapRef,
+    /// The way, start and goal included, map frame.
+    pub path: Vec<Point2<f64>>,
+    /// Pose at the start.
+    pub start: Pose2,
+    /// Velocity at the start.
+    pub start_velocity: Twist2,
+    /// Heading wanted at the end, if any.
+    pub goal_yaw: Option<f64>,
+    /// Whether unknown cells may be driven through.
+    #[serde(default)]
+    pub unknown_is_free: bool,
+}
+
+/// Answer to a [`SmoothRequest`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SmoothReply {
+    /// The map that was smoothed on.
+    pub map: MapRef,
+    /// The trajectory; never empty unless the way itself is blocked.
+    pub trajectory: Vec<TrajectoryPoint>,
+    /// Status, times, certificate.
+    pub statistics: PlanStatistics,
+}
+
+/// A search tree or path, to be drawn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SearchTree {
+    /// When it was made.
+    pub stamp: Stamp,
+    /// Pairs of points, map frame: each an edge of the tree.
+    pub edges: Vec<[Point2<f64>; 2]>,
+    /// The best way so far.
+    pub path: Vec<Point2<f64>>,
+}

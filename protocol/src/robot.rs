@@ -1,0 +1,451 @@
+//! What is a robot, for everybody who plans for it, drives it or simulates it? Its footprint, limits and sensors.
+//!
+//! Read from TOML; unknown keys are errors that name the line. Shipped ones are found by name.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::geometry::Pose2;
+
+/// A robot: what its file says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotModel {
+    /// Name of the model.
+    pub name: String,
+    /// Outline on the floor.
+    pub footprint: Footprint,
+    /// Wheels and motors.
+    pub drive: Drive,
+    /// Planar lidar.
+    pub lidar: LidarModel,
+    /// Wheel encoders.
+    #[serde(default)]
+    pub encoders: EncoderModel,
+    /// Gyro and compass.
+    #[serde(default)]
+    pub imu: ImuModel,
+    /// GPS or beacons, where there are any.
+    #[serde(default)]
+    pub gps: Option<GpsModel>,
+    /// Battery and consumption.
+    #[serde(default)]
+    pub battery: BatteryModel,
+    /// Gains of the trackers.
+    #[serde(default)]
+    pub controller: ControllerGains,
+}
+
+/// Outline on the floor, in the base frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Footprint {
+    /// A disc around the base, m.
+    Radius(f64),
+    /// Corners of a convex polygon, counter-clockwise, m.
+    Polygon(Vec<Point2<f64>>),
+}
+
+impl Footprint {
+    /// Radius of the largest disc around the base inside the outline, m.
+    #[must_use]
+    pub fn inscribed_radius(&self) -> f64 {
+        match self {
+            Self::Radius(radius) => *radius,
+            Self::Polygon(corners) => {
+                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+                edges.map(|(a, b)| { let d = b - a; (d.x * a.y - d.y * a.x).abs() / d.norm() }).fold(f64::INFINITY, f64::min)
+            }
+        }
+    }
+
+    /// Radius of the smallest disc around the base that holds the outline, m.
+    #[must_use]
+    pub fn circumscribed_radius(&self) -> f64 {
+        match self {
+            Self::Radius(radius) => *radius,
+            Self::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
+        }
+    }
+
+    /// Distance from the outline to a point in the base frame, m; zero inside.
+    #[must_use]
+    pub fn distance(&self, point: Point2<f64>) -> f64 {
+        match self {
+            Self::Radius(radius) => (point.coords.norm() - radius).max(0.0),
+            Self::Polygon(corners) => {
+                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+                let mut inside = true;
+                let mut nearest = f64::INFINITY;
+                for (a, b) in edges {
+                    let (along, to) = (b - a, point - a);
+                    inside &= along.x * to.y - along.y * to.x >= 0.0;
+                    let share = (to.dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+                    nearest = nearest.min((to - along * share).norm());
+                }
+                if inside { 0.0 } else { nearest }
+            }
+        }
+    }
+}
+
+/// A differential drive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drive {
+    /// m.
+    pub wheel_radius: f64,
+    /// Distance between the wheels' contact points, m.
+    pub wheel_separation: f64,
+    /// Largest speed of a wheel, rad/s.
+    pub max_wheel_speed: f64,
+    /// Largest acceleration of a wheel in normal driving, rad/s².
+    pub max_wheel_acceleration: f64,
+    /// Deceleration of the base when it brakes as hard as it can, m/s².
+    pub hard_braking: f64,
+    /// Largest lateral acceleration, m/s².
+    #[serde(default = "default_lateral")]
+    pub max_lateral_acceleration: f64,
+    /// Largest yaw rate, rad/s; the wheels may allow less.
+    #[serde(default = "unlimited")]
+    pub max_yaw_rate: f64,
+    /// Largest forward speed, m/s; the wheels may allow less.
+    #[serde(default = "unlimited")]
+    pub max_speed: f64,
+    /// Time constant of the motors, s.
+    #[serde(default)]
+    pub motor_lag: f64,
+}
+
+fn default_lateral() -> f64 {
+    1.0
+}
+
+fn unlimited() -> f64 {
+    1e6
+}
+
+impl Drive {
+    /// Forward speed with both wheels at their limit, or the base's own limit, m/s.
+    #[must_use]
+    pub fn top_speed(&self) -> f64 {
+        (self.max_wheel_speed * self.wheel_radius).min(self.max_speed)
+    }
+
+    /// Yaw rate on the spot with both wheels at their limit, or the base's own limit, rad/s.
+    #[must_use]
+    pub fn top_yaw_rate(&self) -> f64 {
+        (2.0 * self.max_wheel_speed * self.wheel_radius / self.wheel_separation).min(self.max_yaw_rate)
+    }
+
+    /// Forward acceleration with both wheels at their limit, m/s².
+    #[must_use]
+    pub fn acceleration(&self) -> f64 {
+        self.max_wheel_acceleration * self.wheel_radius
+    }
+
+    /// Wheel speeds (left, right; rad/s) of a twist.
+    #[must_use]
+    pub fn wheels(&self, twist: crate::geometry::Twist2) -> [f64; 2] {
+        let half = 0.5 * self.wheel_separation * twist.w;
+        [(twist.v - half) / self.wheel_radius, (twist.v + half) / self.wheel_radius]
+    }
+
+    /// Twist of wheel speeds (left, right; rad/s).
+    #[must_use]
+    pub fn twist(&self, wheels: [f64; 2]) -> crate::geometry::Twist2 {
+        let [left, right] = wheels;
+        crate::geometry::Twist2::new(0.5 * (left + right) * self.wheel_radius, (right - left) * self.wheel_radius / self.wheel_separation)
+    }
+}
+
+/// A planar lidar.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LidarModel {
+    /// Where it sits on the base.
+    #[serde(default)]
+    pub mount: Pose2,
+    /// Sweeps a second.
+    pub rate_hz: f64,
+    /// m.
+    pub range_min: f64,
+    /// m.
+    pub range_max: f64,
+    /// Readings a sweep.
+    pub beams: usize,
+    /// Angle from the first beam to the last, rad; 2 pi is a full circle without a doubled beam.
+    pub field_of_view: f64,
+    /// Standard deviation of a range, m.
+    #[serde(default)]
+    pub noise: f64,
+}
+
+impl LidarModel {
+    /// Direction of the first beam, rad.
+    #[must_use]
+    pub fn angle_min(&self) -> f64 {
+        if self.is_full_circle() { -PI } else { -0.5 * self.field_of_view }
+    }
+
+    /// Angle between beams, rad.
+    #[must_use]
+    pub fn angle_increment(&self) -> f64 {
+        if self.is_full_circle() { TAU / self.beams.max(1) as f64 } else { self.field_of_view / (self.beams.max(2) - 1) as f64 }
+    }
+
+    fn is_full_circle(&self) -> bool {
+        self.field_of_view > TAU - 1e-3
+    }
+}
+
+/// Wheel encoders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EncoderModel {
+    /// Standard deviation of a wheel's measured turn, as a share of the turn.
+    pub noise: f64,
+    /// Smallest step, rad.
+    pub resolution: f64,
+}
+
+impl Default for EncoderModel {
+    fn default() -> Self {
+        Self { noise: 0.005, resolution: 0.001 }
+    }
+}
+
+/// Gyro and compass.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ImuModel {
+    /// Readings a second.
+    pub rate_hz: f64,
+    /// Standard deviation of the yaw rate, rad/s.
+    pub gyro_noise: f64,
+    /// Constant error of the yaw rate, rad/s.
+    pub gyro_bias: f64,
+    /// Standard deviation of the compass, rad; without it there is no compass.
+    pub compass_noise: Option<f64>,
+}
+
+impl Default for ImuModel {
+    fn default() -> Self {
+        Self { rate_hz: 50.0, gyro_noise: 0.002, gyro_bias: 0.0, compass_noise: None }
+    }
+}
+
+/// GPS or beacons.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GpsModel {
+    /// Readings a second.
+    pub rate_hz: f64,
+    /// Standard deviation of each coordinate, m.
+    pub noise: f64,
+}
+
+/// Battery and consumption: `idle + rolling * |v| + heat * (left² + right²)`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BatteryModel {
+    /// When full, J.
+    pub capacity: f64,
+    /// Drawn at rest, W.
+    pub idle_power: f64,
+    /// Drawn by rolling, W for each m/s.
+    pub rolling_power: f64,
+    /// Drawn by accelerating, J for each m²/s² of speed gained (half the mass over the efficiency).
+    pub acceleration_energy: f64,
+}
+
+impl Default for BatteryModel {
+    fn default() -> Self {
+        Self { capacity: 500_000.0, idle_power: 20.0, rolling_power: 40.0, acceleration_energy: 40.0 }
+    }
+}
+
+/// Gains of the trackers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ControllerGains {
+    /// Waypoint law: wheel speed for the heading error, rad/s for each rad.
+    pub heading_gain: f64,
+    /// Waypoint law: wheel speed for the distance, rad/s for each m.
+    pub distance_gain: f64,
+    /// Waypoint law: a waypoint nearer than this is passed, m.
+    pub waypoint_threshold: f64,
+    /// Trajectory tracker: gain along the track, 1/s.
+    pub along_gain: f64,
+    /// Trajectory tracker: gain across the track, 1/m².
+    pub cross_gain: f64,
+    /// Trajectory tracker: gain of the heading, 1/m.
+    pub yaw_gain: f64,
+    /// Distance at which the guard stops, beyond the braking distance, m.
+    pub guard_margin: f64,
+}
+
+impl Default for ControllerGains {
+    fn default() -> Self {
+        Self { heading_gain: 4.0, distance_gain: 2.0, waypoint_threshold: 0.3, along_gain: 1.5, cross_gain: 8.0, yaw_gain: 4.0, guard_margin: 0.03 }
+    }
+}
+
+/// Why a robot file was refused.
+#[derive(Debug, Error)]
+pub enum RobotError {
+    /// The TOML does not fit: the message names line and key.
+    #[error("{name}: {source}")]
+    Toml {
+        /// The file.
+        name: String,
+        /// What and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A value that no robot has.
+    #[error("{name}: `{field}` is {value}: expected {expected}")]
+    Value {
+        /// The file.
+        name: String,
+        /// The key.
+        field: &'static str,
+        /// What it says.
+        value: f64,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The footprint's corners do not make a convex polygon around the base.
+    #[error("{name}: `footprint.polygon`: expected at least 3 corners of a convex polygon around the base, counter-clockwise")]
+    Polygon {
+        /// The file.
+        name: String,
+    },
+}
+
+/// Names and texts of the shipped robots.
+pub const SHIPPED: &[(&str, &str)] = &[
+    ("tiago", include_str!("../robots/tiago.toml")),
+    ("neato", include_str!("../robots/neato.toml")),
+    ("turtlebot3_waffle", include_str!("../robots/turtlebot3_waffle.toml")),
+    ("jackal", include_str!("../robots/jackal.toml")),
+];
+
+/// The text of a shipped robot.
+#[must_use]
+pub fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+impl RobotModel {
+    /// Reads a robot file's text; `name` is for errors.
+    ///
+    /// # Errors
+    /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has.
+    pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
+        let model: Self = toml::from_str(text).map_err(|source| RobotError::Toml { name: name.to_owned(), source: Box::new(source) })?;
+        model.checked(name)
+    }
+
+    /// Checks values, wherever they came from; `name` is for errors.
+    ///
+    /// # Errors
+    /// [`RobotError::Value`] and [`RobotError::Polygon`].
+    pub fn checked(self, name: &str) -> Result<Self, RobotError> {
+        let fail = |field, value, expected| Err(RobotError::Value { name: name.to_owned(), field, value, expected });
+        let positive = [
+            ("footprint", self.footprint.inscribed_radius()),
+            ("drive.wheel_radius", self.drive.wheel_radius),
+            ("drive.wheel_separation", self.drive.wheel_separation),
+            ("drive.max_wheel_speed", self.drive.max_wheel_speed),
+            ("drive.max_wheel_acceleration", self.drive.max_wheel_acceleration),
+            ("drive.hard_braking", self.drive.hard_braking),
+            ("drive.max_lateral_acceleration", self.drive.max_lateral_acceleration),
+            ("drive.max_yaw_rate", self.drive.max_yaw_rate),
+            ("drive.max_speed", self.drive.max_speed),
+            ("lidar.rate_hz", self.lidar.rate_hz),
+            ("lidar.range_max", self.lidar.range_max),
+            ("lidar.field_of_view", self.lidar.field_of_view),
+            ("imu.rate_hz", self.imu.rate_hz),
+            ("gps.rate_hz", self.gps.as_ref().map_or(1.0, |gps| gps.rate_hz)),
+            ("battery.capacity", self.battery.capacity),
+            ("controller.waypoint_threshold", self.controller.waypoint_threshold),
+        ];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return fail(field, value, "a positive number");
+            }
+        }
+        let not_negative = [
+            ("drive.motor_lag", self.drive.motor_lag),
+            ("lidar.range_min", self.lidar.range_min),
+            ("lidar.noise", self.lidar.noise),
+            ("encoders.noise", self.encoders.noise),
+            ("encoders.resolution", self.encoders.resolution),
+            ("imu.gyro_noise", self.imu.gyro_noise),
+            ("imu.compass_noise", self.imu.compass_noise.unwrap_or(0.0)),
+            ("gps.noise", self.gps.as_ref().map_or(0.0, |gps| gps.noise)),
+            ("battery.idle_power", self.battery.idle_power),
+            ("battery.rolling_power", self.battery.rolling_power),
+            ("battery.acceleration_energy", self.battery.acceleration_energy),
+            ("controller.guard_margin", self.controller.guard_margin),
+        ];
+        for (field, value) in not_negative {
+            if !(value.is_finite() && value >= 0.0) {
+                return fail(field, value, "zero or a positive number");
+            }
+        }
+        if !self.lidar.mount.is_finite() || !self.imu.gyro_bias.is_finite() {
+            return fail("lidar.mount or imu.gyro_bias", f64::NAN, "finite numbers");
+        }
+        if !(1..=100_000).contains(&self.lidar.beams) {
+            return fail("lidar.beams", self.lidar.beams as f64, "1 to 100000");
+        }
+        if self.lidar.field_of_view > TAU + 1e-6 {
+            return fail("lidar.field_of_view", self.lidar.field_of_view, "at most 2 pi");
+        }
+        if self.lidar.range_min >= self.lidar.range_max {
+            return fail("lidar.range_min", self.lidar.range_min, "less than range_max");
+        }
+        if let Footprint::Polygon(corners) = &self.footprint {
+            let edges: Vec<_> = corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| b - a).collect();
+            let convex = edges.iter().zip(edges.iter().cycle().skip(1)).all(|(a, b)| a.x * b.y - a.y * b.x > 0.0);
+            let around_base = self.footprint.distance(Point2::origin()) == 0.0;
+            if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
+                return Err(RobotError::Polygon { name: name.to_owned() });
+            }
+        }
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_robot_can_be_read() {
+        for (name, text) in SHIPPED {
+            let model = RobotModel::from_toml(text, name).unwrap();
+            assert_eq!(model.name, *name);
+        }
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line() {
+        let text = format!("speed = 3\n{}", shipped("tiago").unwrap());
+        let error = RobotModel::from_toml(&text, "my.toml").unwrap_err().to_string();
+        assert!(error.contains("my.toml") && error.contains("line 1") && error.contains("speed"), "{error}");
+    }
+
+    #[test]
+    fn a_rectangle_knows_its_distances() {
+        let jackal = RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap().footprint;
+        assert!((jackal.inscribed_radius() - 0.165).abs() < 1e-12);
+        assert!((jackal.circumscribed_radius() - 0.21_f64.hypot(0.165)).abs() < 1e-12);
+        assert!((jackal.distance(Point2::new(0.31, 0.0)) - 0.1).abs() < 1e-12);
+        assert_eq!(jackal.distance(Point2::new(0.1, 0.1)), 0.0);
+    }
+}

@@ -1,0 +1,279 @@
+//! Which keys exist, who writes them, with which type and quality of service? This table, and nowhere else.
+//!
+//! `zenav/{robot}/{side}/{name}`: the third chunk says who may write or serve, so one access rule covers a side.
+
+use std::marker::PhantomData;
+
+use crate::codec::Encoding;
+use crate::messages::*;
+
+/// How a topic is carried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Qos {
+    /// Plain publication, dropped under congestion; a receiver keeps only the newest.
+    Latest,
+    /// As `Latest`, at real-time priority and sent at once.
+    RealTime,
+    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order.
+    Events {
+        /// Samples kept by the writer.
+        cache: usize,
+    },
+    /// Advanced publication of which the writer keeps the last value for late joiners.
+    State,
+}
+
+/// Who writes a topic or serves an ask.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Producer {
+    /// The robot.
+    Edge,
+    /// The mapping service.
+    Mapping,
+    /// A planning worker.
+    Planning,
+    /// A smoothing worker.
+    Smoothing,
+    /// The mission that holds the robot's lease, nobody else.
+    Mission,
+    /// Whoever operates by hand.
+    Operator,
+    /// The simulator.
+    Sim,
+}
+
+/// A key that carries `T`. `{robot}`, `{id}` and `{worker}` in the pattern are filled by [`Topic::key`].
+#[derive(Debug)]
+pub struct Topic<T> {
+    /// Key with named chunks.
+    pub pattern: &'static str,
+    /// How it is carried.
+    pub qos: Qos,
+    /// Largest payload in bytes that a receiver looks at.
+    pub max_bytes: usize,
+    /// How its writer encodes it; a receiver takes JSON everywhere.
+    pub encoding: Encoding,
+    message: PhantomData<fn() -> T>,
+}
+
+/// A key that answers `Q` with `R` or with a [`Refusal`].
+#[derive(Debug)]
+pub struct Ask<Q, R> {
+    /// Key with named chunks.
+    pub pattern: &'static str,
+    /// Largest request in bytes that a server looks at.
+    pub max_bytes: usize,
+    /// The form in which typed askers want the reply (selector parameter `format=cbor`); anybody else gets JSON.
+    pub reply_encoding: Encoding,
+    message: PhantomData<fn() -> (Q, R)>,
+}
+
+// Not derived: that would ask `T: Copy` of the message.
+impl<T> Clone for Topic<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<T> Copy for Topic<T> {}
+impl<Q, R> Clone for Ask<Q, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<Q, R> Copy for Ask<Q, R> {}
+
+impl<T> Topic<T> {
+    /// The key with its chunks filled in order; a chunk may be `*`.
+    #[must_use]
+    pub fn key(&self, chunks: &[&str]) -> String {
+        fill(self.pattern, chunks)
+    }
+
+    /// The chunks of a concrete key that stand where this pattern has names; `None` for a key of another topic.
+    #[must_use]
+    pub fn chunks<'k>(&self, key: &'k str) -> Option<Vec<&'k str>> {
+        unfill(self.pattern, key)
+    }
+}
+
+impl<Q, R> Ask<Q, R> {
+    /// The key with its chunks filled in order; a chunk may be `*`.
+    #[must_use]
+    pub fn key(&self, chunks: &[&str]) -> String {
+        fill(self.pattern, chunks)
+    }
+
+    /// The chunks of a concrete key that stand where this pattern has names; `None` for a key of another ask.
+    #[must_use]
+    pub fn chunks<'k>(&self, key: &'k str) -> Option<Vec<&'k str>> {
+        unfill(self.pattern, key)
+    }
+}
+
+fn fill(pattern: &str, chunks: &[&str]) -> String {
+    let mut rest = chunks.iter();
+    let filled: Vec<&str> = pattern.split('/').map(|chunk| if chunk.starts_with('{') { rest.next().copied().unwrap_or("*") } else { chunk }).collect();
+    filled.join("/")
+}
+
+fn unfill<'k>(pattern: &str, key: &'k str) -> Option<Vec<&'k str>> {
+    let mut found = Vec::new();
+    let mut parts = key.split('/');
+    for chunk in pattern.split('/') {
+        let part = parts.next()?;
+        if chunk.starts_with('{') {
+            found.push(part);
+        } else if chunk != part {
+            return None;
+        }
+    }
+    parts.next().is_none().then_some(found)
+}
+
+/// One line of the key table.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// Key with named chunks.
+    pub pattern: &'static str,
+    /// Message type, or request and reply.
+    pub message: &'static str,
+    /// Who writes or serves it.
+    pub producer: Producer,
+    /// How a topic is carried; `None` for an ask.
+    pub qos: Option<Qos>,
+    /// Largest payload looked at, bytes.
+    pub max_bytes: usize,
+}
+
+const KIB: usize = 1024;
+const MIB: usize = 1024 * KIB;
+
+/// JSON unless the table says otherwise.
+macro_rules! encoding {
+    () => {
+        Encoding::Json
+    };
+    ($encoding:ident) => {
+        Encoding::$encoding
+    };
+}
+
+macro_rules! key_table {
+    (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $max:expr $(, $encoding:ident)?;)* }
+     asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $server:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
+        $(
+            #[doc = concat!("`", $pattern, "`: ", stringify!($message), ", written by ", stringify!($producer), ".")]
+            pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
+        )*
+        $(
+            #[doc = concat!("`", $ask_pattern, "`: ", stringify!($request), " answered with ", stringify!($reply), " by ", stringify!($server), ".")]
+            pub const $ask: Ask<$request, $reply> = Ask { pattern: $ask_pattern, max_bytes: $ask_max, reply_encoding: encoding!($($reply_encoding)?), message: PhantomData };
+        )*
+        /// Every topic and ask, in the order of the data way.
+        pub const TABLE: &[Row] = &[
+            $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), max_bytes: $max },)*
+            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$server, qos: None, max_bytes: $ask_max },)*
+        ];
+    };
+}
+
+key_table! {
+    topics {
+        SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
+        ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
+        IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
+        GPS: Gps = "zenav/{robot}/edge/gps", Edge, Qos::Latest, 4 * KIB;
+        BUMP: Bump = "zenav/{robot}/edge/bump", Edge, Qos::Latest, 4 * KIB;
+        BATTERY: Battery = "zenav/{robot}/edge/battery", Edge, Qos::Latest, 4 * KIB;
+        POSE: PoseEstimate = "zenav/{robot}/edge/pose", Edge, Qos::Latest, 4 * KIB;
+        STATE: EdgeState = "zenav/{robot}/edge/state", Edge, Qos::Latest, 16 * KIB;
+        EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, 16 * KIB;
+        MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
+        MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
+        MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
+        CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
+        HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
+        PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
+        TREE: SearchTree = "zenav/{robot}/cloud/tree", Planning, Qos::Latest, 4 * MIB;
+        MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
+        GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 64 * KIB;
+        TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;
+        SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, KIB;
+    }
+    asks {
+        GOAL: GoalRequest => GoalReply = "zenav/{robot}/ask/cloud/goal", Mission, MIB;
+        CANCEL: CancelRequest => GoalReply = "zenav/{robot}/ask/cloud/cancel", Mission, 16 * KIB;
+        PAUSE: PauseRequest => GoalReply = "zenav/{robot}/ask/cloud/pause", Mission, 16 * KIB;
+        GOALS: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", Mission, 16 * KIB;
+        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
+        CLOUD_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", Mission, 4 * KIB;
+        LEASE: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", Edge, 16 * KIB;
+        STOP: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", Edge, 16 * KIB;
+        RESUME: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", Edge, 16 * KIB;
+        MODE: ModeRequest => ModeReply = "zenav/{robot}/ask/edge/mode", Edge, 16 * KIB;
+        PARAM: ParamRequest => ParamReply = "zenav/{robot}/ask/edge/param", Edge, 16 * KIB;
+        BEHAVIOUR: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", Edge, 16 * KIB;
+        EDGE_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", Edge, 4 * KIB;
+        PLAN_SERVICE: PlanRequest => PlanReply = "zenav/svc/plan/{worker}", Planning, 4 * MIB;
+        SMOOTH_SERVICE: SmoothRequest => SmoothReply = "zenav/svc/smooth/{worker}", Smoothing, 4 * MIB;
+    }
+}
+
+/// Liveliness of a robot's component (`edge`, `mapping`, `mission`): discovery only, never authority.
+pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
+/// Liveliness of a stateless worker of `plan` or `smooth`.
+pub const ALIVE_WORKER: &str = "zenav/svc/alive/{service}/{worker}";
+
+/// Fills the named chunks of a liveliness pattern in order.
+#[must_use]
+pub fn alive_key(pattern: &str, chunks: &[&str]) -> String {
+    fill(pattern, chunks)
+}
+
+/// The named chunks of a concrete liveliness key.
+#[must_use]
+pub fn alive_chunks<'k>(pattern: &str, key: &'k str) -> Option<Vec<&'k str>> {
+    unfill(pattern, key)
+}
+
+/// The key table as Markdown, as it stands in `ARCHITECTURE.md`.
+#[must_use]
+pub fn table_markdown() -> String {
+    let mut text = String::from("| key | message | written or served by | kind | at most |\n|---|---|---|---|---|\n");
+    for row in TABLE {
+        let kind = match row.qos {
+            Some(Qos::Latest) => "plain, drop, latest only".to_owned(),
+            Some(Qos::RealTime) => "plain, real-time priority, drop".to_owned(),
+            Some(Qos::Events { cache }) => format!("advanced, {cache} kept, gaps recovered"),
+            Some(Qos::State) => "advanced, last value kept".to_owned(),
+            None => "ask".to_owned(),
+        };
+        let size = if row.max_bytes >= MIB { format!("{} MiB", row.max_bytes / MIB) } else { format!("{} KiB", row.max_bytes / KIB) };
+        let producer = format!("{:?}", row.producer).to_lowercase();
+        text.push_str(&format!("| `{}` | `{}` | {producer} | {kind} | {size} |\n", row.pattern, row.message));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_fill_and_unfill() {
+        let key = GOAL_STATE.key(&["tiago", "g1"]);
+        assert_eq!(key, "zenav/tiago/cloud/goal/g1");
+        assert_eq!(GOAL_STATE.chunks(&key), Some(vec!["tiago", "g1"]));
+        assert_eq!(SCAN.key(&["*"]), "zenav/*/edge/scan");
+        assert_eq!(SCAN.chunks("zenav/tiago/edge/pose"), None);
+        assert_eq!(SIM_CLOCK.key(&[]), "zenav/sim/clock");
+    }
+
+    #[test]
+    fn every_key_stands_once_in_the_table() {
+        let mut patterns: Vec<_> = TABLE.iter().map(|row| row.pattern).collect();
+        patterns.sort_unstable();
+        patterns.dedup();
+        assert_eq!(patterns.len(), TABLE.len());
+    }
+}
