@@ -3,9 +3,12 @@
 //! | module | answers |
 //! |---|---|
 //! | [`space`] | where may the robot be? configuration space, distances, exact checks |
+//! | [`planning`] | is there a way? searches |
 //! | [`smoothing`] | how does it drive a way, in time? |
 //! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
 
 pub mod behaviour_tree;
+pub mod mapping;
+pub mod planning;
 pub mod smoothing;
 pub mod space;

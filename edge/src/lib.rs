@@ -1,1 +1,45 @@
-//! d
+//! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
+//!
+//! [`Pilot`] is the whole of it, pure: readings and mail in, wheel speeds and messages out. `service` feeds it from
+//! the bus and a [`Body`] on its own thread. In the order of the data way:
+//!
+//! | module | answers |
+//! |---|---|
+//! | [`body`] | what must a robot be able to do to be driven? |
+//! | [`estimator`], [`history`] | where is the robot, and where was it? |
+//! | [`surroundings`] | what stands around it? |
+//! | [`authority`], [`link`] | who may command it, and what may move it? |
+//! | [`acceptance`] | may this plan move it? |
+//! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
+//! | [`behaviours`], [`recoveries`], [`teleop`] | what moves it without a plan? |
+//! | [`limiter`], [`guard`], [`contact`] | may it move as it wants to? |
+//! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
+//! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
+
+pub mod acceptance;
+pub mod authority;
+pub mod behaviours;
+pub mod body;
+pub mod config;
+pub mod contact;
+pub mod course;
+pub mod desk;
+pub mod estimator;
+pub mod guard;
+pub mod history;
+pub mod journal;
+pub mod limiter;
+pub mod link;
+pub mod mailbox;
+pub mod params;
+pub mod pilot;
+pub mod recoveries;
+pub mod surroundings;
+pub mod telemetry;
+pub mod teleop;
+pub mod trackers;
+
+pub use body::{Body, BodyError};
+pub use config::EdgeConfig;
+pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+pub use pilot::Pilot;

@@ -40,7 +40,11 @@ impl Encoding {
     #[must_use]
     pub fn of(mime: &str) -> Self {
         let name = mime.split(';').next().unwrap_or_default().trim();
-        if name.eq_ignore_ascii_case("application/cbor") { Self::Cbor } else { Self::Json }
+        if name.eq_ignore_ascii_case("application/cbor") {
+            Self::Cbor
+        } else {
+            Self::Json
+        }
     }
 }
 
@@ -81,7 +85,10 @@ impl CodecError {
     fn malformed(reason: &dyn fmt::Display) -> Self {
         let mut reason = reason.to_string();
         if reason.len() > MAX_REASON {
-            let end = (0..=MAX_REASON).rev().find(|&at| reason.is_char_boundary(at)).unwrap_or_default();
+            let end = (0..=MAX_REASON)
+                .rev()
+                .find(|&at| reason.is_char_boundary(at))
+                .unwrap_or_default();
             reason.truncate(end);
             reason.push('…');
         }
@@ -97,10 +104,16 @@ pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<
     let mut bytes = Vec::with_capacity(256);
     match encoding {
         Encoding::Json => {
-            serde_json::to_writer(&mut bytes, message).map_err(|error| CodecError::Unencodable { encoding, reason: error.to_string() })?;
+            serde_json::to_writer(&mut bytes, message).map_err(|error| CodecError::Unencodable {
+                encoding,
+                reason: error.to_string(),
+            })?;
         }
         Encoding::Cbor => {
-            ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::Unencodable { encoding, reason: error.to_string() })?;
+            ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::Unencodable {
+                encoding,
+                reason: error.to_string(),
+            })?;
         }
     }
     Ok(bytes)
@@ -112,14 +125,25 @@ pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<
 /// [`CodecError::TooLarge`] without a look at the bytes; [`CodecError::Malformed`] for anything else than exactly one message.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8], encoding: Encoding, max_bytes: usize) -> Result<T, CodecError> {
     if bytes.len() > max_bytes {
-        return Err(CodecError::TooLarge { limit: max_bytes, got: bytes.len() });
+        return Err(CodecError::TooLarge {
+            limit: max_bytes,
+            got: bytes.len(),
+        });
     }
     match encoding {
         Encoding::Json => serde_json::from_slice(bytes).map_err(|error| CodecError::malformed(&error)),
         Encoding::Cbor => {
             let mut rest = bytes;
-            let message = ciborium::de::from_reader_with_recursion_limit(&mut rest, MAX_DEPTH).map_err(|error| CodecError::malformed(&error))?;
-            if rest.is_empty() { Ok(message) } else { Err(CodecError::malformed(&format_args!("{} bytes after the message", rest.len()))) }
+            let message = ciborium::de::from_reader_with_recursion_limit(&mut rest, MAX_DEPTH)
+                .map_err(|error| CodecError::malformed(&error))?;
+            if rest.is_empty() {
+                Ok(message)
+            } else {
+                Err(CodecError::malformed(&format_args!(
+                    "{} bytes after the message",
+                    rest.len()
+                )))
+            }
         }
     }
 }
@@ -178,7 +202,15 @@ mod tests {
     fn only_cbor_by_name_is_cbor() {
         assert_eq!(Encoding::of("application/cbor"), Encoding::Cbor);
         assert_eq!(Encoding::of("Application/CBOR;MapPatch"), Encoding::Cbor);
-        for json in ["", "application/json", "text/plain", "zenoh/bytes", "zenoh/string", "no such thing", "application/cbor-seq"] {
+        for json in [
+            "",
+            "application/json",
+            "text/plain",
+            "zenoh/bytes",
+            "zenoh/string",
+            "no such thing",
+            "application/cbor-seq",
+        ] {
             assert_eq!(Encoding::of(json), Encoding::Json, "{json}");
         }
     }
@@ -186,13 +218,21 @@ mod tests {
     #[test]
     fn a_payload_over_the_limit_is_not_looked_at() {
         let bytes = vec![b'['; 10 << 20];
-        assert_eq!(decode::<Probe>(&bytes, Encoding::Json, KIB), Err(CodecError::TooLarge { limit: KIB, got: 10 << 20 }));
+        assert_eq!(
+            decode::<Probe>(&bytes, Encoding::Json, KIB),
+            Err(CodecError::TooLarge {
+                limit: KIB,
+                got: 10 << 20
+            })
+        );
     }
 
     #[test]
     fn nesting_is_bounded_in_both_encodings() {
         let deep_json = vec![b'['; 100_000];
-        assert!(malformed(decode::<serde_json::Value>(&deep_json, Encoding::Json, 1 << 20)).contains("recursion limit"));
+        assert!(
+            malformed(decode::<serde_json::Value>(&deep_json, Encoding::Json, 1 << 20)).contains("recursion limit")
+        );
         // Under an unknown field too, where the value is skipped rather than built.
         let skipped = [br#"{"stamp":1,"x":1.0,"deep":"#.as_slice(), &deep_json].concat();
         malformed(decode::<Probe>(&skipped, Encoding::Json, 1 << 20));
@@ -214,7 +254,13 @@ mod tests {
 
     #[test]
     fn what_is_not_a_number_is_not_accepted_for_one() {
-        for text in [r#"{"stamp":1,"x":NaN}"#, r#"{"stamp":1,"x":Infinity}"#, r#"{"stamp":1,"x":1e999}"#, r#"{"stamp":1,"x":null}"#, r#"{"stamp":-1,"x":0}"#] {
+        for text in [
+            r#"{"stamp":1,"x":NaN}"#,
+            r#"{"stamp":1,"x":Infinity}"#,
+            r#"{"stamp":1,"x":1e999}"#,
+            r#"{"stamp":1,"x":null}"#,
+            r#"{"stamp":-1,"x":0}"#,
+        ] {
             malformed(decode::<Probe>(text.as_bytes(), Encoding::Json, KIB));
         }
     }
@@ -238,8 +284,19 @@ mod tests {
 
     #[test]
     fn the_wire_is_golden() {
-        let probe = Probe { stamp: 1, x: 0.1, ranges: vec![None, Some(2.0)], name: "a".into() };
-        assert_eq!(encode(&probe, Encoding::Json).unwrap(), br#"{"stamp":1,"x":0.1,"ranges":[null,2.0],"name":"a"}"#);
-        assert_eq!(encode(&probe, Encoding::Cbor).unwrap(), b"\xa4\x65stamp\x01\x61x\xfb\x3f\xb9\x99\x99\x99\x99\x99\x9a\x66ranges\x82\xf6\xf9\x40\x00\x64name\x61a");
+        let probe = Probe {
+            stamp: 1,
+            x: 0.1,
+            ranges: vec![None, Some(2.0)],
+            name: "a".into(),
+        };
+        assert_eq!(
+            encode(&probe, Encoding::Json).unwrap(),
+            br#"{"stamp":1,"x":0.1,"ranges":[null,2.0],"name":"a"}"#
+        );
+        assert_eq!(
+            encode(&probe, Encoding::Cbor).unwrap(),
+            b"\xa4\x65stamp\x01\x61x\xfb\x3f\xb9\x99\x99\x99\x99\x99\x9a\x66ranges\x82\xf6\xf9\x40\x00\x64name\x61a"
+        );
     }
 }

@@ -5,8 +5,11 @@
 
 use std::time::{Duration, Instant};
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
 use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply, Router, RouterConfig};
-use zenav_protocol::messages::{Event, EventKind, Refusal, SimClock, StopReply, StopRequest};
+use zenav_protocol::messages::{Event, EventKind, GoalState, Refusal, SimClock, StopReply, StopRequest};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -14,7 +17,9 @@ use zenav_protocol::topics;
 const PATIENCE: Duration = Duration::from_secs(20);
 
 async fn within<F: Future>(what: &str, future: F) -> F::Output {
-    tokio::time::timeout(PATIENCE, future).await.unwrap_or_else(|_| panic!("{what} did not happen in {PATIENCE:?}"))
+    tokio::time::timeout(PATIENCE, future)
+        .await
+        .unwrap_or_else(|_| panic!("{what} did not happen in {PATIENCE:?}"))
 }
 
 /// Does it again and again until it yields something.
@@ -33,30 +38,88 @@ async fn until<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T 
 
 /// A router on a free port, and its endpoint.
 async fn router() -> (Router, String) {
-    let router = Router::open(&RouterConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..RouterConfig::default() }).await.unwrap();
+    let router = Router::open(&RouterConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..RouterConfig::default()
+    })
+    .await
+    .unwrap();
     let endpoint = router.endpoints().await.remove(0);
     (router, endpoint)
 }
 
 async fn router_at(endpoint: &str) -> Router {
-    let config = RouterConfig { listen: vec![endpoint.to_owned()], ..RouterConfig::default() };
+    let config = RouterConfig {
+        listen: vec![endpoint.to_owned()],
+        ..RouterConfig::default()
+    };
     until("the port is free again", async || Router::open(&config).await.ok()).await
 }
 
 async fn client(endpoint: &str, name: &str) -> Bus {
-    within("joining", Bus::open(BusConfig::service(name, endpoint))).await.unwrap()
+    within("joining", Bus::open(BusConfig::service(name, endpoint)))
+        .await
+        .unwrap()
 }
 
 /// A robot: connects to the router and listens itself. Its own endpoint.
 async fn robot(endpoint: &str) -> (Bus, String) {
-    let config = BusConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::service("edge", endpoint) };
+    let config = BusConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..BusConfig::service("edge", endpoint)
+    };
     let bus = within("opening", Bus::open(config)).await.unwrap();
     let own = bus.endpoints().await.remove(0);
     (bus, own)
 }
 
+/// A cable to the router that can be frozen: nothing passes, and nobody is told.
+struct Cable {
+    endpoint: String,
+    frozen: watch::Sender<bool>,
+}
+
+impl Cable {
+    async fn to(router: &str) -> Self {
+        let target = router.strip_prefix("tcp/").unwrap().to_owned();
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
+        let (frozen, state) = watch::channel(false);
+        tokio::spawn(async move {
+            while let Ok((near, _)) = listener.accept().await {
+                let Ok(far) = TcpStream::connect(&target).await else {
+                    continue;
+                };
+                let ((near_in, near_out), (far_in, far_out)) = (near.into_split(), far.into_split());
+                for (mut from, mut to) in [(near_in, far_out), (far_in, near_out)] {
+                    let mut state = state.clone();
+                    tokio::spawn(async move {
+                        let mut buffer = vec![0; 64 * 1024];
+                        loop {
+                            let Ok(count @ 1..) = from.read(&mut buffer).await else {
+                                return;
+                            };
+                            if state.wait_for(|frozen| !frozen).await.is_err()
+                                || to.write_all(&buffer[..count]).await.is_err()
+                            {
+                                return;
+                            }
+                        }
+                    });
+                }
+            }
+        });
+        Self { endpoint, frozen }
+    }
+}
+
 fn event(sequence: u64) -> Event {
-    Event { stamp: Stamp(sequence), boot_id: "b".into(), sequence, kind: EventKind::Started }
+    Event {
+        stamp: Stamp(sequence),
+        boot_id: "b".into(),
+        sequence,
+        kind: EventKind::Started,
+    }
 }
 
 fn clock(stamp: u64) -> SimClock {
@@ -74,7 +137,8 @@ fn serve_stop(bus: &Bus, robot: &str) -> tokio::task::JoinHandle<()> {
 }
 
 async fn stop(bus: &Bus, robot: &str, deadline: Duration) -> Result<StopReply, AskError> {
-    bus.ask(&topics::STOP, &[robot], &StopRequest::default(), deadline).await
+    bus.ask(&topics::STOP, &[robot], &StopRequest::default(), deadline)
+        .await
 }
 
 fn refusal(reply: &RawReply) -> Refusal {
@@ -102,7 +166,10 @@ async fn a_late_joiner_gets_the_events_kept_in_order_and_then_the_new_ones() {
             publisher.put(&event(sequence));
         }
         let received = within("an event", events.next()).await.unwrap();
-        assert_eq!((received.message.sequence, received.chunks.as_slice()), (sequence, ["r1".to_owned()].as_slice()));
+        assert_eq!(
+            (received.message.sequence, received.chunks.as_slice()),
+            (sequence, ["r1".to_owned()].as_slice())
+        );
     }
     assert_eq!((events.dropped(), events.unreadable(), publisher.failures()), (0, 0, 0));
 }
@@ -127,6 +194,37 @@ async fn a_late_joiner_gets_the_last_value_of_a_state() {
     assert_eq!(latest.borrow(), last.as_ref());
     assert_eq!(latest.borrow(), last.as_ref(), "borrowing does not take");
     assert_eq!(latest.take(), None, "nothing newer");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_gets_the_last_state_of_every_goal() {
+    let (_router, endpoint) = router().await;
+    let writer = client(&endpoint, "writer").await;
+    let state = |id: &str, state: &str| -> GoalState {
+        serde_json::from_value(serde_json::json!({"id": id, "robot": "r1", "state": state, "accepted": 1, "request": {"x": 1.0, "y": 2.0}})).unwrap()
+    };
+    let mut publishers = Vec::new();
+    for goal in 0..10 {
+        let id = format!("g{goal}");
+        let publisher = writer.publisher(&topics::GOAL_STATE, &["r1", &id]).unwrap();
+        for phase in ["Accepted", "Succeeded"] {
+            publisher.put(&state(&id, phase));
+        }
+        publishers.push(publisher);
+    }
+    let reader = client(&endpoint, "reader").await;
+    let mut goals = reader.subscribe(&topics::GOAL_STATE, &["*", "*"], 100).unwrap();
+    let mut seen = Vec::new();
+    while seen.len() < publishers.len() {
+        let received = within("a goal", goals.next()).await.unwrap();
+        assert_eq!(received.chunks, ["r1", &received.message.id]);
+        assert_eq!(received.message, state(&received.message.id, "Succeeded"));
+        seen.push(received.message.id);
+    }
+    seen.sort();
+    seen.dedup();
+    assert_eq!(seen.len(), publishers.len());
+    assert!(goals.try_next().is_none());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -176,12 +274,14 @@ async fn a_clock_follows_the_simulation_on_the_bus() {
 async fn asking_goes_on_until_a_server_appears() {
     let (_router, endpoint) = router().await;
     let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
-    let asking = tokio::spawn(async move { stop(&asker, "r1", PATIENCE).await });
-    // The question is on its way, and nobody there, for a while.
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    assert!(!asking.is_finished());
+    let mut asking = tokio::spawn(async move { stop(&asker, "r1", PATIENCE).await });
+    let early = tokio::time::timeout(Duration::from_millis(200), &mut asking).await;
+    assert!(early.is_err(), "nobody is there to answer: {early:?}");
     let _serving = serve_stop(&server, "r1");
-    assert_eq!(within("the answer", asking).await.unwrap(), Ok(StopReply { stopped: true }));
+    assert_eq!(
+        within("the answer", asking).await.unwrap(),
+        Ok(StopReply { stopped: true })
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -189,7 +289,12 @@ async fn a_timeout_names_the_key() {
     let (_router, endpoint) = router().await;
     let asker = client(&endpoint, "asker").await;
     let start = Instant::now();
-    assert_eq!(stop(&asker, "r9", Duration::from_millis(300)).await, Err(AskError::Timeout { key: "zenav/r9/ask/edge/stop".into() }));
+    assert_eq!(
+        stop(&asker, "r9", Duration::from_millis(300)).await,
+        Err(AskError::Timeout {
+            key: "zenav/r9/ask/edge/stop".into()
+        })
+    );
     assert!(start.elapsed() >= Duration::from_millis(300));
     let error = stop(&asker, "not a#key", PATIENCE).await;
     assert!(matches!(error, Err(AskError::Unaskable { .. })), "{error:?}");
@@ -204,8 +309,21 @@ async fn bad_requests_are_answered_and_change_nothing() {
     let key = "zenav/r1/ask/edge/stop";
     let too_large = format!("{{\"by\": \"{}\"}}", "x".repeat(10 << 20));
     let deep = "[".repeat(10_000);
-    for (payload, limit) in [(too_large.as_str(), Some(16 * 1024)), (deep.as_str(), None), ("{\"by\": NaN}", None), ("{\"by\"", None), ("\u{0}\u{1}", None), ("[1,2]", None), ("7", None)] {
-        let replies = within("a refusal", asker.raw_query(key, Some(payload.as_bytes().to_vec()), PATIENCE)).await.unwrap();
+    for (payload, limit) in [
+        (too_large.as_str(), Some(16 * 1024)),
+        (deep.as_str(), None),
+        ("{\"by\": NaN}", None),
+        ("{\"by\"", None),
+        ("\u{0}\u{1}", None),
+        ("[1,2]", None),
+        ("7", None),
+    ] {
+        let replies = within(
+            "a refusal",
+            asker.raw_query(key, Some(payload.as_bytes().to_vec()), PATIENCE),
+        )
+        .await
+        .unwrap();
         assert_eq!(replies.len(), 1);
         match (refusal(&replies[0]), limit) {
             (Refusal::TooLarge { limit }, Some(expected)) => assert_eq!(limit, expected),
@@ -214,9 +332,18 @@ async fn bad_requests_are_answered_and_change_nothing() {
         }
     }
     // No payload at all is an empty request, and unknown fields are ignored.
-    for payload in [None, Some(b"{}".to_vec()), Some(br#"{"by": "me", "mood": "calm"}"#.to_vec())] {
-        let replies = within("an answer", asker.raw_query(key, payload, PATIENCE)).await.unwrap();
-        assert!(matches!(replies.as_slice(), [RawReply::Ok(sample)] if sample.bytes == br#"{"stopped":true}"# && sample.encoding == "application/json"), "{replies:?}");
+    for payload in [
+        None,
+        Some(b"{}".to_vec()),
+        Some(br#"{"by": "me", "mood": "calm"}"#.to_vec()),
+    ] {
+        let replies = within("an answer", asker.raw_query(key, payload, PATIENCE))
+            .await
+            .unwrap();
+        assert!(
+            matches!(replies.as_slice(), [RawReply::Ok(sample)] if sample.bytes == br#"{"stopped":true}"# && sample.encoding == "application/json"),
+            "{replies:?}"
+        );
     }
 }
 
@@ -234,11 +361,17 @@ async fn bad_samples_are_counted_and_harmless() {
     })
     .await;
     writer.raw_put(key, vec![b' '; 10 << 20], "application/json").unwrap();
-    writer.raw_put(key, "[".repeat(16_000).into_bytes(), "text/plain").unwrap();
+    writer
+        .raw_put(key, "[".repeat(16_000).into_bytes(), "text/plain")
+        .unwrap();
     writer.raw_put(key, vec![0x81; 16_000], "application/cbor").unwrap();
-    writer.raw_put(key, br#"{"stamp": NaN}"#.to_vec(), "application/json").unwrap();
+    writer
+        .raw_put(key, br#"{"stamp": NaN}"#.to_vec(), "application/json")
+        .unwrap();
     // JSON typed into any client is a message, whatever encoding that client claims.
-    writer.raw_put(key, serde_json::to_vec(&event(7)).unwrap(), "zenoh/bytes").unwrap();
+    writer
+        .raw_put(key, serde_json::to_vec(&event(7)).unwrap(), "zenoh/bytes")
+        .unwrap();
     let received = within("the good one", events.next()).await.unwrap();
     assert_eq!(received.message.sequence, 7);
     assert!(events.unreadable() >= 5);
@@ -250,7 +383,10 @@ async fn a_server_answers_a_wild_question_on_its_own_key() {
     let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
     let _serving = (serve_stop(&server, "r1"), serve_stop(&server, "r2"));
     let answers = until("both servers", async || {
-        let answers = asker.ask_all(&topics::STOP, &["*"], &StopRequest::default(), PATIENCE).await.unwrap();
+        let answers = asker
+            .ask_all(&topics::STOP, &["*"], &StopRequest::default(), PATIENCE)
+            .await
+            .unwrap();
         (answers.len() == 2).then_some(answers)
     })
     .await;
@@ -271,8 +407,17 @@ async fn one_server_for_all_robots_learns_which_one_is_meant() {
             request.reply_bytes(vec![1, 2, 3], "image/png");
         }
     });
-    let reply = until("the picture", async || asker.raw_query("zenav/r7/ask/edge/stop?format=png", None, PATIENCE).await.unwrap().pop()).await;
-    assert!(matches!(reply, RawReply::Ok(sample) if sample.key == "zenav/r7/ask/edge/stop" && sample.encoding == "image/png" && sample.bytes == [1, 2, 3]));
+    let reply = until("the picture", async || {
+        asker
+            .raw_query("zenav/r7/ask/edge/stop?format=png", None, PATIENCE)
+            .await
+            .unwrap()
+            .pop()
+    })
+    .await;
+    assert!(
+        matches!(reply, RawReply::Ok(sample) if sample.key == "zenav/r7/ask/edge/stop" && sample.encoding == "image/png" && sample.bytes == [1, 2, 3])
+    );
     let vague = asker.raw_query("zenav/*/ask/edge/stop", None, PATIENCE).await.unwrap();
     assert!(matches!(refusal(&vague[0]), Refusal::BadRequest { .. }));
 }
@@ -280,14 +425,24 @@ async fn one_server_for_all_robots_learns_which_one_is_meant() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_standby_is_passed_over_and_a_refusal_is_final() {
     let (_router, endpoint) = router().await;
-    let (asker, standby, leader) = (client(&endpoint, "asker").await, client(&endpoint, "standby").await, client(&endpoint, "leader").await);
+    let (asker, standby, leader) = (
+        client(&endpoint, "asker").await,
+        client(&endpoint, "standby").await,
+        client(&endpoint, "leader").await,
+    );
     let mut standing_by = standby.serve(&topics::STOP, &["r1"]).unwrap();
     tokio::spawn(async move {
         while let Some(request) = standing_by.next().await {
             request.refuse(&Refusal::NotLeader);
         }
     });
-    let none_leads = until("the standby", async || stop(&asker, "r1", Duration::from_millis(300)).await.err().filter(|error| !matches!(error, AskError::Timeout { .. }))).await;
+    let none_leads = until("the standby", async || {
+        stop(&asker, "r1", Duration::from_millis(300))
+            .await
+            .err()
+            .filter(|error| !matches!(error, AskError::Timeout { .. }))
+    })
+    .await;
     assert_eq!(none_leads, AskError::Refused(Refusal::NotLeader));
     let mut leading = leader.serve(&topics::STOP, &["r1"]).unwrap();
     tokio::spawn(async move {
@@ -300,7 +455,9 @@ async fn a_standby_is_passed_over_and_a_refusal_is_final() {
         }
     });
     assert_eq!(stop(&asker, "r1", PATIENCE).await, Ok(StopReply { stopped: true }));
-    let refused = asker.ask(&topics::STOP, &["r1"], &StopRequest { by: Some("me".into()) }, PATIENCE).await;
+    let refused = asker
+        .ask(&topics::STOP, &["r1"], &StopRequest { by: Some("me".into()) }, PATIENCE)
+        .await;
     assert_eq!(refused, Err(AskError::Refused(Refusal::rejected("not you"))));
 }
 
@@ -320,19 +477,29 @@ async fn a_request_dropped_without_a_reply_is_asked_again() {
     });
     assert_eq!(stop(&asker, "r1", PATIENCE).await, Ok(StopReply { stopped: true }));
     let start = Instant::now();
-    assert!(matches!(stop(&asker, "r1", Duration::from_millis(300)).await, Err(AskError::Timeout { .. })));
+    assert!(matches!(
+        stop(&asker, "r1", Duration::from_millis(300)).await,
+        Err(AskError::Timeout { .. })
+    ));
     assert!(start.elapsed() < Duration::from_secs(5));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frozen_server_does_not_keep_another_from_answering() {
     let (_router, endpoint) = router().await;
-    let (asker, frozen, server) = (client(&endpoint, "asker").await, client(&endpoint, "frozen").await, client(&endpoint, "edge").await);
+    let (asker, frozen, server) = (
+        client(&endpoint, "asker").await,
+        client(&endpoint, "frozen").await,
+        client(&endpoint, "edge").await,
+    );
     let mut stops = frozen.serve(&topics::STOP, &["r1"]).unwrap();
     let asking = tokio::spawn(async move { stop(&asker, "r1", Duration::from_secs(6)).await });
     let held = within("the question", stops.next()).await.unwrap();
     let _serving = serve_stop(&server, "r1");
-    assert_eq!(within("the answer", asking).await.unwrap(), Ok(StopReply { stopped: true }));
+    assert_eq!(
+        within("the answer", asking).await.unwrap(),
+        Ok(StopReply { stopped: true })
+    );
     drop(held);
 }
 
@@ -342,8 +509,13 @@ async fn a_full_server_says_that_it_is_busy() {
     let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
     let stops = server.serve(&topics::STOP, &["r1"]).unwrap();
     let busy = until("the refusal", async || {
-        let replies = asker.raw_query("zenav/r1/ask/edge/stop", None, Duration::from_millis(50)).await.unwrap();
-        replies.into_iter().find(|reply| matches!(reply, RawReply::Err { bytes, .. } if bytes.starts_with(b"{")))
+        let replies = asker
+            .raw_query("zenav/r1/ask/edge/stop", None, Duration::from_millis(50))
+            .await
+            .unwrap();
+        replies
+            .into_iter()
+            .find(|reply| matches!(reply, RawReply::Err { bytes, .. } if bytes.starts_with(b"{")))
     })
     .await;
     assert!(matches!(refusal(&busy), Refusal::Busy { .. }));
@@ -358,14 +530,17 @@ async fn a_slow_reader_holds_nobody_up() {
     let mut quick = reader.latest(&topics::EVENT, &["r1"]).unwrap();
     let publisher = writer.publisher(&topics::EVENT, &["r1"]).unwrap();
     let mut sequence = 0;
-    until("the newest event at the quick reader, far behind which the slow one is", async || {
-        for _ in 0..100 {
-            sequence += 1;
-            publisher.put(&event(sequence));
-        }
-        let newest = quick.borrow().map_or(0, |event| event.sequence);
-        (newest > 1000 && slow.dropped() > 500).then_some(())
-    })
+    until(
+        "the newest event at the quick reader, far behind which the slow one is",
+        async || {
+            for _ in 0..100 {
+                sequence += 1;
+                publisher.put(&event(sequence));
+            }
+            let newest = quick.borrow().map_or(0, |event| event.sequence);
+            (newest > 1000 && slow.dropped() > 500).then_some(())
+        },
+    )
     .await;
     let first = slow.next().await.unwrap().message.sequence;
     assert!(first > 500, "the oldest are dropped, the last eight kept");
@@ -387,11 +562,15 @@ async fn bulk_is_binary_on_the_wire_and_typed_askers_get_it_so() {
     // The raw subscription has no history: it may have missed the first one.
     until("the sample", async || {
         publisher.put(&patch);
-        tokio::time::timeout(Duration::from_millis(100), raw.next()).await.ok().flatten().map(|sample| {
-            assert_eq!(sample.encoding, "application/cbor");
-            assert!(sample.bytes.len() < 200 * 4200, "{} bytes", sample.bytes.len());
-            assert!(sample.stamp.is_some());
-        })
+        tokio::time::timeout(Duration::from_millis(100), raw.next())
+            .await
+            .ok()
+            .flatten()
+            .map(|sample| {
+                assert_eq!(sample.encoding, "application/cbor");
+                assert!(sample.bytes.len() < 200 * 4200, "{} bytes", sample.bytes.len());
+                assert!(sample.stamp.is_some());
+            })
     })
     .await;
 
@@ -407,8 +586,13 @@ async fn bulk_is_binary_on_the_wire_and_typed_askers_get_it_so() {
     });
     let request = zenav_protocol::messages::MapRequest::default();
     assert_eq!(reader.ask(&topics::MAP, &["r1"], &request, PATIENCE).await, Ok(whole));
-    let mut human = reader.raw_query("zenav/r1/ask/cloud/map", None, PATIENCE).await.unwrap();
-    assert!(matches!(human.pop(), Some(RawReply::Ok(sample)) if sample.encoding == "application/json" && sample.bytes.starts_with(b"{\"info\"")));
+    let mut human = reader
+        .raw_query("zenav/r1/ask/cloud/map", None, PATIENCE)
+        .await
+        .unwrap();
+    assert!(
+        matches!(human.pop(), Some(RawReply::Ok(sample)) if sample.encoding == "application/json" && sample.bytes.starts_with(b"{\"info\""))
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -421,7 +605,10 @@ async fn coming_and_going_is_seen() {
     assert_eq!(within("w1", watch.next()).await, Some((key("w1"), true)));
     let _late = worker.declare_alive(key("w2")).unwrap();
     assert_eq!(within("w2", watch.next()).await, Some((key("w2"), true)));
-    assert_eq!(watcher.list_alive(key("*"), PATIENCE).await.unwrap(), [key("w1"), key("w2")]);
+    assert_eq!(
+        watcher.list_alive(key("*"), PATIENCE).await.unwrap(),
+        [key("w1"), key("w2")]
+    );
     drop(early);
     assert_eq!(within("w1 gone", watch.next()).await, Some((key("w1"), false)));
     worker.close().await;
@@ -434,7 +621,12 @@ async fn a_command_fails_at_once_without_a_router_and_a_service_waits_for_it() {
     first.close().await;
     let start = Instant::now();
     let error = Bus::open(BusConfig::command("cli", &endpoint)).await.unwrap_err();
-    assert_eq!(error, BusError::CannotConnect { endpoint: endpoint.clone() });
+    assert_eq!(
+        error,
+        BusError::CannotConnect {
+            endpoint: endpoint.clone()
+        }
+    );
     assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
     let service = tokio::spawn({
         let endpoint = endpoint.clone();
@@ -442,7 +634,13 @@ async fn a_command_fails_at_once_without_a_router_and_a_service_waits_for_it() {
     });
     let _second = router_at(&endpoint).await;
     assert!(within("joining", service).await.unwrap().unwrap().is_connected().await);
-    let taken = Bus::open(BusConfig { connect: vec![], listen: vec![endpoint.clone()], ..BusConfig::default() }).await.unwrap_err();
+    let taken = Bus::open(BusConfig {
+        connect: vec![],
+        listen: vec![endpoint.clone()],
+        ..BusConfig::default()
+    })
+    .await
+    .unwrap_err();
     assert!(matches!(taken, BusError::CannotListen { .. }), "{taken}");
     let nonsense = Bus::open(BusConfig::service("x", "nonsense")).await.unwrap_err();
     assert!(matches!(nonsense, BusError::Config { .. }), "{nonsense}");
@@ -455,7 +653,12 @@ async fn a_robot_answers_on_its_own_endpoint_with_and_without_a_router() {
     let _serving = serve_stop(&edge, "r1");
     let publisher = edge.publisher(&topics::EVENT, &["r1"]).unwrap();
     publisher.put(&event(1));
-    let (cloud, direct) = (client(&endpoint, "cloud").await, within("joining", Bus::open(BusConfig::command("cli", &own))).await.unwrap());
+    let (cloud, direct) = (
+        client(&endpoint, "cloud").await,
+        within("joining", Bus::open(BusConfig::command("cli", &own)))
+            .await
+            .unwrap(),
+    );
 
     // Both ways while all is well: asks, topics, tokens, and through the robot to the cloud.
     let _cloud_serving = serve_stop(&cloud, "cloud");
@@ -465,30 +668,119 @@ async fn a_robot_answers_on_its_own_endpoint_with_and_without_a_router() {
     for bus in [&cloud, &direct] {
         assert!(stop(bus, "r1", PATIENCE).await.is_ok());
         assert!(stop(bus, "cloud", PATIENCE).await.is_ok());
-        until("the token", async || (bus.list_alive("zenav/r1/alive/*".into(), PATIENCE).await.unwrap().len() == 1).then_some(())).await;
+        until("the token", async || {
+            (bus.list_alive("zenav/r1/alive/*".into(), PATIENCE).await.unwrap().len() == 1).then_some(())
+        })
+        .await;
     }
     for events in [&mut from_cloud, &mut from_robot] {
-        assert_eq!(within("the first event", events.next()).await.unwrap().message.sequence, 1);
+        assert_eq!(
+            within("the first event", events.next()).await.unwrap().message.sequence,
+            1
+        );
     }
 
     // The router is gone: a new command that connects straight to the robot is answered at once.
     first.close().await;
     publisher.put(&event(2));
-    assert_eq!(within("an event past the router", from_robot.next()).await.unwrap().message.sequence, 2);
+    assert_eq!(
+        within("an event past the router", from_robot.next())
+            .await
+            .unwrap()
+            .message
+            .sequence,
+        2
+    );
     let start = Instant::now();
     let late = Bus::open(BusConfig::command("cli", &own)).await.unwrap();
     assert!(stop(&late, "r1", PATIENCE).await.is_ok());
     assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
-    assert!(matches!(stop(&cloud, "r1", Duration::from_millis(200)).await, Err(AskError::Timeout { .. })));
+    assert!(matches!(
+        stop(&cloud, "r1", Duration::from_millis(200)).await,
+        Err(AskError::Timeout { .. })
+    ));
 
     // It is back: all is linked again, and the cloud gets the event it missed.
     let start = Instant::now();
     let _second = router_at(&endpoint).await;
     assert!(stop(&cloud, "r1", PATIENCE).await.is_ok());
-    assert_eq!(within("the event that was missed", from_cloud.next()).await.unwrap().message.sequence, 2);
+    assert_eq!(
+        within("the event that was missed", from_cloud.next())
+            .await
+            .unwrap()
+            .message
+            .sequence,
+        2
+    );
     publisher.put(&event(3));
-    assert_eq!(within("the next event", from_cloud.next()).await.unwrap().message.sequence, 3);
+    assert_eq!(
+        within("the next event", from_cloud.next())
+            .await
+            .unwrap()
+            .message
+            .sequence,
+        3
+    );
     println!("whole again {:?} after the router", start.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_silent_cut_neither_blocks_the_writer_nor_loses_an_event() {
+    let (_router, endpoint) = router().await;
+    let cable = Cable::to(&endpoint).await;
+    let ((edge, _), reader) = (robot(&cable.endpoint).await, client(&endpoint, "reader").await);
+    let mut events = reader.subscribe(&topics::EVENT, &["r1"], 1000).unwrap();
+    let publisher = edge.publisher(&topics::EVENT, &["r1"]).unwrap();
+    let scans = edge.publisher(&topics::SCAN, &["r1"]).unwrap();
+    let _reading = reader.latest(&topics::SCAN, &["r1"]).unwrap();
+    publisher.put(&event(1));
+    assert_eq!(
+        within("the first event", events.next()).await.unwrap().message.sequence,
+        1
+    );
+
+    cable.frozen.send_replace(true);
+    let scan = serde_json::from_value(serde_json::json!({"stamp": 1, "angle_min": 0.0, "angle_increment": 0.01, "range_min": 0.0, "range_max": 9.0,
+        "ranges": vec![1.2345; 2000], "base_from_laser": {"x": 0, "y": 0}, "map_from_odom": {"x": 0, "y": 0}, "odom_from_base": {"x": 0, "y": 0}}))
+    .unwrap();
+    // From the control loop's own thread: what fills every buffer on the way costs it no time.
+    let control = std::thread::spawn(move || {
+        let start = Instant::now();
+        let mut longest = Duration::ZERO;
+        let mut sequence = 1;
+        while start.elapsed() < Duration::from_secs(4) {
+            let put = Instant::now();
+            scans.put(&scan);
+            longest = longest.max(put.elapsed());
+            if sequence < start.elapsed().as_millis() as u64 / 40 {
+                sequence += 1;
+                publisher.put(&event(sequence));
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        (publisher, sequence, longest)
+    });
+    let (_publisher, last, longest) = tokio::task::spawn_blocking(|| control.join().unwrap()).await.unwrap();
+    assert!(last > 50);
+    assert!(events.try_next().is_none(), "nothing passes a cut cable");
+    let start = Instant::now();
+    cable.frozen.send_replace(false);
+    for sequence in 2..=last {
+        assert_eq!(
+            within("an event from the time of the cut", events.next())
+                .await
+                .unwrap()
+                .message
+                .sequence,
+            sequence
+        );
+    }
+    println!(
+        "{} events of a 4 s cut caught up {:?} after it; the longest put took {longest:?}",
+        last - 1,
+        start.elapsed()
+    );
+    assert!(longest < Duration::from_millis(200), "{longest:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -499,7 +791,9 @@ async fn a_robot_starts_without_a_router() {
     let (edge, own) = robot(&endpoint).await;
     assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
     let _serving = serve_stop(&edge, "r1");
-    let direct = within("joining", Bus::open(BusConfig::command("cli", &own))).await.unwrap();
+    let direct = within("joining", Bus::open(BusConfig::command("cli", &own)))
+        .await
+        .unwrap();
     assert!(stop(&direct, "r1", PATIENCE).await.is_ok());
     assert!(!edge.is_connected().await);
     let _second = router_at(&endpoint).await;

@@ -1,1 +1,59 @@
-//! d
+//! A seeded two-dimensional world without a network: bodies, sensors, movers.
+//!
+//! | module | answers |
+//! |---|---|
+//! | [`world`] | what stands where? |
+//! | [`world_file`] | how is a world written down? (TOML) |
+//! | [`shape`] | what are solids made of? (edges and discs) |
+//! | [`outline`] | which edges bound the occupied cells of a map? |
+//! | [`scene`] | which edges and discs are near? (a tree of boxes) |
+//! | [`clearance`] | how far is a footprint from a solid? |
+//! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
+//! | [`drive`] | what do wheels and motors make of a command? |
+//! | [`sensors`] | what do encoders, gyro, compass and GPS measure, and when? |
+//! | [`movers`] | where are the moving obstacles? |
+//! | [`chassis`] | how does one robot move among solids, and what does it touch? |
+//! | [`body`] | what does one robot do in a tick? |
+//! | [`simulation`] | how does everything advance together? |
+//! | [`bench`] | how much does this machine hold? |
+//!
+//! The world frame is the map frame. Metres, radians, seconds.
+//!
+//! ```
+//! use zenav_protocol::{id::Id, robot::{self, RobotModel}};
+//! use zenav_sim::{RobotSpec, Simulation, World};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let world = World::shipped("kitchen")?;
+//! let model = RobotModel::from_toml(robot::shipped("tiago").unwrap_or_default(), "tiago")?;
+//! let tiago = RobotSpec { id: Id::robot("tiago")?, model, start: world.start() };
+//! let mut simulation = Simulation::new(&world, vec![tiago], 1)?;
+//! simulation.drive(0, [1.0, 1.0]);
+//! for _ in 0..50 {
+//!     simulation.step();
+//! }
+//! assert!(simulation.truth(0).length > 0.05);
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod bench;
+pub mod body;
+mod bridge;
+pub mod chassis;
+pub mod clearance;
+pub mod drive;
+pub mod lidar;
+pub mod movers;
+pub mod outline;
+pub mod scene;
+pub mod sensors;
+pub mod shape;
+pub mod simulation;
+pub mod world;
+pub mod world_file;
+
+pub use chassis::{Contact, Truth};
+pub use simulation::{RobotSpec, SimError, Simulation, TICK};
+pub use world::{Place, World};
+pub use world_file::WorldError;

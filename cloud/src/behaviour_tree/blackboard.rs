@@ -59,7 +59,11 @@ pub struct Blackboard {
 
 impl Default for Blackboard {
     fn default() -> Self {
-        Blackboard { entries: Vec::new(), scopes: vec![Scope::default()], writes: 0 }
+        Blackboard {
+            entries: Vec::new(),
+            scopes: vec![Scope::default()],
+            writes: 0,
+        }
     }
 }
 
@@ -89,9 +93,10 @@ impl Blackboard {
     /// A remapped key appears once in every scope that sees it by an own name.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &str, &Value)> {
         self.scopes.iter().flat_map(move |scope| {
-            scope.keys.iter().filter_map(move |(key, slot)| {
-                Some((scope.name.as_str(), key.as_str(), self.read(*slot)?))
-            })
+            scope
+                .keys
+                .iter()
+                .filter_map(move |(key, slot)| Some((scope.name.as_str(), key.as_str(), self.read(*slot)?)))
         })
     }
 
@@ -101,7 +106,12 @@ impl Blackboard {
     }
 
     pub(crate) fn add_scope(&mut self, name: String, parent: ScopeId, autoremap: bool) -> ScopeId {
-        self.scopes.push(Scope { name, parent: Some(parent), autoremap, keys: BTreeMap::new() });
+        self.scopes.push(Scope {
+            name,
+            parent: Some(parent),
+            autoremap,
+            keys: BTreeMap::new(),
+        });
         (self.scopes.len() - 1) as ScopeId
     }
 
@@ -122,7 +132,9 @@ impl Blackboard {
             None => key,
         };
         loop {
-            let Some(here) = self.scopes.get(scope as usize) else { return (0, key, None) };
+            let Some(here) = self.scopes.get(scope as usize) else {
+                return (0, key, None);
+            };
             if let Some(slot) = here.keys.get(key) {
                 return (scope, key, Some(*slot));
             }
@@ -170,7 +182,9 @@ impl Blackboard {
     }
 
     pub(crate) fn write(&mut self, slot: Slot, value: Value) -> Result<(), TypeError> {
-        let Some(entry) = self.entries.get_mut(slot.0 as usize) else { return Ok(()) };
+        let Some(entry) = self.entries.get_mut(slot.0 as usize) else {
+            return Ok(());
+        };
         let value = match entry.kind {
             Some(kind) if kind != value.kind() => match value.convert(kind) {
                 Some(converted) => converted,
@@ -197,7 +211,9 @@ impl Blackboard {
     /// Takes the first item of a list without counting as a write: a queue is consumed, not set.
     pub(crate) fn pop_front(&mut self, slot: Slot) -> Option<serde_json::Value> {
         let entry = self.entries.get_mut(slot.0 as usize)?;
-        let Some(Value::Data(data)) = &mut entry.value else { return None };
+        let Some(Value::Data(data)) = &mut entry.value else {
+            return None;
+        };
         if data.as_array().is_none_or(Vec::is_empty) {
             return None;
         }

@@ -1,7 +1,7 @@
 //! Nodes that choose between children: BehaviorTree.CPP's `IfThenElse`, `WhileDoElse`,
 //! `Switch2` … `Switch6`, `TryCatch`.
 
-use super::node::{Cases, NodeId};
+use super::node::{Cases, NodeId, bump};
 use super::ports::Source;
 use super::status::Status;
 use super::tick::{Run, Stop};
@@ -61,9 +61,10 @@ impl<C> Run<'_, C> {
     /// child matches, the one that runs is halted. `cursor` is the running child plus one.
     pub(crate) fn switch(&mut self, id: NodeId, cases: &Cases) -> Result<Status, Stop> {
         let matching = self.value(&cases.variable).and_then(|variable| {
-            cases.cases.iter().position(|case| {
-                self.value(case).is_some_and(|case| same(variable, case, &cases.enums))
-            })
+            cases
+                .cases
+                .iter()
+                .position(|case| self.value(case).is_some_and(|case| same(variable, case, &cases.enums)))
         });
         let chosen = matching.unwrap_or(cases.cases.len());
         let running = self.states[id as usize].cursor as usize;
@@ -108,10 +109,10 @@ impl<C> Run<'_, C> {
                     self.states[id as usize].flag = true;
                     break;
                 }
-                Status::Skipped => self.states[id as usize].skipped += 1,
+                Status::Skipped => bump(&mut self.states[id as usize].skipped),
                 _ => {}
             }
-            self.states[id as usize].cursor += 1;
+            bump(&mut self.states[id as usize].cursor);
         }
         if self.exec(*catch)? == Status::Running {
             return Ok(Status::Running);

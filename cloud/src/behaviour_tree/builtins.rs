@@ -38,24 +38,68 @@ fn controls() -> Vec<NodeSpec> {
     const MANY: usize = usize::MAX;
     let control = NodeSpec::control;
     let mut specs = vec![
-        control("Sequence", "Children in order until one fails; resumes where it was.", 1, MANY),
+        control(
+            "Sequence",
+            "Children in order until one fails; resumes where it was.",
+            1,
+            MANY,
+        ),
         control("AsyncSequence", "A Sequence that yields after each child.", 1, MANY),
-        control("SequenceWithMemory", "A Sequence that tries the failed child again.", 1, MANY),
+        control(
+            "SequenceWithMemory",
+            "A Sequence that tries the failed child again.",
+            1,
+            MANY,
+        ),
         control("SequenceStar", "Other name of SequenceWithMemory.", 1, MANY),
-        control("ReactiveSequence", "A Sequence that asks from the first child in every tick.", 1, MANY),
-        control("Fallback", "Children in order until one succeeds; resumes where it was.", 1, MANY),
+        control(
+            "ReactiveSequence",
+            "A Sequence that asks from the first child in every tick.",
+            1,
+            MANY,
+        ),
+        control(
+            "Fallback",
+            "Children in order until one succeeds; resumes where it was.",
+            1,
+            MANY,
+        ),
         control("AsyncFallback", "A Fallback that yields after each child.", 1, MANY),
-        control("ReactiveFallback", "A Fallback that asks from the first child in every tick.", 1, MANY),
-        control("Parallel", "All children at once, until enough have succeeded or failed.", 1, MANY)
-            .input_or("success_count", Int, "-1", "children that must succeed; -1: all")
-            .input_or("failure_count", Int, "1", "children that must fail; -1: all"),
-        control("ParallelAll", "All children at once, each to its end.", 1, MANY)
-            .input_or("max_failures", Int, "1", "failures that make it fail; -1: all"),
-        control("ParallelAny", "All children at once, until one succeeds or fails (py_trees).", 1, MANY),
+        control(
+            "ReactiveFallback",
+            "A Fallback that asks from the first child in every tick.",
+            1,
+            MANY,
+        ),
+        control(
+            "Parallel",
+            "All children at once, until enough have succeeded or failed.",
+            1,
+            MANY,
+        )
+        .input_or("success_count", Int, "-1", "children that must succeed; -1: all")
+        .input_or("failure_count", Int, "1", "children that must fail; -1: all"),
+        control("ParallelAll", "All children at once, each to its end.", 1, MANY).input_or(
+            "max_failures",
+            Int,
+            "1",
+            "failures that make it fail; -1: all",
+        ),
+        control(
+            "ParallelAny",
+            "All children at once, until one succeeds or fails (py_trees).",
+            1,
+            MANY,
+        ),
         control("IfThenElse", "Asks child 1 once, then runs child 2 or 3.", 2, 3),
         control("WhileDoElse", "Asks child 1 in every tick and runs child 2 or 3.", 2, 3),
-        control("TryCatch", "A Sequence whose last child cleans up after a failure.", 2, MANY)
-            .input_or("catch_on_halt", Bool, "false", "clean up after a halt too"),
+        control(
+            "TryCatch",
+            "A Sequence whose last child cleans up after a failure.",
+            2,
+            MANY,
+        )
+        .input_or("catch_on_halt", Bool, "false", "clean up after a halt too"),
     ];
     for cases in 2..=6 {
         let mut spec = control(
@@ -79,27 +123,45 @@ fn decorators() -> Vec<NodeSpec> {
         decorator("Inverter", "SUCCESS for FAILURE and the other way round."),
         decorator("ForceSuccess", "SUCCESS whatever the child ends with."),
         decorator("ForceFailure", "FAILURE whatever the child ends with."),
-        decorator("RetryUntilSuccessful", "Tries again until the child succeeds.")
-            .input("num_attempts", Int, "attempts in all; -1: for ever"),
-        decorator("Repeat", "Repeats while the child succeeds.")
-            .input("num_cycles", Int, "cycles; -1: for ever"),
+        decorator("RetryUntilSuccessful", "Tries again until the child succeeds.").input(
+            "num_attempts",
+            Int,
+            "attempts in all; -1: for ever",
+        ),
+        decorator("Repeat", "Repeats while the child succeeds.").input("num_cycles", Int, "cycles; -1: for ever"),
         decorator("KeepRunningUntilFailure", "RUNNING until the child fails."),
-        decorator("Timeout", "FAILURE if the child takes longer.")
-            .input("msec", Unsigned, "time for the child, ms; 0: unlimited"),
+        decorator("Timeout", "FAILURE if the child takes longer.").input(
+            "msec",
+            Unsigned,
+            "time for the child, ms; 0: unlimited",
+        ),
         decorator("Delay", "Waits before the child.").input("delay_msec", Unsigned, "wait, ms"),
-        decorator("RunOnce", "Runs the child once in the life of the tree.")
-            .input_or("then_skip", Bool, "true", "afterwards SKIPPED, not the same answer again"),
+        decorator("RunOnce", "Runs the child once in the life of the tree.").input_or(
+            "then_skip",
+            Bool,
+            "true",
+            "afterwards SKIPPED, not the same answer again",
+        ),
         decorator("Precondition", "Runs the child if a script holds.")
             .input("if", Script, "condition")
             .input_or("else", PortType::Status, "FAILURE", "answer if it does not hold"),
-        decorator("SkipUnlessUpdated", "SKIPPED unless the entry has been written.")
-            .input("entry", Key, "entry to watch"),
-        decorator("WaitValueUpdate", "RUNNING unless the entry has been written.")
-            .input("entry", Key, "entry to watch"),
+        decorator("SkipUnlessUpdated", "SKIPPED unless the entry has been written.").input(
+            "entry",
+            Key,
+            "entry to watch",
+        ),
+        decorator("WaitValueUpdate", "RUNNING unless the entry has been written.").input(
+            "entry",
+            Key,
+            "entry to watch",
+        ),
     ];
-    for (id, item) in
-        [("LoopInt", Int), ("LoopBool", Bool), ("LoopDouble", Double), ("LoopString", Text)]
-    {
+    for (id, item) in [
+        ("LoopInt", Int),
+        ("LoopBool", Bool),
+        ("LoopDouble", Double),
+        ("LoopString", Text),
+    ] {
         specs.push(
             decorator(id, "Runs the child once for each item of a list.")
                 .inout("queue", Any, "the list: 1;2;3, or an entry that is consumed")
@@ -112,17 +174,46 @@ fn decorators() -> Vec<NodeSpec> {
 
 fn nav2() -> Vec<NodeSpec> {
     vec![
-        NodeSpec::control("PipelineSequence", "A Sequence that ticks earlier children again while later ones run.", 1, usize::MAX),
-        NodeSpec::control("RecoveryNode", "Child 1; when it fails, child 2 and child 1 again.", 2, 2)
-            .input_or("number_of_retries", Unsigned, "1", "how often child 2 may mend"),
+        NodeSpec::control(
+            "PipelineSequence",
+            "A Sequence that ticks earlier children again while later ones run.",
+            1,
+            usize::MAX,
+        ),
+        NodeSpec::control(
+            "RecoveryNode",
+            "Child 1; when it fails, child 2 and child 1 again.",
+            2,
+            2,
+        )
+        .input_or("number_of_retries", Unsigned, "1", "how often child 2 may mend"),
         NodeSpec::control("RoundRobin", "One child an activation, in turn.", 1, usize::MAX)
-            .input_or("wrap_around", Bool, "false", "after the last child comes the first again")
-            .input_or("last_may_succeed", Bool, "false", "without wrap_around, let success of the last child count (Nav2 makes it a failure)"),
-        NodeSpec::control("NonblockingSequence", "A Sequence that ticks every child in every tick.", 1, usize::MAX),
-        NodeSpec::control("PersistentSequence", "A Sequence whose index is a blackboard entry.", 1, usize::MAX)
-            .inout("current_child_idx", Int, "index of the current child"),
-        NodeSpec::decorator("RateController", "Ticks the child at a rate.")
-            .input_or("hz", Double, "10.0", "rate, 1/s"),
+            .input_or(
+                "wrap_around",
+                Bool,
+                "false",
+                "after the last child comes the first again",
+            )
+            .input_or(
+                "last_may_succeed",
+                Bool,
+                "false",
+                "without wrap_around, let success of the last child count (Nav2 makes it a failure)",
+            ),
+        NodeSpec::control(
+            "NonblockingSequence",
+            "A Sequence that ticks every child in every tick.",
+            1,
+            usize::MAX,
+        ),
+        NodeSpec::control(
+            "PersistentSequence",
+            "A Sequence whose index is a blackboard entry.",
+            1,
+            usize::MAX,
+        )
+        .inout("current_child_idx", Int, "index of the current child"),
+        NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or("hz", Double, "10.0", "rate, 1/s"),
         NodeSpec::decorator("SingleTrigger", "Runs the child once an activation."),
     ]
 }
@@ -137,10 +228,12 @@ fn leaves() -> Vec<NodeSpec> {
             .inout("output_key", Key, "entry to write"),
         NodeSpec::action("UnsetBlackboard", "Forgets an entry.").input("key", Key, "entry to forget"),
         NodeSpec::action("Script", "Runs a script.").input("code", Script, "script"),
-        NodeSpec::condition("ScriptCondition", "SUCCESS if a script holds.")
-            .input("code", Script, "condition"),
-        NodeSpec::condition("WasEntryUpdated", "SUCCESS if the entry has been written since.")
-            .input("entry", Key, "entry to watch"),
+        NodeSpec::condition("ScriptCondition", "SUCCESS if a script holds.").input("code", Script, "condition"),
+        NodeSpec::action("WasEntryUpdated", "SUCCESS if the entry has been written since.").input(
+            "entry",
+            Key,
+            "entry to watch",
+        ),
     ]
 }
 
@@ -162,9 +255,10 @@ pub(crate) fn kind(id: &str, ports: &mut dyn Ports) -> Option<Kind> {
         "AlwaysSuccess" => Kind::AlwaysSuccess,
         "AlwaysFailure" => Kind::AlwaysFailure,
         "Sleep" => Kind::Sleep(ports.source("msec")),
-        "SetBlackboard" => {
-            Kind::SetBlackboard { value: ports.source("value"), slot: ports.slot("output_key") }
-        }
+        "SetBlackboard" => Kind::SetBlackboard {
+            value: ports.source("value"),
+            slot: ports.slot("output_key"),
+        },
         "UnsetBlackboard" => Kind::UnsetBlackboard(ports.slot("key")),
         "Script" => Kind::Script(ports.program("code")),
         "ScriptCondition" => Kind::ScriptCondition(ports.program("code")),
@@ -184,7 +278,9 @@ pub(crate) fn kind(id: &str, ports: &mut dyn Ports) -> Option<Kind> {
         "ParallelAny" => Kind::ParallelAny,
         "IfThenElse" => Kind::IfThenElse,
         "WhileDoElse" => Kind::WhileDoElse,
-        "TryCatch" => Kind::TryCatch { catch_on_halt: ports.source("catch_on_halt") },
+        "TryCatch" => Kind::TryCatch {
+            catch_on_halt: ports.source("catch_on_halt"),
+        },
         "Switch2" | "Switch3" | "Switch4" | "Switch5" | "Switch6" => {
             let count = id.as_bytes().last().map_or(0, |digit| usize::from(digit - b'0'));
             Kind::Switch(Box::new(Cases {
@@ -201,17 +297,21 @@ pub(crate) fn kind(id: &str, ports: &mut dyn Ports) -> Option<Kind> {
         "KeepRunningUntilFailure" => Kind::KeepRunningUntilFailure,
         "Timeout" => Kind::Timeout(ports.source("msec")),
         "Delay" => Kind::Delay(ports.source("delay_msec")),
-        "RunOnce" => Kind::RunOnce { then_skip: ports.source("then_skip") },
+        "RunOnce" => Kind::RunOnce {
+            then_skip: ports.source("then_skip"),
+        },
         "Precondition" => Kind::Precondition(Box::new(Latch {
             condition: ports.program("if"),
             otherwise: ports.source("else"),
         })),
-        "SkipUnlessUpdated" => {
-            Kind::IfUpdated { slot: ports.slot("entry"), otherwise: Status::Skipped }
-        }
-        "WaitValueUpdate" => {
-            Kind::IfUpdated { slot: ports.slot("entry"), otherwise: Status::Running }
-        }
+        "SkipUnlessUpdated" => Kind::IfUpdated {
+            slot: ports.slot("entry"),
+            otherwise: Status::Skipped,
+        },
+        "WaitValueUpdate" => Kind::IfUpdated {
+            slot: ports.slot("entry"),
+            otherwise: Status::Running,
+        },
         "LoopInt" | "LoopBool" | "LoopDouble" | "LoopString" => Kind::Loop(Box::new(Queue {
             queue: ports.source("queue"),
             value: ports.source("value"),
@@ -239,7 +339,10 @@ pub(crate) fn kind(id: &str, ports: &mut dyn Ports) -> Option<Kind> {
 
 /// The specification of a SubTree node: its ports are the names that it remaps.
 pub(crate) fn subtree(id: &str) -> NodeSpec {
-    NodeSpec { open: true, ..NodeSpec::new(Category::SubTree, id, "Another tree, with its own blackboard.") }
+    NodeSpec {
+        open: true,
+        ..NodeSpec::new(Category::SubTree, id, "Another tree, with its own blackboard.")
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //!
 //! All keep the index of the current child in `cursor` and count skipped children in `skipped`.
 
-use super::node::NodeId;
+use super::node::{NodeId, bump};
 use super::status::Status;
 use super::tick::{Run, Stop};
 
@@ -43,11 +43,12 @@ impl<C> Run<'_, C> {
                 return Ok(end);
             }
             let state = &mut self.states[id as usize];
-            state.cursor += 1;
+            bump(&mut state.cursor);
             if status == Status::Skipped {
-                state.skipped += 1;
+                bump(&mut state.skipped);
             } else if yields && fresh && at + 1 < kids.len() {
                 self.wake = true;
+                self.changes += 1;
                 return Ok(Status::Running);
             }
         }
@@ -57,7 +58,11 @@ impl<C> Run<'_, C> {
         if state.skipped as usize == kids.len() {
             return Ok(Status::Skipped);
         }
-        Ok(if end == Status::Failure { Status::Success } else { Status::Failure })
+        Ok(if end == Status::Failure {
+            Status::Success
+        } else {
+            Status::Failure
+        })
     }
 
     /// `Sequence`, but `Failure` keeps the index, so that the next activation tries the failed
@@ -73,19 +78,21 @@ impl<C> Run<'_, C> {
             match self.exec(*child)? {
                 Status::Running => return Ok(Status::Running),
                 Status::Failure => {
-                    for child in &kids[at..] {
-                        self.reset(*child);
-                    }
+                    self.reset_children(id);
                     return Ok(Status::Failure);
                 }
-                Status::Skipped => self.states[id as usize].skipped += 1,
+                Status::Skipped => bump(&mut self.states[id as usize].skipped),
                 _ => {}
             }
-            self.states[id as usize].cursor += 1;
+            bump(&mut self.states[id as usize].cursor);
         }
         self.reset_children(id);
         let state = &mut self.states[id as usize];
         state.cursor = 0;
-        Ok(if state.skipped as usize == kids.len() { Status::Skipped } else { Status::Success })
+        Ok(if state.skipped as usize == kids.len() {
+            Status::Skipped
+        } else {
+            Status::Success
+        })
     }
 }

@@ -4,7 +4,7 @@
 //!
 //! A child that has completed is reset at once. `count` holds attempts or cycles.
 
-use super::node::{Latch, NodeId};
+use super::node::{Latch, NodeId, bump};
 use super::ports::Source;
 use super::status::Status;
 use super::tick::{Run, Stop};
@@ -58,7 +58,7 @@ impl<C> Run<'_, C> {
                 state.count = 0;
                 return Ok(status);
             }
-            state.count = state.count.saturating_add(1);
+            bump(&mut state.count);
             self.changes += 1;
             if fresh && (most < 0 || spent + 1 < most) {
                 self.wake = true;

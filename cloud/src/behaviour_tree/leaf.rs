@@ -169,9 +169,7 @@ impl LeafIo<'_> {
         };
         match value {
             Value::Data(data) => T::deserialize(&**data).map_err(wrong),
-            Value::Text(text) => {
-                serde_json::from_str(text.strip_prefix("json:").unwrap_or(text)).map_err(wrong)
-            }
+            Value::Text(text) => serde_json::from_str(text.strip_prefix("json:").unwrap_or(text)).map_err(wrong),
             scalar => T::deserialize(scalar.to_json()).map_err(wrong),
         }
     }
@@ -183,9 +181,7 @@ impl LeafIo<'_> {
     pub fn value(&self, port: &str) -> Result<&Value, PortError> {
         match self.source(port) {
             Some(Source::Literal(value)) => Ok(value),
-            Some(Source::Slot(slot)) => {
-                self.board.read(*slot).ok_or_else(|| PortError::Empty(port.to_owned()))
-            }
+            Some(Source::Slot(slot)) => self.board.read(*slot).ok_or_else(|| PortError::Empty(port.to_owned())),
             Some(Source::Unset) | None => Err(PortError::Unset(port.to_owned())),
         }
     }
@@ -242,7 +238,9 @@ impl LeafIo<'_> {
     /// Reads a blackboard entry by its name in the scope of this node (`goal`, `@goal`). Ports are
     /// the proper way; some Nav2 nodes fall back to fixed names.
     pub fn entry(&self, key: &str) -> Option<&Value> {
-        self.board.find(self.info.scope, key).and_then(|slot| self.board.read(slot))
+        self.board
+            .find(self.info.scope, key)
+            .and_then(|slot| self.board.read(slot))
     }
 
     /// Writes a blackboard entry by its name in the scope of this node.
@@ -295,7 +293,11 @@ impl LeafIo<'_> {
     }
 
     fn source(&self, port: &str) -> Option<&Source> {
-        self.info.ports.iter().find(|bound| &*bound.name == port).map(|bound| &bound.source)
+        self.info
+            .ports
+            .iter()
+            .find(|bound| &*bound.name == port)
+            .map(|bound| &bound.source)
     }
 }
 

@@ -41,6 +41,10 @@ impl<C> Run<'_, C> {
 
     /// `Success` if the script holds, else `Failure`.
     pub(crate) fn script_condition(&mut self, id: NodeId, code: &Program) -> Result<Status, Stop> {
-        Ok(if self.holds(id, code)? { Status::Success } else { Status::Failure })
+        Ok(if self.holds(id, code)? {
+            Status::Success
+        } else {
+            Status::Failure
+        })
     }
 }

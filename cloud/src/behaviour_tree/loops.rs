@@ -35,7 +35,11 @@ impl<C> Run<'_, C> {
         }
         let status = self.exec_and_reset(child)?;
         self.states[id as usize].flag = status == Status::Running;
-        Ok(if status == Status::Failure { Status::Failure } else { Status::Running })
+        Ok(if status == Status::Failure {
+            Status::Failure
+        } else {
+            Status::Running
+        })
     }
 
     fn next_item(&mut self, id: NodeId, queue: &Queue) -> Result<Option<Value>, Stop> {
@@ -51,9 +55,13 @@ impl<C> Run<'_, C> {
         };
         let Some(item) = item else { return Ok(None) };
         self.states[id as usize].cursor = index as u32 + 1;
+        self.changes += 1;
         match item.convert(queue.item) {
             Some(item) => Ok(Some(item)),
-            None => Err(self.fault(id, format!("port `queue` has the item `{item}`: expected {:?}", queue.item))),
+            None => Err(self.fault(
+                id,
+                format!("port `queue` has the item `{item}`: expected {:?}", queue.item),
+            )),
         }
     }
 }
@@ -61,9 +69,12 @@ impl<C> Run<'_, C> {
 /// An item of `1;2;3`.
 fn nth(list: &Value, index: usize) -> Option<Value> {
     match list {
-        Value::Text(text) => {
-            text.split(';').map(str::trim).filter(|item| !item.is_empty()).nth(index).map(Value::text)
-        }
+        Value::Text(text) => text
+            .split(';')
+            .map(str::trim)
+            .filter(|item| !item.is_empty())
+            .nth(index)
+            .map(Value::text),
         Value::Data(data) => data.as_array()?.get(index).and_then(Value::from_json),
         scalar => (index == 0).then(|| scalar.clone()),
     }

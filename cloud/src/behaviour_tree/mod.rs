@@ -14,6 +14,7 @@
 //! | `xml` | how a file becomes a tree, or a list of errors |
 //! | `nav2_nodes` | Nav2's nodes and their ports, as data |
 //! | `simulate` | a tree against scripted leaves in simulated time |
+//! | `samples` | trees to measure the engine with |
 //!
 //! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C`
 //! that only the leaves understand. What runs can be stored between two ticks
@@ -28,6 +29,7 @@ mod leaf;
 mod leaves;
 mod loops;
 mod nav2;
+mod nav2_conditions;
 mod nav2_nodes;
 mod node;
 mod parallel;
@@ -35,6 +37,7 @@ mod ports;
 mod reactive;
 mod registry;
 mod report;
+pub mod samples;
 mod script;
 pub mod simulate;
 mod snapshot;
@@ -50,6 +53,7 @@ mod xml;
 
 pub use blackboard::{Blackboard, TypeError};
 pub use leaf::{Gate, Leaf, LeafIo, Pass};
+pub use nav2_conditions::nav2_condition;
 pub use nav2_nodes::nav2_nodes;
 pub use node::NodeState;
 pub use ports::{Direction, PortError, PortSpec, PortType};
@@ -60,4 +64,4 @@ pub use snapshot::{RestoreError, TreeSnapshot};
 pub use status::Status;
 pub use tree::{TickError, Tree};
 pub use value::{FromValue, Value, ValueType};
-pub use xml::{Include, Limits, TreeError, TreeErrors, build, build_within, check, Summary};
+pub use xml::{Include, Limits, Summary, TreeError, TreeErrors, build, build_within, check};

@@ -2,7 +2,7 @@
 //! `RecoveryNode`, `RoundRobin`, `NonblockingSequence`, `PersistentSequence`, `RateController`,
 //! `SingleTrigger` (nav2_behavior_tree 1.5).
 
-use super::node::{NodeId, Rounds};
+use super::node::{NodeId, Rounds, bump};
 use super::ports::Source;
 use super::status::Status;
 use super::tick::{Run, Stop};
@@ -31,7 +31,11 @@ impl<C> Run<'_, C> {
         }
         self.reset_children(id);
         self.states[id as usize].cursor = 0;
-        Ok(if skipped == kids.len() { Status::Skipped } else { Status::Success })
+        Ok(if skipped == kids.len() {
+            Status::Skipped
+        } else {
+            Status::Success
+        })
     }
 
     /// Child 0; when it fails, child 1 mends and child 0 is tried again in the same tick, at most
@@ -57,7 +61,7 @@ impl<C> Run<'_, C> {
                     Status::Success => {
                         self.reset(mend);
                         let state = &mut self.states[id as usize];
-                        state.count = state.count.saturating_add(1);
+                        bump(&mut state.count);
                         state.cursor = 0;
                     }
                     Status::Skipped => {
@@ -110,13 +114,17 @@ impl<C> Run<'_, C> {
                     return Ok(Status::Success);
                 }
                 Status::Skipped => skipped += 1,
-                _ => self.states[id as usize].count += 1,
+                _ => bump(&mut self.states[id as usize].count),
             }
         }
         self.reset_children(id);
         let state = &mut self.states[id as usize];
         (state.cursor, state.count) = (0, 0);
-        Ok(if skipped == kids.len() { Status::Skipped } else { Status::Failure })
+        Ok(if skipped == kids.len() {
+            Status::Skipped
+        } else {
+            Status::Failure
+        })
     }
 
     /// Every child in every tick. Any `Failure`: resets all, `Failure`. Any `Running`: `Running`.
@@ -150,7 +158,9 @@ impl<C> Run<'_, C> {
         let mut skipped = 0;
         loop {
             let at = self.value(index).and_then(Value::as_int).unwrap_or(0);
-            let Some(child) = usize::try_from(at).ok().and_then(|at| kids.get(at)) else { break };
+            let Some(child) = usize::try_from(at).ok().and_then(|at| kids.get(at)) else {
+                break;
+            };
             match self.exec(*child)? {
                 Status::Running => return Ok(Status::Running),
                 Status::Failure => {
@@ -165,12 +175,19 @@ impl<C> Run<'_, C> {
         }
         self.reset_children(id);
         self.write_index(id, index, 0)?;
-        Ok(if skipped == kids.len() { Status::Skipped } else { Status::Success })
+        Ok(if skipped == kids.len() {
+            Status::Skipped
+        } else {
+            Status::Success
+        })
     }
 
     fn write_index(&mut self, id: NodeId, index: &Source, at: i64) -> Result<(), Stop> {
         let written = match index {
-            Source::Slot(slot) => self.board.write(*slot, Value::Int(at)).map_err(|wrong| wrong.to_string()),
+            Source::Slot(slot) => self
+                .board
+                .write(*slot, Value::Int(at))
+                .map_err(|wrong| wrong.to_string()),
             _ => Err("expected a blackboard entry, as in `{key}`".to_owned()),
         };
         written.map_err(|why| self.fault(id, format!("port `current_child_idx`: {why}")))
@@ -198,6 +215,7 @@ impl<C> Run<'_, C> {
         let status = self.exec_and_reset(child)?;
         if status == Status::Success {
             self.states[id as usize].mark = self.now_ns;
+            self.changes += 1;
         }
         Ok(status)
     }

@@ -181,3 +181,8 @@ pub(crate) fn nanos(time: Duration) -> u64 {
 pub(crate) fn millis(ms: i64) -> u64 {
     u64::try_from(ms).unwrap_or(0).saturating_mul(1_000_000)
 }
+
+/// One more. Counters may come from a stored state, so none may overflow.
+pub(crate) fn bump(counter: &mut u32) {
+    *counter = counter.saturating_add(1);
+}

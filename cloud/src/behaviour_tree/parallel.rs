@@ -4,7 +4,7 @@
 //! A child that has completed is marked `done` and not ticked again until all are reset; `count`
 //! holds failures, `cursor` successes.
 
-use super::node::{NodeId, Thresholds};
+use super::node::{NodeId, Thresholds, bump};
 use super::ports::Source;
 use super::status::Status;
 use super::tick::{Run, Stop};
@@ -12,7 +12,11 @@ use super::tick::{Run, Stop};
 /// A threshold as a number of children: -1 is all, -2 all but one, …
 fn of_children(threshold: i64, children: usize) -> i64 {
     let children = children as i64;
-    if threshold < 0 { (children + 1).saturating_add(threshold).max(0) } else { threshold }
+    if threshold < 0 {
+        (children + 1).saturating_add(threshold).max(0)
+    } else {
+        threshold
+    }
 }
 
 impl<C> Run<'_, C> {
@@ -36,11 +40,11 @@ impl<C> Run<'_, C> {
                 match self.exec(*child)? {
                     Status::Success => {
                         self.states[*child as usize].done = true;
-                        self.states[id as usize].cursor += 1;
+                        bump(&mut self.states[id as usize].cursor);
                     }
                     Status::Failure => {
                         self.states[*child as usize].done = true;
-                        self.states[id as usize].count += 1;
+                        bump(&mut self.states[id as usize].count);
                     }
                     Status::Skipped => skipped += 1,
                     _ => {}
@@ -55,7 +59,11 @@ impl<C> Run<'_, C> {
                 return Ok(self.finish_parallel(id, Status::Failure));
             }
         }
-        Ok(if skipped == all { Status::Skipped } else { Status::Running })
+        Ok(if skipped == all {
+            Status::Skipped
+        } else {
+            Status::Running
+        })
     }
 
     /// Runs every child to its end; `Failure` if at least `max_failures` failed. All skipped:
@@ -75,7 +83,7 @@ impl<C> Run<'_, C> {
                     Status::Success => self.states[*child as usize].done = true,
                     Status::Failure => {
                         self.states[*child as usize].done = true;
-                        self.states[id as usize].count += 1;
+                        bump(&mut self.states[id as usize].count);
                     }
                     Status::Skipped => skipped += 1,
                     _ => {}

@@ -50,19 +50,21 @@ impl PortType {
         let short = name.rsplit("::").next().unwrap_or(name).trim();
         match short {
             "bool" => PortType::Bool,
-            "int" | "int8_t" | "int16_t" | "int32_t" | "int64_t" | "int16" | "int32" | "int64"
-            | "long" | "short" => PortType::Int,
-            "uint8_t" | "uint16_t" | "uint32_t" | "uint64_t" | "uint8" | "uint16" | "uint32"
-            | "uint64" | "unsigned int" | "unsigned" | "size_t" | "milliseconds" => {
-                PortType::Unsigned
+            "int" | "int8_t" | "int16_t" | "int32_t" | "int64_t" | "int16" | "int32" | "int64" | "long" | "short" => {
+                PortType::Int
             }
+            "uint8_t" | "uint16_t" | "uint32_t" | "uint64_t" | "uint8" | "uint16" | "uint32" | "uint64"
+            | "unsigned int" | "unsigned" | "size_t" | "milliseconds" => PortType::Unsigned,
             "double" | "float" => PortType::Double,
             "string" | "basic_string" | "string_view" => PortType::Text,
             "NodeStatus" => PortType::Status,
             "" | "Any" | "AnyTypeAllowed" => PortType::Any,
-            _ if name == "vector<int>" || name == "std::vector<int>" => PortType::Ints,
-            _ if name.contains('<') => PortType::Data(name.to_owned()),
-            other => PortType::Data(other.to_owned()),
+            _ => match name.split_once("vector<") {
+                Some((_, "int>")) => PortType::Ints,
+                // `vector<a::b::C>`: the last part ends with the bracket.
+                Some(_) => PortType::Data(format!("vector<{short}").replace("<vector<", "<")),
+                None => PortType::Data(short.to_owned()),
+            },
         }
     }
 
@@ -217,7 +219,14 @@ mod tests {
         assert_eq!(PortType::from_name("chrono::milliseconds"), PortType::Unsigned);
         assert_eq!(PortType::from_name("std::string"), PortType::Text);
         assert_eq!(PortType::from_name("vector<int>"), PortType::Ints);
-        assert_eq!(PortType::from_name("nav_msgs::msg::Path"), PortType::Data("Path".into()));
+        assert_eq!(
+            PortType::from_name("nav_msgs::msg::Path"),
+            PortType::Data("Path".into())
+        );
+        for poses in ["vector<geometry_msgs::msg::PoseStamped>", "std::vector<PoseStamped>"] {
+            let expected = PortType::Data("vector<PoseStamped>".into());
+            assert_eq!(PortType::from_name(poses), expected);
+        }
     }
 
     #[test]

@@ -41,6 +41,10 @@ impl<C> Run<'_, C> {
             }
         }
         self.reset_children(id);
-        Ok(if skipped == kids.len() { Status::Skipped } else { otherwise })
+        Ok(if skipped == kids.len() {
+            Status::Skipped
+        } else {
+            otherwise
+        })
     }
 }

@@ -75,7 +75,14 @@ impl NodeSpec {
             Category::Decorator => (1, 1),
             Category::Control => (1, usize::MAX),
         };
-        NodeSpec { id: id.into(), category, ports: Vec::new(), children, open: false, doc: doc.into() }
+        NodeSpec {
+            id: id.into(),
+            category,
+            ports: Vec::new(),
+            children,
+            open: false,
+            doc: doc.into(),
+        }
     }
 
     /// An action.
@@ -95,7 +102,10 @@ impl NodeSpec {
 
     /// A control node that takes between `least` and `most` children.
     pub fn control(id: &str, doc: &str, least: usize, most: usize) -> NodeSpec {
-        NodeSpec { children: (least, most), ..NodeSpec::new(Category::Control, id, doc) }
+        NodeSpec {
+            children: (least, most),
+            ..NodeSpec::new(Category::Control, id, doc)
+        }
     }
 
     /// Adds an input port that a tree must set.
@@ -202,7 +212,11 @@ pub struct Registry<C> {
 
 impl<C> Default for Registry<C> {
     fn default() -> Self {
-        Registry { nodes: BTreeMap::new(), enums: BTreeMap::new(), unknown: None }
+        Registry {
+            nodes: BTreeMap::new(),
+            enums: BTreeMap::new(),
+            unknown: None,
+        }
     }
 }
 
@@ -261,10 +275,7 @@ impl<C> Registry<C> {
     }
 
     /// Accepts leaves that nothing declares, and implements every leaf that is only declared.
-    pub fn invent_unknown_leaves(
-        &mut self,
-        make: impl Fn(LeafSite<'_>) -> Box<dyn Leaf<C>> + Send + Sync + 'static,
-    ) {
+    pub fn invent_unknown_leaves(&mut self, make: impl Fn(LeafSite<'_>) -> Box<dyn Leaf<C>> + Send + Sync + 'static) {
         self.unknown = Some(Box::new(make));
     }
 
@@ -275,13 +286,15 @@ impl<C> Registry<C> {
 
     /// Every specification, built-in ones first, each part sorted by id.
     pub fn specs(&self) -> impl Iterator<Item = &NodeSpec> {
-        builtins::specs().values().chain(self.nodes.values().map(|(spec, _)| spec))
+        builtins::specs()
+            .values()
+            .chain(self.nodes.values().map(|(spec, _)| spec))
     }
 
     pub(crate) fn find(&self, id: &str) -> Option<Known<'_, C>> {
-        builtins::spec(id).map(Known::Builtin).or_else(|| {
-            self.nodes.get(id).map(|(spec, make)| Known::Registered(spec, make))
-        })
+        builtins::spec(id)
+            .map(Known::Builtin)
+            .or_else(|| self.nodes.get(id).map(|(spec, make)| Known::Registered(spec, make)))
     }
 
     pub(crate) fn enums(&self) -> &BTreeMap<String, i64> {
@@ -294,7 +307,10 @@ impl<C> Registry<C> {
 
     fn add(&mut self, spec: NodeSpec, make: Make<C>) -> Result<(), DuplicateNode> {
         let taken = builtins::spec(&spec.id).is_some()
-            || self.nodes.get(&spec.id).is_some_and(|(_, make)| !matches!(make, Make::Declared));
+            || self
+                .nodes
+                .get(&spec.id)
+                .is_some_and(|(_, make)| !matches!(make, Make::Declared));
         if taken {
             return Err(DuplicateNode(spec.id));
         }

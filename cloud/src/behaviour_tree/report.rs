@@ -57,7 +57,9 @@ impl<C> Tree<C> {
     /// Number, status and last answer of every node: what changes from tick to tick, without a
     /// copy of a name.
     pub fn statuses(&self) -> impl Iterator<Item = (u16, Status, Status)> + '_ {
-        (1_u16..).zip(&self.states).map(|(uid, state)| (uid, state.status, state.last))
+        (1_u16..)
+            .zip(&self.states)
+            .map(|(uid, state)| (uid, state.status, state.last))
     }
 
     /// The tree drawn with lines, a node a row: name, id, status where it has one, feedback.
@@ -66,10 +68,16 @@ impl<C> Tree<C> {
         let mut todo: Vec<(NodeId, String, String)> = vec![(0, String::new(), String::new())];
         while let Some((id, first, rest)) = todo.pop() {
             self.render_row(id, &first, &mut drawn);
-            let Some(node) = self.nodes.get(id as usize) else { continue };
+            let Some(node) = self.nodes.get(id as usize) else {
+                continue;
+            };
             let children = node.first_child as usize..(node.first_child + node.child_count) as usize;
             for (place, child) in self.children.get(children).unwrap_or_default().iter().rev().enumerate() {
-                let (branch, below) = if place == 0 { ("└─ ", "   ") } else { ("├─ ", "│  ") };
+                let (branch, below) = if place == 0 {
+                    ("└─ ", "   ")
+                } else {
+                    ("├─ ", "│  ")
+                };
                 todo.push((*child, format!("{rest}{branch}"), format!("{rest}{below}")));
             }
         }

@@ -56,7 +56,10 @@ impl<C> Tree<C> {
             .zip(&self.memories)
             .filter(|(_, memory)| !memory.kept.is_null() || !memory.feedback.is_empty())
             .map(|(uid, memory)| {
-                let kept = Kept { feedback: memory.feedback.clone(), kept: memory.kept.clone() };
+                let kept = Kept {
+                    feedback: memory.feedback.clone(),
+                    kept: memory.kept.clone(),
+                };
                 (uid, kept)
             })
             .collect();
@@ -90,7 +93,9 @@ impl<C> Tree<C> {
         }
         let mut memories = vec![Memory::default(); self.nodes.len()];
         for (uid, kept) in snapshot.memories {
-            let memory = usize::from(uid).checked_sub(1).and_then(|index| memories.get_mut(index));
+            let memory = usize::from(uid)
+                .checked_sub(1)
+                .and_then(|index| memories.get_mut(index));
             let Some(memory) = memory else {
                 return Err(RestoreError::Damaged("memory of a node that is not there"));
             };

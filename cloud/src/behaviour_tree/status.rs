@@ -43,9 +43,15 @@ impl Status {
 
     /// The status of that name, whatever its case.
     pub fn from_name(name: &str) -> Option<Status> {
-        [Status::Idle, Status::Running, Status::Success, Status::Failure, Status::Skipped]
-            .into_iter()
-            .find(|status| status.as_str().eq_ignore_ascii_case(name.trim()))
+        [
+            Status::Idle,
+            Status::Running,
+            Status::Success,
+            Status::Failure,
+            Status::Skipped,
+        ]
+        .into_iter()
+        .find(|status| status.as_str().eq_ignore_ascii_case(name.trim()))
     }
 }
 

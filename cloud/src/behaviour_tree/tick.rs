@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use super::blackboard::Blackboard;
 use super::leaf::{Gate, Leaf, LeafIo, Pass};
-use super::node::{Guards, Info, Kind, Memory, Node, NodeId, NodeState};
+use super::node::{Guards, Info, Kind, Memory, Node, NodeId, NodeState, bump};
 use super::ports::Source;
 use super::script::Program;
 use super::status::Status;
@@ -61,7 +61,10 @@ impl<'a, C> Run<'a, C> {
     pub(crate) fn exec(&mut self, id: NodeId) -> Result<Status, Stop> {
         self.visits += 1;
         if self.visits > VISITS {
-            return Err(self.fault(id, format!("more than {VISITS} node visits in one tick: a loop in the tree never yields")));
+            return Err(self.fault(
+                id,
+                format!("more than {VISITS} node visits in one tick: a loop in the tree never yields"),
+            ));
         }
         let nodes: &'a [Node] = self.nodes;
         let node = &nodes[id as usize];
@@ -80,7 +83,10 @@ impl<'a, C> Run<'a, C> {
             }
         };
         if status == Status::Idle {
-            return Err(self.fault(id, "answered IDLE: expected RUNNING, SUCCESS, FAILURE or SKIPPED".into()));
+            return Err(self.fault(
+                id,
+                "answered IDLE: expected RUNNING, SUCCESS, FAILURE or SKIPPED".into(),
+            ));
         }
         let state = &mut self.states[id as usize];
         // A skipped node keeps its status; it cannot still be running.
@@ -89,7 +95,7 @@ impl<'a, C> Run<'a, C> {
             Status::Skipped => state.status,
             other => other,
         };
-        if state.last != status || state.status != kept {
+        if state.last != status {
             self.changes += 1;
         }
         state.last = status;
@@ -99,8 +105,7 @@ impl<'a, C> Run<'a, C> {
 
     fn enter(&mut self, id: NodeId, node: &'a Node, before: Status) -> Result<Status, Stop> {
         if before != Status::Running {
-            let state = &mut self.states[id as usize];
-            state.starts = state.starts.saturating_add(1);
+            bump(&mut self.states[id as usize].starts);
         }
         match &node.kind {
             Kind::Leaf(body) => self.leaf(id, *body, before),
@@ -177,7 +182,11 @@ impl<'a, C> Run<'a, C> {
 
     /// `_onSuccess` or `_onFailure`, then `_post`, once the node has completed.
     fn after(&mut self, id: NodeId, guards: &Guards, status: Status) -> Result<(), Stop> {
-        let own = if status == Status::Success { &guards.on_success } else { &guards.on_failure };
+        let own = if status == Status::Success {
+            &guards.on_success
+        } else {
+            &guards.on_failure
+        };
         for script in [own, &guards.post].into_iter().flatten() {
             self.evaluate(id, script)?;
         }
@@ -190,15 +199,10 @@ impl<'a, C> Run<'a, C> {
             self.halt(id);
         }
         let state = &mut self.states[id as usize];
-        if state.status != Status::Idle {
-            state.status = Status::Idle;
-            self.changes += 1;
-        }
+        state.status = Status::Idle;
         state.done = false;
         // What was skipped half-way starts to count anew; RecoveryNode keeps its count, as in Nav2.
-        if state.count != 0
-            && matches!(self.nodes[id as usize].kind, Kind::Retry(_) | Kind::Repeat(_))
-        {
+        if state.count != 0 && matches!(self.nodes[id as usize].kind, Kind::Retry(_) | Kind::Repeat(_)) {
             state.count = 0;
         }
     }
@@ -263,7 +267,9 @@ impl<'a, C> Run<'a, C> {
 
     fn leaf(&mut self, id: NodeId, body: u32, before: Status) -> Result<Status, Stop> {
         let (mut io, bodies, ctx) = self.io(id);
-        let Some(Body::Leaf(leaf)) = bodies.get_mut(body as usize) else { return Err(Stop) };
+        let Some(Body::Leaf(leaf)) = bodies.get_mut(body as usize) else {
+            return Err(Stop);
+        };
         let status = if before != Status::Running {
             io.memory.feedback.clear();
             io.memory.resuming = false;
@@ -287,7 +293,9 @@ impl<'a, C> Run<'a, C> {
         let child = self.child(id, 0)?;
         let child_status = self.states[child as usize].status;
         let (mut io, bodies, ctx) = self.io(id);
-        let Some(Body::Gate(gate)) = bodies.get_mut(body as usize) else { return Err(Stop) };
+        let Some(Body::Gate(gate)) = bodies.get_mut(body as usize) else {
+            return Err(Stop);
+        };
         if before != Status::Running {
             io.memory.feedback.clear();
         }

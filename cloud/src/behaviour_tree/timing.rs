@@ -48,13 +48,21 @@ impl<C> Run<'_, C> {
             self.start_clock(id, "msec", ms)?;
         }
         let end = self.states[id as usize].mark;
-        Ok(if end == u64::MAX || self.now_ns >= end { Status::Success } else { Status::Running })
+        Ok(if end == u64::MAX || self.now_ns >= end {
+            Status::Success
+        } else {
+            Status::Running
+        })
     }
 
     /// Sets `mark` to the end of a span from now; 0 or less has no end (`u64::MAX`).
     fn start_clock(&mut self, id: NodeId, port: &str, ms: &Source) -> Result<(), Stop> {
         let ms: i64 = self.read(id, port, ms)?;
-        let end = if ms > 0 { self.now_ns.saturating_add(millis(ms)) } else { u64::MAX };
+        let end = if ms > 0 {
+            self.now_ns.saturating_add(millis(ms))
+        } else {
+            u64::MAX
+        };
         let state = &mut self.states[id as usize];
         state.flag = true;
         state.mark = end;

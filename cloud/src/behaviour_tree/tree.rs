@@ -82,8 +82,9 @@ impl<C> Tree<C> {
         &mut self.board
     }
 
-    /// Counts every change of a status, an entry or a leaf's memory. While it stands still, a
-    /// stored snapshot is still good.
+    /// Counts every change that a restart must not lose: another answer of a node, a halt, a
+    /// write to an entry or to a leaf's memory. While it stands still, a stored snapshot is still
+    /// good, counters of starts aside.
     pub fn revision(&self) -> u64 {
         let remembered: u64 = self.memories.iter().map(|memory| memory.writes).sum();
         self.changes.wrapping_add(self.board.writes()).wrapping_add(remembered)
@@ -177,7 +178,11 @@ impl<C> Tree<C> {
     }
 
     fn tick_error(&self, fault: super::tick::Fault) -> TickError {
-        TickError { uid: (fault.node + 1) as u16, path: self.path(fault.node), message: fault.message }
+        TickError {
+            uid: (fault.node + 1) as u16,
+            path: self.path(fault.node),
+            message: fault.message,
+        }
     }
 
     /// Names from the root to a node, joined by `/`.

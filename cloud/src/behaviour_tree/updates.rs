@@ -22,7 +22,11 @@ impl<C> Run<'_, C> {
 
     /// `Success` if the entry was written since the last look, else `Failure`.
     pub(crate) fn was_entry_updated(&mut self, id: NodeId, slot: Slot) -> Result<Status, Stop> {
-        Ok(if self.is_news(id, slot) { Status::Success } else { Status::Failure })
+        Ok(if self.is_news(id, slot) {
+            Status::Success
+        } else {
+            Status::Failure
+        })
     }
 
     fn is_news(&mut self, id: NodeId, slot: Slot) -> bool {

@@ -108,9 +108,7 @@ impl Value {
         match self {
             Value::Bool(value) => Some(i64::from(*value)),
             Value::Int(value) => Some(*value),
-            Value::Double(value) if value.fract() == 0.0 && value.abs() <= EXACT as f64 => {
-                Some(*value as i64)
-            }
+            Value::Double(value) if value.fract() == 0.0 && value.abs() <= EXACT as f64 => Some(*value as i64),
             Value::Double(_) => None,
             Value::Text(text) => text.trim().parse().ok(),
             Value::Data(data) => data.as_i64(),
@@ -290,9 +288,7 @@ impl<'de> Deserialize<'de> for Value {
             Stored::Bool(value) => Value::Bool(value),
             Stored::Int(value) => Value::Int(value),
             Stored::Double(value) => Value::Double(value),
-            Stored::Special(text) => {
-                Value::Double(text.parse().map_err(serde::de::Error::custom)?)
-            }
+            Stored::Special(text) => Value::Double(text.parse().map_err(serde::de::Error::custom)?),
             Stored::Text(text) => Value::Text(Arc::from(text)),
             Stored::Data(data) => Value::Data(Arc::new(data)),
         })

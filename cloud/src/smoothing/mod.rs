@@ -1,3 +1,19 @@
 //! What does the robot really drive? A smooth curve through the free space around a way, with a time law.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`shortcut`] | which corners of a way are needed? |
+//! | [`corridor`] | how much room is there around it? |
+//! | [`curve`] | which curve through that room bends least? |
+//! | [`certificate`] | is the motion free? |
+//! | [`smoother`] | which trajectory does a way become? |
+//! | [`timing`] | when is the robot where? |
 
+pub mod certificate;
+pub mod corridor;
+pub mod curve;
+pub mod shortcut;
+pub mod smoother;
 pub mod timing;
+
+pub use smoother::{SmoothQuery, SmoothSettings, Smoothed, smooth};

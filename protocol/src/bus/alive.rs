@@ -38,7 +38,9 @@ impl Bus {
     /// [`BusError::Key`], [`BusError::Closed`].
     pub fn declare_alive(&self, key: String) -> Result<AliveToken, BusError> {
         let key = Self::key(key)?;
-        Ok(AliveToken { _token: self.declared(self.session.liveliness().declare_token(key).wait())? })
+        Ok(AliveToken {
+            _token: self.declared(self.session.liveliness().declare_token(key).wait())?,
+        })
     }
 
     /// Watches the tokens that match; those that are there already come first.
@@ -49,8 +51,17 @@ impl Bus {
         let pattern = Self::key(pattern)?;
         let (inbox, slot) = Inbox::new(Newest::new());
         let callback = move |sample: Sample| slot.put((sample.key_expr().clone(), sample.kind() == SampleKind::Put));
-        let subscriber = self.session.liveliness().declare_subscriber(pattern).history(true).callback(callback).wait();
-        Ok(AliveWatch { inbox, _subscriber: self.declared(subscriber)? })
+        let subscriber = self
+            .session
+            .liveliness()
+            .declare_subscriber(pattern)
+            .history(true)
+            .callback(callback)
+            .wait();
+        Ok(AliveWatch {
+            inbox,
+            _subscriber: self.declared(subscriber)?,
+        })
     }
 
     /// The tokens that match now, in order; waits for `timeout` at most.
@@ -60,11 +71,16 @@ impl Bus {
     pub async fn list_alive(&self, pattern: String, timeout: Duration) -> Result<Vec<String>, BusError> {
         let pattern = Self::key(pattern)?;
         let (inbox, slot) = Inbox::new(Newest::new());
-        let ask = self.session.liveliness().get(pattern).timeout(timeout).callback(move |reply| {
-            if let Ok(sample) = reply.result() {
-                slot.put((sample.key_expr().clone(), ()));
-            }
-        });
+        let ask = self
+            .session
+            .liveliness()
+            .get(pattern)
+            .timeout(timeout)
+            .callback(move |reply| {
+                if let Ok(sample) = reply.result() {
+                    slot.put((sample.key_expr().clone(), ()));
+                }
+            });
         self.declared(ask.wait())?;
         let mut keys = Vec::new();
         while let Some((key, ())) = inbox.next().await {

@@ -19,7 +19,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use super::subscribe::{decode_sample, encoding_of};
 use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
-use crate::messages::Refusal;
+use crate::messages::{Refusal, exit_code};
 use crate::topics::Ask;
 
 /// Largest reply looked at, bytes.
@@ -67,6 +67,20 @@ pub enum AskError {
     Closed,
 }
 
+impl AskError {
+    /// The exit code of a command line that got no answer.
+    #[must_use]
+    pub const fn exit_code(&self) -> u8 {
+        match self {
+            Self::Timeout { .. } => exit_code::TIMEOUT,
+            Self::Refused(refusal) => refusal.exit_code(),
+            Self::Malformed { .. } => exit_code::FAILED,
+            Self::Unaskable { .. } => exit_code::USAGE,
+            Self::Closed => exit_code::CANNOT_CONNECT,
+        }
+    }
+}
+
 /// One of several answers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer<R> {
@@ -106,10 +120,18 @@ impl Bus {
     ///
     /// # Errors
     /// [`AskError`]; after a deadline with nothing but `NotLeader` or `Busy`, that refusal.
-    pub async fn ask<Q: Serialize, R: DeserializeOwned>(&self, ask: &Ask<Q, R>, chunks: &[&str], request: &Q, deadline: Duration) -> Result<R, AskError> {
+    pub async fn ask<Q: Serialize, R: DeserializeOwned>(
+        &self,
+        ask: &Ask<Q, R>,
+        chunks: &[&str],
+        request: &Q,
+        deadline: Duration,
+    ) -> Result<R, AskError> {
         let question = self.question(ask, chunks, request)?;
         let start = Instant::now();
-        let end = start.checked_add(deadline).unwrap_or_else(|| start + Duration::from_secs(365 * 24 * 3600));
+        let end = start
+            .checked_add(deadline)
+            .unwrap_or_else(|| start + Duration::from_secs(365 * 24 * 3600));
         let patience = (deadline / 3).max(LEAST_PATIENCE);
         let (sender, mut events) = mpsc::channel(MAX_WAITING);
         let mut wait = SHORTEST_WAIT;
@@ -118,21 +140,25 @@ impl Bus {
         let mut open = 0_usize;
         let mut again = start;
         loop {
+            // Not left to the timer alone: it rounds up to a millisecond, several times what an answer takes.
+            if Instant::now() >= again {
+                self.send(&question, end.saturating_duration_since(Instant::now()), &sender)?;
+                open += 1;
+                again = Instant::now() + patience;
+            }
             let event = tokio::select! {
                 biased;
                 () = sleep_until(end) => break,
                 event = events.recv() => event,
-                () = sleep_until(again) => {
-                    self.send(&question, end.saturating_duration_since(Instant::now()), &sender)?;
-                    open += 1;
-                    again = Instant::now() + patience;
-                    continue;
-                }
+                () = sleep_until(again) => continue,
             };
             match event {
                 Some(Event::Reply(reply)) => match read(ask, reply) {
                     Verdict::Answer(Answer { result: Ok(answer), .. }) => return Ok(answer),
-                    Verdict::Answer(Answer { result: Err(no @ (Refusal::NotLeader | Refusal::Busy { .. })), .. }) => refusal = Some(no),
+                    Verdict::Answer(Answer {
+                        result: Err(no @ (Refusal::NotLeader | Refusal::Busy { .. })),
+                        ..
+                    }) => refusal = Some(no),
                     Verdict::Answer(Answer { result: Err(no), .. }) => return Err(AskError::Refused(no)),
                     Verdict::Unreadable(error) => unreadable = Some(error),
                     Verdict::Nothing => {}
@@ -143,7 +169,10 @@ impl Bus {
                     }
                     // Another server may have answered well; only now is it sure that none did.
                     if let Some(error) = unreadable {
-                        return Err(AskError::Malformed { key: question.key.to_string(), reason: error.to_string() });
+                        return Err(AskError::Malformed {
+                            key: question.key.to_string(),
+                            reason: error.to_string(),
+                        });
                     }
                     open = open.saturating_sub(1);
                     if open == 0 {
@@ -156,8 +185,13 @@ impl Bus {
         }
         match (refusal, unreadable) {
             (Some(refusal), _) => Err(AskError::Refused(refusal)),
-            (None, Some(error)) => Err(AskError::Malformed { key: question.key.to_string(), reason: error.to_string() }),
-            (None, None) => Err(AskError::Timeout { key: question.key.to_string() }),
+            (None, Some(error)) => Err(AskError::Malformed {
+                key: question.key.to_string(),
+                reason: error.to_string(),
+            }),
+            (None, None) => Err(AskError::Timeout {
+                key: question.key.to_string(),
+            }),
         }
     }
 
@@ -181,7 +215,9 @@ impl Bus {
             while let Some(Event::Reply(reply)) = events.recv().await {
                 match read(ask, reply) {
                     Verdict::Answer(answer) => answers.push(answer),
-                    Verdict::Unreadable(error) => tracing::warn!(key = %question.key, %error, "unreadable answer left out"),
+                    Verdict::Unreadable(error) => {
+                        tracing::warn!(key = %question.key, %error, "unreadable answer left out")
+                    }
                     Verdict::Nothing => {}
                 }
             }
@@ -196,13 +232,23 @@ impl Bus {
         if self.session.is_closed() {
             return Err(AskError::Closed);
         }
-        let key = Self::key(ask.key(chunks)).map_err(|error| AskError::Unaskable { key: ask.key(chunks), reason: error.to_string() })?;
-        let bytes = codec::encode(request, Encoding::Json).map_err(|error| AskError::Unaskable { key: key.to_string(), reason: error.to_string() })?;
+        let key = Self::key(ask.key(chunks)).map_err(|error| AskError::Unaskable {
+            key: ask.key(chunks),
+            reason: error.to_string(),
+        })?;
+        let bytes = codec::encode(request, Encoding::Json).map_err(|error| AskError::Unaskable {
+            key: key.to_string(),
+            reason: error.to_string(),
+        })?;
         let parameters = match ask.reply_encoding {
             Encoding::Json => "",
             Encoding::Cbor => "format=cbor",
         };
-        Ok(Question { key, parameters, payload: bytes.into() })
+        Ok(Question {
+            key,
+            parameters,
+            payload: bytes.into(),
+        })
     }
 
     fn send(&self, question: &Question, timeout: Duration, events: &mpsc::Sender<Event>) -> Result<(), AskError> {
@@ -222,7 +268,14 @@ impl Bus {
             })
             .wait()
             .map_err(|error| {
-                if self.session.is_closed() { AskError::Closed } else { AskError::Unaskable { key: question.key.to_string(), reason: error.to_string() } }
+                if self.session.is_closed() {
+                    AskError::Closed
+                } else {
+                    AskError::Unaskable {
+                        key: question.key.to_string(),
+                        reason: error.to_string(),
+                    }
+                }
             })
     }
 }
@@ -238,13 +291,24 @@ fn read<Q, R: DeserializeOwned>(ask: &Ask<Q, R>, reply: Reply) -> Verdict<R> {
     match reply.result() {
         Ok(sample) => match decode_sample(sample, MAX_REPLY) {
             Ok(message) => {
-                let chunks = ask.chunks(sample.key_expr().as_str()).unwrap_or_default().into_iter().map(str::to_owned).collect();
-                Verdict::Answer(Answer { chunks, result: Ok(message) })
+                let chunks = ask
+                    .chunks(sample.key_expr().as_str())
+                    .unwrap_or_default()
+                    .into_iter()
+                    .map(str::to_owned)
+                    .collect();
+                Verdict::Answer(Answer {
+                    chunks,
+                    result: Ok(message),
+                })
             }
             Err(error) => Verdict::Unreadable(error),
         },
         Err(error) => match codec::decode(&error.payload().to_bytes(), encoding_of(error.encoding()), MAX_REFUSAL) {
-            Ok(refusal) => Verdict::Answer(Answer { chunks: Vec::new(), result: Err(refusal) }),
+            Ok(refusal) => Verdict::Answer(Answer {
+                chunks: Vec::new(),
+                result: Err(refusal),
+            }),
             Err(_) if error.payload().to_bytes().as_ref() == b"Timeout" => Verdict::Nothing,
             Err(error) => Verdict::Unreadable(error),
         },

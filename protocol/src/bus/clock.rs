@@ -53,7 +53,10 @@ impl Clock {
     #[must_use]
     pub fn wall() -> Self {
         let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self(Kind::Wall { start: Instant::now(), start_stamp: Stamp::ZERO + since_epoch })
+        Self(Kind::Wall {
+            start: Instant::now(),
+            start_stamp: Stamp::ZERO + since_epoch,
+        })
     }
 
     /// A simulated clock, and the handle that moves it.
@@ -132,7 +135,11 @@ impl Clock {
     /// Ticks every `period`, the first at once.
     #[must_use]
     pub fn interval(&self, period: Duration) -> Interval {
-        Interval { next: self.now(), clock: self.clone(), period: period.max(Duration::from_nanos(1)) }
+        Interval {
+            next: self.now(),
+            clock: self.clone(),
+            period: period.max(Duration::from_nanos(1)),
+        }
     }
 }
 
@@ -155,7 +162,11 @@ impl Interval {
         }
         let period = u64::try_from(self.period.as_nanos()).unwrap_or(u64::MAX);
         let late = now.0.saturating_sub(self.next.0) / period;
-        self.next = Stamp(self.next.0.saturating_add(period.saturating_mul(late.saturating_add(1))));
+        self.next = Stamp(
+            self.next
+                .0
+                .saturating_add(period.saturating_mul(late.saturating_add(1))),
+        );
         now
     }
 }
@@ -204,7 +215,11 @@ mod tests {
     #[tokio::test]
     async fn a_timeout_is_of_this_clock() {
         let (clock, handle) = Clock::simulated(Stamp(0));
-        let wait = tokio::spawn(async move { clock.timeout(Duration::from_secs(3600), std::future::pending::<()>()).await });
+        let wait = tokio::spawn(async move {
+            clock
+                .timeout(Duration::from_secs(3600), std::future::pending::<()>())
+                .await
+        });
         tokio::task::yield_now().await;
         handle.advance(Duration::from_secs(3600));
         assert_eq!(wait.await.ok(), Some(None));

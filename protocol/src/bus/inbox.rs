@@ -28,7 +28,10 @@ pub(super) struct Queue<T> {
 
 impl<T> Queue<T> {
     pub(super) fn new(capacity: usize) -> Self {
-        Self { items: VecDeque::new(), capacity: capacity.max(1) }
+        Self {
+            items: VecDeque::new(),
+            capacity: capacity.max(1),
+        }
     }
 }
 
@@ -61,7 +64,10 @@ pub(super) struct Newest<K, T> {
 
 impl<K, T> Newest<K, T> {
     pub(super) fn new() -> Self {
-        Self { turns: VecDeque::new(), items: HashMap::new() }
+        Self {
+            turns: VecDeque::new(),
+            items: HashMap::new(),
+        }
     }
 }
 
@@ -107,7 +113,11 @@ struct State<S> {
 impl<S: Store> Inbox<S> {
     /// The box and its one slot to put things in; when the slot is dropped, the reader learns that nothing more comes.
     pub(super) fn new(store: S) -> (Arc<Self>, Slot<S>) {
-        let inbox = Arc::new(Self { state: Mutex::new(State { store, closed: false }), ready: Notify::new(), dropped: AtomicU64::new(0) });
+        let inbox = Arc::new(Self {
+            state: Mutex::new(State { store, closed: false }),
+            ready: Notify::new(),
+            dropped: AtomicU64::new(0),
+        });
         (Arc::clone(&inbox), Slot(inbox))
     }
 
@@ -269,6 +279,9 @@ mod tests {
     #[test]
     fn complaints_are_rare() {
         let complaints = Complaints::default();
-        assert_eq!((0..1000).filter_map(|_| complaints.add()).collect::<Vec<_>>(), [1, 2, 4, 8, 16, 32, 64, 128, 256, 512]);
+        assert_eq!(
+            (0..1000).filter_map(|_| complaints.add()).collect::<Vec<_>>(),
+            [1, 2, 4, 8, 16, 32, 64, 128, 256, 512]
+        );
     }
 }

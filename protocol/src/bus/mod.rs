@@ -9,16 +9,19 @@
 //! | `alive` | who is there |
 //! | `raw` | bytes, for tools that know no types |
 //! | `clock`, `shutdown` | time and the end, the only ones a service gets |
+//! | `overhead` | what all this costs over raw Zenoh |
 //! | `inbox` | the bounded boxes between Zenoh's threads and ours |
 //!
 //! No Zenoh callback blocks or decodes: it puts a sample in a bounded box and wakes the reader. What cannot be decoded is
 //! counted, logged now and then, and otherwise harmless. Declaring is quick and synchronous, and works from any thread
-//! (in a Tokio runtime it must be the multi-threaded one).
+//! (in a Tokio runtime it must be the multi-threaded one). Every `next` and `changed` may be dropped halfway, as `select!` does:
+//! nothing is lost.
 
 mod alive;
 mod ask;
 mod clock;
 mod inbox;
+pub mod overhead;
 mod publish;
 mod raw;
 mod router;

@@ -37,7 +37,9 @@ enum Carrier {
 
 impl<T> fmt::Debug for Publisher<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Publisher").field("key", &self.key).finish_non_exhaustive()
+        f.debug_struct("Publisher")
+            .field("key", &self.key)
+            .finish_non_exhaustive()
     }
 }
 
@@ -50,7 +52,10 @@ impl Bus {
         let key = topic.key(chunks);
         let key_expr = Self::key(key.clone())?;
         if key_expr.is_wild() {
-            return Err(BusError::Key { key, reason: "a writer needs one key, not a pattern".into() });
+            return Err(BusError::Key {
+                key,
+                reason: "a writer needs one key, not a pattern".into(),
+            });
         }
         let congestion = match topic.encoding {
             Encoding::Json => CongestionControl::Drop,
@@ -79,7 +84,13 @@ impl Bus {
                 Carrier::Advanced(Box::new(self.declared(advanced.wait())?))
             }
         };
-        Ok(Publisher { carrier, encoding: topic.encoding, key, failures: Complaints::default(), message: PhantomData })
+        Ok(Publisher {
+            carrier,
+            encoding: topic.encoding,
+            key,
+            failures: Complaints::default(),
+            message: PhantomData,
+        })
     }
 }
 

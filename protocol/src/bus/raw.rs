@@ -5,12 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use zenoh::Wait;
-use zenoh::pubsub::Subscriber;
+use zenoh::query::Selector;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Sample, SampleKind};
-use zenoh::query::Selector;
+use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
 use super::inbox::{Inbox, Queue};
+use super::subscribe::{Carrier, HISTORY_TIMEOUT};
 use super::{Bus, BusError};
 use crate::time::Stamp;
 
@@ -38,7 +39,9 @@ impl From<&Sample> for RawSample {
             key: sample.key_expr().to_string(),
             bytes: sample.payload().to_bytes().into_owned(),
             encoding: sample.encoding().to_string(),
-            stamp: sample.timestamp().map(|stamp| Stamp::ZERO + stamp.get_time().to_duration()),
+            stamp: sample
+                .timestamp()
+                .map(|stamp| Stamp::ZERO + stamp.get_time().to_duration()),
             deleted: sample.kind() == SampleKind::Delete,
         }
     }
@@ -61,7 +64,7 @@ pub enum RawReply {
 /// Samples as they come.
 pub struct RawSubscription {
     inbox: Arc<Inbox<Queue<Sample>>>,
-    _subscriber: Subscriber<()>,
+    _carrier: Carrier,
 }
 
 impl fmt::Debug for RawSubscription {
@@ -91,8 +94,35 @@ impl Bus {
     pub fn raw_subscribe(&self, pattern: &str, capacity: usize) -> Result<RawSubscription, BusError> {
         let key = Self::key(pattern.to_owned())?;
         let (inbox, slot) = Inbox::new(Queue::new(capacity));
-        let subscriber = self.session.declare_subscriber(key).callback(move |sample| slot.put(sample)).wait();
-        Ok(RawSubscription { inbox, _subscriber: self.declared(subscriber)? })
+        let subscriber = self
+            .session
+            .declare_subscriber(key)
+            .callback(move |sample| slot.put(sample))
+            .wait();
+        Ok(RawSubscription {
+            inbox,
+            _carrier: Carrier::Plain(self.declared(subscriber)?),
+        })
+    }
+
+    /// As [`Self::raw_subscribe`], preceded by what the writers of `Events` and `State` topics keep for late joiners.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], [`BusError::Closed`].
+    pub fn raw_subscribe_kept(&self, pattern: &str, capacity: usize) -> Result<RawSubscription, BusError> {
+        let key = Self::key(pattern.to_owned())?;
+        let (inbox, slot) = Inbox::new(Queue::new(capacity));
+        let subscriber = self
+            .session
+            .declare_subscriber(key)
+            .callback(move |sample| slot.put(sample))
+            .history(HistoryConfig::default().detect_late_publishers())
+            .query_timeout(HISTORY_TIMEOUT)
+            .wait();
+        Ok(RawSubscription {
+            inbox,
+            _carrier: Carrier::Advanced(self.declared(subscriber)?),
+        })
     }
 
     /// Publishes bytes as they are.
@@ -101,15 +131,28 @@ impl Bus {
     /// [`BusError::Key`], [`BusError::Closed`].
     pub fn raw_put(&self, key: &str, bytes: Vec<u8>, encoding: &str) -> Result<(), BusError> {
         let key = Self::key(key.to_owned())?;
-        self.declared(self.session.put(key, bytes).encoding(zenoh::bytes::Encoding::from(encoding)).wait())
+        self.declared(
+            self.session
+                .put(key, bytes)
+                .encoding(zenoh::bytes::Encoding::from(encoding))
+                .wait(),
+        )
     }
 
     /// All replies to a selector (`zenav/tiago/ask/cloud/map?format=png`), asked once; a payload, if any, is JSON.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
-    pub async fn raw_query(&self, selector: &str, payload: Option<Vec<u8>>, timeout: Duration) -> Result<Vec<RawReply>, BusError> {
-        let target = Selector::try_from(selector).map_err(|error| BusError::Key { key: selector.to_owned(), reason: error.to_string() })?;
+    pub async fn raw_query(
+        &self,
+        selector: &str,
+        payload: Option<Vec<u8>>,
+        timeout: Duration,
+    ) -> Result<Vec<RawReply>, BusError> {
+        let target = Selector::try_from(selector).map_err(|error| BusError::Key {
+            key: selector.to_owned(),
+            reason: error.to_string(),
+        })?;
         let (inbox, slot) = Inbox::new(Queue::new(MAX_REPLIES));
         let mut query = self
             .session
@@ -119,14 +162,19 @@ impl Bus {
             .timeout(timeout)
             .callback(move |reply| slot.put(reply));
         if let Some(payload) = payload {
-            query = query.payload(payload).encoding(zenoh::bytes::Encoding::APPLICATION_JSON);
+            query = query
+                .payload(payload)
+                .encoding(zenoh::bytes::Encoding::APPLICATION_JSON);
         }
         self.declared(query.wait())?;
         let mut replies = Vec::new();
         while let Some(reply) = inbox.next().await {
             replies.push(match reply.result() {
                 Ok(sample) => RawReply::Ok(sample.into()),
-                Err(error) => RawReply::Err { bytes: error.payload().to_bytes().into_owned(), encoding: error.encoding().to_string() },
+                Err(error) => RawReply::Err {
+                    bytes: error.payload().to_bytes().into_owned(),
+                    encoding: error.encoding().to_string(),
+                },
             });
         }
         Ok(replies)

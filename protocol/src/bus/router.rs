@@ -18,7 +18,11 @@ pub struct RouterConfig {
 
 impl Default for RouterConfig {
     fn default() -> Self {
-        Self { listen: vec!["tcp/127.0.0.1:7447".to_owned()], connect: Vec::new(), name: "zenav-router".to_owned() }
+        Self {
+            listen: vec!["tcp/127.0.0.1:7447".to_owned()],
+            connect: Vec::new(),
+            name: "zenav-router".to_owned(),
+        }
     }
 }
 
@@ -35,7 +39,10 @@ impl Router {
     /// [`BusError::CannotListen`] when an endpoint is taken, [`BusError::Config`] when it is not one.
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
         let zenoh = link_settings(WhatAmI::Router, &config.connect, &config.listen, &config.name)?;
-        let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen { endpoint: config.listen.join(", "), reason: error.to_string() })?;
+        let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
+            endpoint: config.listen.join(", "),
+            reason: error.to_string(),
+        })?;
         Ok(Self { session })
     }
 

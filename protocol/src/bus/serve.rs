@@ -53,11 +53,21 @@ impl Bus {
                 if query.payload().is_some_and(|payload| payload.len() > limit) {
                     refuse(&query, &Refusal::TooLarge { limit });
                 } else if let Some(query) = slot.put_within(query, MAX_WAITING) {
-                    refuse(&query, &Refusal::Busy { reason: format!("{MAX_WAITING} requests wait already") });
+                    refuse(
+                        &query,
+                        &Refusal::Busy {
+                            reason: format!("{MAX_WAITING} requests wait already"),
+                        },
+                    );
                 }
             })
             .wait();
-        Ok(Server { inbox, ask: *ask, key, _queryable: self.declared(queryable)? })
+        Ok(Server {
+            inbox,
+            ask: *ask,
+            key,
+            _queryable: self.declared(queryable)?,
+        })
     }
 }
 
@@ -86,17 +96,39 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
             Err(CodecError::TooLarge { limit, .. }) => return Err((query, Refusal::TooLarge { limit })),
             Err(error) => return Err((query, Refusal::bad_request(error.to_string()))),
         };
-        let chunks = self.ask.chunks(key.as_str()).unwrap_or_default().into_iter().map(str::to_owned).collect();
-        let parameters = query.parameters().iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect();
-        Ok(Request { body, chunks, parameters, key, query, reply: PhantomData })
+        let chunks = self
+            .ask
+            .chunks(key.as_str())
+            .unwrap_or_default()
+            .into_iter()
+            .map(str::to_owned)
+            .collect();
+        let parameters = query
+            .parameters()
+            .iter()
+            .map(|(name, value)| (name.to_owned(), value.to_owned()))
+            .collect();
+        Ok(Request {
+            body,
+            chunks,
+            parameters,
+            key,
+            query,
+            reply: PhantomData,
+        })
     }
 }
 
 /// An empty payload stands for `{}`, or for `null` where that is what the request may be.
 fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, CodecError> {
     match query.payload().filter(|payload| !payload.is_empty()) {
-        Some(payload) => codec::decode(&payload.to_bytes(), query.encoding().map_or(Encoding::Json, encoding_of), max_bytes),
-        None => codec::decode(b"{}", Encoding::Json, max_bytes).or_else(|error| codec::decode(b"null", Encoding::Json, max_bytes).map_err(|_| error)),
+        Some(payload) => codec::decode(
+            &payload.to_bytes(),
+            query.encoding().map_or(Encoding::Json, encoding_of),
+            max_bytes,
+        ),
+        None => codec::decode(b"{}", Encoding::Json, max_bytes)
+            .or_else(|error| codec::decode(b"null", Encoding::Json, max_bytes).map_err(|_| error)),
     }
 }
 
@@ -115,17 +147,26 @@ pub struct Request<Q, R> {
 
 impl<Q: fmt::Debug, R> fmt::Debug for Request<Q, R> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Request").field("key", &self.key).field("body", &self.body).finish_non_exhaustive()
+        f.debug_struct("Request")
+            .field("key", &self.key)
+            .field("body", &self.body)
+            .finish_non_exhaustive()
     }
 }
 
 impl<Q, R: Serialize> Request<Q, R> {
     /// Answers, in JSON unless the asker's selector says `format=cbor`.
     pub fn reply(self, reply: &R) {
-        let encoding = if self.parameters.get("format").is_some_and(|format| format == "cbor") { Encoding::Cbor } else { Encoding::Json };
+        let encoding = if self.parameters.get("format").is_some_and(|format| format == "cbor") {
+            Encoding::Cbor
+        } else {
+            Encoding::Json
+        };
         match codec::encode(reply, encoding) {
             Ok(bytes) => self.reply_bytes(bytes, encoding.mime()),
-            Err(error) => self.refuse(&Refusal::Internal { reason: error.to_string() }),
+            Err(error) => self.refuse(&Refusal::Internal {
+                reason: error.to_string(),
+            }),
         }
     }
 }
@@ -133,7 +174,10 @@ impl<Q, R: Serialize> Request<Q, R> {
 impl<Q, R> Request<Q, R> {
     /// Answers with bytes of any encoding: `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
-        sent(&self.query, self.query.reply(&self.key, bytes).encoding(Wire::from(mime)).wait());
+        sent(
+            &self.query,
+            self.query.reply(&self.key, bytes).encoding(Wire::from(mime)).wait(),
+        );
     }
 
     /// Refuses.

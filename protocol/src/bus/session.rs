@@ -16,6 +16,8 @@ use tokio::time::sleep;
 use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
 
+use crate::messages::exit_code;
+
 /// Zenoh's own port: where the router is unless told otherwise.
 const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
@@ -45,7 +47,12 @@ pub struct BusConfig {
 
 impl Default for BusConfig {
     fn default() -> Self {
-        Self { connect: vec![DEFAULT_ENDPOINT.to_owned()], listen: Vec::new(), name: "zenav".to_owned(), retry: true }
+        Self {
+            connect: vec![DEFAULT_ENDPOINT.to_owned()],
+            listen: Vec::new(),
+            name: "zenav".to_owned(),
+            retry: true,
+        }
     }
 }
 
@@ -53,13 +60,20 @@ impl BusConfig {
     /// A service of the router at `endpoint`: waits for it.
     #[must_use]
     pub fn service(name: &str, endpoint: &str) -> Self {
-        Self { connect: vec![endpoint.to_owned()], name: name.to_owned(), ..Self::default() }
+        Self {
+            connect: vec![endpoint.to_owned()],
+            name: name.to_owned(),
+            ..Self::default()
+        }
     }
 
     /// A command at `endpoint`: fails at once when nobody is there.
     #[must_use]
     pub fn command(name: &str, endpoint: &str) -> Self {
-        Self { retry: false, ..Self::service(name, endpoint) }
+        Self {
+            retry: false,
+            ..Self::service(name, endpoint)
+        }
     }
 }
 
@@ -99,6 +113,18 @@ pub enum BusError {
     Closed,
 }
 
+impl BusError {
+    /// The exit code of a command line that has no link.
+    #[must_use]
+    pub const fn exit_code(&self) -> u8 {
+        match self {
+            Self::CannotConnect { .. } | Self::Closed => exit_code::CANNOT_CONNECT,
+            Self::CannotListen { .. } => exit_code::FAILED,
+            Self::Config { .. } | Self::Key { .. } => exit_code::USAGE,
+        }
+    }
+}
+
 /// A part's link to the others. Clones share it; it closes with [`Bus::close`] or with its last clone.
 #[derive(Clone, Debug)]
 pub struct Bus {
@@ -114,7 +140,11 @@ impl Bus {
     /// [`BusError::CannotListen`] and [`BusError::Config`] at once.
     pub async fn open(config: BusConfig) -> Result<Self, BusError> {
         let mode = match (config.listen.is_empty(), config.connect.is_empty()) {
-            (true, true) => return Err(BusError::Config { reason: "neither an endpoint to connect to nor one to listen on".into() }),
+            (true, true) => {
+                return Err(BusError::Config {
+                    reason: "neither an endpoint to connect to nor one to listen on".into(),
+                });
+            }
             (true, false) => WhatAmI::Client,
             (false, _) => WhatAmI::Peer,
         };
@@ -122,8 +152,18 @@ impl Bus {
         let mut wait = MIN_RETRY;
         loop {
             match zenoh::open(zenoh.clone()).await {
-                Ok(session) => return Ok(Self { session, name: config.name.into() }),
-                Err(error) if mode == WhatAmI::Peer => return Err(BusError::CannotListen { endpoint: config.listen.join(", "), reason: error.to_string() }),
+                Ok(session) => {
+                    return Ok(Self {
+                        session,
+                        name: config.name.into(),
+                    });
+                }
+                Err(error) if mode == WhatAmI::Peer => {
+                    return Err(BusError::CannotListen {
+                        endpoint: config.listen.join(", "),
+                        reason: error.to_string(),
+                    });
+                }
                 Err(error) if config.retry => {
                     tracing::debug!(endpoints = ?config.connect, %error, "no router yet");
                     sleep(wait).await;
@@ -131,7 +171,9 @@ impl Bus {
                 }
                 Err(error) => {
                     tracing::debug!(endpoints = ?config.connect, %error, "cannot connect");
-                    return Err(BusError::CannotConnect { endpoint: config.connect.join(", ") });
+                    return Err(BusError::CannotConnect {
+                        endpoint: config.connect.join(", "),
+                    });
                 }
             }
         }
@@ -168,7 +210,10 @@ impl Bus {
 
     /// The key, or what is wrong with it.
     pub(super) fn key(key: String) -> Result<zenoh::key_expr::KeyExpr<'static>, BusError> {
-        zenoh::key_expr::KeyExpr::new(key.clone()).map_err(|error| BusError::Key { key, reason: error.to_string() })
+        zenoh::key_expr::KeyExpr::new(key.clone()).map_err(|error| BusError::Key {
+            key,
+            reason: error.to_string(),
+        })
     }
 
     /// The result of a declaration: it fails on a closed session only, the key was checked before.
@@ -184,11 +229,22 @@ impl Bus {
 
 /// The endpoints of a session that listens.
 pub(super) async fn endpoints(session: &Session) -> Vec<String> {
-    session.info().locators().await.into_iter().map(|locator| locator.to_string()).collect()
+    session
+        .info()
+        .locators()
+        .await
+        .into_iter()
+        .map(|locator| locator.to_string())
+        .collect()
 }
 
 /// The settings that all sessions share, router and tests included.
-pub(super) fn link_settings(mode: WhatAmI, connect: &[String], listen: &[String], name: &str) -> Result<Config, BusError> {
+pub(super) fn link_settings(
+    mode: WhatAmI,
+    connect: &[String],
+    listen: &[String],
+    name: &str,
+) -> Result<Config, BusError> {
     let mut text = String::from("{");
     let mut set = |key: &str, value: String| {
         // Writing to a String cannot fail.
@@ -208,18 +264,37 @@ pub(super) fn link_settings(mode: WhatAmI, connect: &[String], listen: &[String]
             MAX_RETRY.as_millis()
         ),
     );
-    set("listen", format!("{{ endpoints: {}, timeout_ms: 0, exit_on_failure: true }}", json(listen)));
-    set("open", "{ return_conditions: { connect_scouted: false, declares: false } }".into());
-    set("scouting", "{ delay: 0, multicast: { enabled: false }, gossip: { enabled: false } }".into());
+    set(
+        "listen",
+        format!(
+            "{{ endpoints: {}, timeout_ms: 0, exit_on_failure: true }}",
+            json(listen)
+        ),
+    );
+    set(
+        "open",
+        "{ return_conditions: { connect_scouted: false, declares: false } }".into(),
+    );
+    set(
+        "scouting",
+        "{ delay: 0, multicast: { enabled: false }, gossip: { enabled: false } }".into(),
+    );
     // The advanced publishers' caches need time stamps.
     set("timestamping", "{ enabled: true }".into());
     set(
         "transport",
-        format!("{{ unicast: {{ open_timeout: 1000, accept_timeout: 2000 }}, link: {{ tx: {{ lease: {LEASE_MS} }}, rx: {{ max_message_size: {MAX_MESSAGE} }} }} }}"),
+        format!(
+            "{{ unicast: {{ open_timeout: 1000, accept_timeout: 2000 }}, link: {{ tx: {{ lease: {LEASE_MS} }}, rx: {{ max_message_size: {MAX_MESSAGE} }} }} }}"
+        ),
     );
     if mode == WhatAmI::Router {
-        set("adminspace", "{ enabled: true, permissions: { read: true, write: false } }".into());
+        set(
+            "adminspace",
+            "{ enabled: true, permissions: { read: true, write: false } }".into(),
+        );
     }
     text.push('}');
-    Config::from_json5(&text).map_err(|error| BusError::Config { reason: error.to_string() })
+    Config::from_json5(&text).map_err(|error| BusError::Config {
+        reason: error.to_string(),
+    })
 }

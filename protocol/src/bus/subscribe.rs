@@ -20,7 +20,7 @@ use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Qos, Topic};
 
 /// How long one try to get a writer's past samples may take; newer ones wait behind it.
-const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
+pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A value and the chunks of the key it came on, in the order of the pattern's names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,7 +33,7 @@ pub struct Received<T> {
 
 /// Keeps a subscription alive.
 #[expect(dead_code, reason = "held for their drop, which undeclares")]
-enum Carrier {
+pub(super) enum Carrier {
     Plain(zenoh::pubsub::Subscriber<()>),
     Advanced(AdvancedSubscriber<()>),
 }
@@ -57,7 +57,12 @@ impl<T: DeserializeOwned> Reader<T> {
     }
 
     fn chunks(&self, key: &KeyExpr<'_>) -> Vec<String> {
-        self.topic.chunks(key.as_str()).unwrap_or_default().into_iter().map(str::to_owned).collect()
+        self.topic
+            .chunks(key.as_str())
+            .unwrap_or_default()
+            .into_iter()
+            .map(str::to_owned)
+            .collect()
     }
 }
 
@@ -92,7 +97,11 @@ impl Bus {
     pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
         let (inbox, slot) = Inbox::new(Newest::new());
         let reader = self.read(topic, chunks, slot, |sample| (sample.key_expr().clone(), sample))?;
-        Ok(Latest { inbox, reader, current: None })
+        Ok(Latest {
+            inbox,
+            reader,
+            current: None,
+        })
     }
 
     /// All values of the topic on the key with these chunks (a chunk may be `*`), each writer's in order. At most `capacity` wait
@@ -100,13 +109,24 @@ impl Bus {
     ///
     /// # Errors
     /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
-    pub fn subscribe<T>(&self, topic: &Topic<T>, chunks: &[&str], capacity: usize) -> Result<Subscription<T>, BusError> {
+    pub fn subscribe<T>(
+        &self,
+        topic: &Topic<T>,
+        chunks: &[&str],
+        capacity: usize,
+    ) -> Result<Subscription<T>, BusError> {
         let (inbox, slot) = Inbox::new(Queue::new(capacity));
         let reader = self.read(topic, chunks, slot, |sample| sample)?;
         Ok(Subscription { inbox, reader })
     }
 
-    fn read<T, S>(&self, topic: &Topic<T>, chunks: &[&str], slot: Slot<S>, item: fn(Sample) -> S::Item) -> Result<Reader<T>, BusError>
+    fn read<T, S>(
+        &self,
+        topic: &Topic<T>,
+        chunks: &[&str],
+        slot: Slot<S>,
+        item: fn(Sample) -> S::Item,
+    ) -> Result<Reader<T>, BusError>
     where
         S: Store + Send + 'static,
         S::Item: Send,
@@ -119,7 +139,11 @@ impl Bus {
             move |sample: Sample| {
                 let got = sample.payload().len();
                 if got > max_bytes {
-                    complain(&unreadable, sample.key_expr(), &CodecError::TooLarge { limit: max_bytes, got });
+                    complain(
+                        &unreadable,
+                        sample.key_expr(),
+                        &CodecError::TooLarge { limit: max_bytes, got },
+                    );
                 } else if sample.kind() == SampleKind::Put {
                     slot.put(item(sample));
                 }
@@ -130,13 +154,21 @@ impl Bus {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
                 let advanced = plain
-                    .history(HistoryConfig::default().detect_late_publishers().max_samples(kept(topic.qos)))
+                    .history(
+                        HistoryConfig::default()
+                            .detect_late_publishers()
+                            .max_samples(kept(topic.qos)),
+                    )
                     .recovery(RecoveryConfig::default().heartbeat())
                     .query_timeout(HISTORY_TIMEOUT);
                 Carrier::Advanced(self.declared(advanced.wait())?)
             }
         };
-        Ok(Reader { topic: *topic, unreadable, _carrier: carrier })
+        Ok(Reader {
+            topic: *topic,
+            unreadable,
+            _carrier: carrier,
+        })
     }
 }
 
@@ -149,7 +181,9 @@ pub struct Latest<T> {
 
 impl<T> fmt::Debug for Latest<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Latest").field("pattern", &self.reader.topic.pattern).finish_non_exhaustive()
+        f.debug_struct("Latest")
+            .field("pattern", &self.reader.topic.pattern)
+            .finish_non_exhaustive()
     }
 }
 
@@ -168,7 +202,10 @@ impl<T: DeserializeOwned> Latest<T> {
     pub fn take_received(&mut self) -> Option<Received<T>> {
         while let Some((key, sample)) = self.inbox.try_next() {
             if let Some(message) = self.reader.read(&sample) {
-                return Some(Received { chunks: self.reader.chunks(&key), message });
+                return Some(Received {
+                    chunks: self.reader.chunks(&key),
+                    message,
+                });
             }
         }
         None
@@ -193,7 +230,10 @@ impl<T: DeserializeOwned> Latest<T> {
         loop {
             let (key, sample) = self.inbox.next().await?;
             if let Some(message) = self.reader.read(&sample) {
-                return Some(Received { chunks: self.reader.chunks(&key), message });
+                return Some(Received {
+                    chunks: self.reader.chunks(&key),
+                    message,
+                });
             }
         }
     }
@@ -213,7 +253,9 @@ pub struct Subscription<T> {
 
 impl<T> fmt::Debug for Subscription<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Subscription").field("pattern", &self.reader.topic.pattern).finish_non_exhaustive()
+        f.debug_struct("Subscription")
+            .field("pattern", &self.reader.topic.pattern)
+            .finish_non_exhaustive()
     }
 }
 
@@ -240,7 +282,10 @@ impl<T: DeserializeOwned> Subscription<T> {
 
     fn received(&self, sample: &Sample) -> Option<Received<T>> {
         let message = self.reader.read(sample)?;
-        Some(Received { chunks: self.reader.chunks(sample.key_expr()), message })
+        Some(Received {
+            chunks: self.reader.chunks(sample.key_expr()),
+            message,
+        })
     }
 
     /// Values dropped because the reader was too slow.

@@ -131,8 +131,40 @@ pub struct GoalState {
     /// How it goes.
     #[serde(default)]
     pub feedback: GoalFeedback,
+    /// Its drives, in order; only the newest where there are many.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub legs: Vec<Leg>,
     /// What was asked for.
     pub request: GoalRequest,
+}
+
+/// One drive of a goal: a path or a list of waypoints, followed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Leg {
+    /// Name of the tree's node that drove.
+    pub name: String,
+    /// Where to, where it is one place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<GoalPoint>,
+    /// `Active`, `Succeeded`, `Aborted` or `Canceled`.
+    pub state: GoalPhase,
+    /// Why, for an end that is not success.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// When driving began.
+    pub started: Stamp,
+    /// When it ended.
+    #[serde(default)]
+    pub ended: Option<Stamp>,
+    /// Motions published for it.
+    #[serde(default)]
+    pub plans: u64,
+    /// Motions that replaced a blocked, lost or refused one.
+    #[serde(default)]
+    pub replans: u64,
+    /// Length of its first way as planned, m.
+    #[serde(default)]
+    pub planned_length: f64,
 }
 
 /// How a goal goes.

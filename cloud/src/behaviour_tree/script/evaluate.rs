@@ -69,7 +69,9 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
 }
 
 fn read<'b>(variable: &Variable, board: &'b Blackboard) -> Result<&'b Value, ScriptError> {
-    board.read(variable.slot).ok_or_else(|| ScriptError::Empty(variable.name.to_string()))
+    board
+        .read(variable.slot)
+        .ok_or_else(|| ScriptError::Empty(variable.name.to_string()))
 }
 
 fn condition(expression: &Expression<Variable>, board: &mut Blackboard) -> Result<bool, ScriptError> {
@@ -99,7 +101,10 @@ impl Number {
             Value::Double(value) => Ok(Number::Double(*value)),
             other => match other.as_int() {
                 Some(value) => Ok(Number::Int(value)),
-                None => other.as_double().map(Number::Double).ok_or_else(|| unfit(other, "a number")),
+                None => other
+                    .as_double()
+                    .map(Number::Double)
+                    .ok_or_else(|| unfit(other, "a number")),
             },
         }
     }
@@ -117,9 +122,10 @@ fn unary(operator: Unary, value: Value) -> Computed {
         Unary::Not => truth(&value)
             .map(|truth| Value::Bool(!truth))
             .ok_or_else(|| unfit(&value, "true or false")),
-        Unary::Complement => {
-            value.as_int().map(|bits| Value::Int(!bits)).ok_or_else(|| unfit(&value, "an integer"))
-        }
+        Unary::Complement => value
+            .as_int()
+            .map(|bits| Value::Int(!bits))
+            .ok_or_else(|| unfit(&value, "an integer")),
         Unary::Minus => match Number::of(&value)? {
             Number::Int(value) => value.checked_neg().map(Value::Int).ok_or(ScriptError::Overflow),
             Number::Double(value) => Ok(Value::Double(-value)),

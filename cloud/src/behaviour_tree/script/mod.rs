@@ -26,7 +26,11 @@ pub(crate) enum Expression<V> {
     /// `a < b <= c`: every neighbouring pair must hold.
     Compare(Box<Expression<V>>, Vec<(Comparison, Expression<V>)>),
     Ternary(Box<[Expression<V>; 3]>),
-    Assign { to: V, operator: Assignment, value: Box<Expression<V>> },
+    Assign {
+        to: V,
+        operator: Assignment,
+        value: Box<Expression<V>>,
+    },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -115,8 +119,42 @@ pub(crate) struct Program {
 
 impl Program {
     /// Gives every variable its slot; names in `enums` are numbers.
-    pub(crate) fn variable(name: String, resolve: &mut dyn FnMut(&str) -> Slot) -> Variable {
-    Variable { slot: resolve(&name), name: name.into() }
+    pub(crate) fn bind(
+        text: &str,
+        statements: Vec<Expression<String>>,
+        enums: &BTreeMap<String, i64>,
+        resolve: &mut dyn FnMut(&str) -> Slot,
+    ) -> Program {
+        let statements = statements
+            .into_iter()
+            .map(|statement| bind(statement, enums, resolve))
+            .collect();
+        Program {
+            text: text.into(),
+            statements,
+        }
+    }
+
+    /// The script as it was written.
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Computes every statement; the value of the last is the value of the script.
+    pub(crate) fn run(&self, board: &mut Blackboard) -> Result<Value, ScriptError> {
+        let mut last = Value::Bool(true);
+        for statement in &self.statements {
+            last = evaluate::evaluate(statement, board)?;
+        }
+        Ok(last)
+    }
+}
+
+fn variable(name: String, resolve: &mut dyn FnMut(&str) -> Slot) -> Variable {
+    Variable {
+        slot: resolve(&name),
+        name: name.into(),
+    }
 }
 
 fn bind(
@@ -130,9 +168,7 @@ fn bind(
             Some(number) => Expression::Literal(Value::Int(*number)),
             None => Expression::Variable(variable(name, resolve)),
         },
-        Expression::Unary(operator, inner) => {
-            Expression::Unary(operator, Box::new(bind(*inner, enums, resolve)))
-        }
+        Expression::Unary(operator, inner) => Expression::Unary(operator, Box::new(bind(*inner, enums, resolve))),
         Expression::Binary(operator, left, right) => Expression::Binary(
             operator,
             Box::new(bind(*left, enums, resolve)),
@@ -144,9 +180,7 @@ fn bind(
                 .map(|(comparison, next)| (comparison, bind(next, enums, resolve)))
                 .collect(),
         ),
-        Expression::Ternary(parts) => {
-            Expression::Ternary(Box::new(parts.map(|part| bind(part, enums, resolve))))
-        }
+        Expression::Ternary(parts) => Expression::Ternary(Box::new(parts.map(|part| bind(part, enums, resolve)))),
         Expression::Assign { to, operator, value } => Expression::Assign {
             to: variable(to, resolve),
             operator,

@@ -19,7 +19,12 @@ pub(crate) fn parse(text: &str) -> Result<Vec<Expression<String>>, ScriptSyntax>
     if let Some((_, at)) = words.get(WORDS) {
         return Err(wrong(*at, "script is too long", &format!("at most {WORDS} words")));
     }
-    let mut parser = Parser { words, next: 0, end: text.chars().count() + 1, nesting: 0 };
+    let mut parser = Parser {
+        words,
+        next: 0,
+        end: text.chars().count() + 1,
+        nesting: 0,
+    };
     let mut statements = Vec::new();
     loop {
         while parser.take(&[";"]).is_some() {}
@@ -116,15 +121,9 @@ impl Parser {
         Ok(Expression::Ternary(Box::new([condition, yes, no])))
     }
 
-    fn chain(
-        &mut self,
-        operators: &[(&'static str, Binary)],
-        inner: fn(&mut Self) -> Parsed,
-    ) -> Parsed {
+    fn chain(&mut self, operators: &[(&'static str, Binary)], inner: fn(&mut Self) -> Parsed) -> Parsed {
         let mut left = inner(self)?;
-        while let Some((_, operator)) =
-            operators.iter().find(|(text, _)| self.peek(&[*text]).is_some())
-        {
+        while let Some((_, operator)) = operators.iter().find(|(text, _)| self.peek(&[*text]).is_some()) {
             self.next += 1;
             left = Expression::Binary(*operator, Box::new(left), Box::new(inner(self)?));
         }
@@ -153,7 +152,11 @@ impl Parser {
             };
             rest.push((comparison, self.bit_or()?));
         }
-        Ok(if rest.is_empty() { first } else { Expression::Compare(Box::new(first), rest) })
+        Ok(if rest.is_empty() {
+            first
+        } else {
+            Expression::Compare(Box::new(first), rest)
+        })
     }
 
     fn bit_or(&mut self) -> Parsed {

@@ -19,8 +19,8 @@ pub(super) type Token = (Word, usize);
 
 /// Longer ones first, so that `<=` is not `<` and `=`.
 const OPERATORS: [&str; 29] = [
-    ":=", "+=", "-=", "*=", "/=", "==", "!=", "<=", ">=", "&&", "||", "..", "=", "<", ">", "+", "-", "*",
-    "/", "!", "~", "&", "|", "^", "?", ":", "(", ")", ";",
+    ":=", "+=", "-=", "*=", "/=", "==", "!=", "<=", ">=", "&&", "||", "..", "=", "<", ">", "+", "-", "*", "/", "!",
+    "~", "&", "|", "^", "?", ":", "(", ")", ";",
 ];
 
 pub(super) fn tokens(text: &str) -> Result<Vec<Token>, ScriptSyntax> {
@@ -55,9 +55,12 @@ pub(super) fn tokens(text: &str) -> Result<Vec<Token>, ScriptSyntax> {
             Word::Text(chars[start + 1..at - 1].iter().collect())
         } else {
             let rest: String = chars[at..chars.len().min(at + 2)].iter().collect();
-            let Some(operator) = OPERATORS.into_iter().find(|operator| rest.starts_with(operator))
-            else {
-                return Err(wrong(start + 1, &format!("`{first}` means nothing"), "a name, a number, 'text' or an operator"));
+            let Some(operator) = OPERATORS.into_iter().find(|operator| rest.starts_with(operator)) else {
+                return Err(wrong(
+                    start + 1,
+                    &format!("`{first}` means nothing"),
+                    "a name, a number, 'text' or an operator",
+                ));
             };
             at += operator.len();
             Word::Operator(operator)
@@ -104,11 +107,18 @@ fn number(chars: &[char], at: &mut usize) -> Result<Word, ScriptSyntax> {
     let parsed = if whole {
         text.parse().ok().map(Word::Int)
     } else {
-        text.parse().ok().filter(|value: &f64| value.is_finite()).map(Word::Double)
+        text.parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite())
+            .map(Word::Double)
     };
     parsed.ok_or_else(|| wrong(start + 1, &format!("`{text}` is out of range"), "a 64-bit number"))
 }
 
 pub(super) fn wrong(at: usize, message: &str, expected: &str) -> ScriptSyntax {
-    ScriptSyntax { at, message: message.to_owned(), expected: expected.to_owned() }
+    ScriptSyntax {
+        at,
+        message: message.to_owned(),
+        expected: expected.to_owned(),
+    }
 }

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 
 use super::Limits;
 use super::document::{Attribute, Element, ElementId, Forest};
-use super::error::{Collector, Place};
+use super::error::{Collector, shortened};
 use super::nearest::hint;
+use super::unfold::{Size, unfold};
 use crate::behaviour_tree::builtins;
 use crate::behaviour_tree::ports::{Direction, PortSpec, PortType};
 use crate::behaviour_tree::registry::{Category, NodeSpec, Registry};
@@ -22,7 +23,14 @@ pub struct Summary {
 
 /// The scripts around a node.
 pub(super) const GUARDS: [&str; 8] = [
-    "_skipIf", "_successIf", "_failureIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post",
+    "_skipIf",
+    "_successIf",
+    "_failureIf",
+    "_while",
+    "_onSuccess",
+    "_onFailure",
+    "_onHalted",
+    "_post",
 ];
 
 /// `{key}` as the key; `{=}` is the name of the port.
@@ -31,23 +39,33 @@ pub(super) fn pointer<'v>(value: &'v str, port: &'v str) -> Option<&'v str> {
     Some(if key == "=" { port } else { key })
 }
 
-/// The node that an element means: its specification, or an error.
+/// The node that an element means: its specification, or an error, in words if it will be told.
 pub(super) fn specification<'f, C>(
     element: &'f Element,
     forest: &'f Forest,
     registry: &'f Registry<C>,
+    told: bool,
 ) -> Result<Cow<'f, NodeSpec>, (String, String)> {
     let explicit = Category::from_tag(&element.tag);
     let id = match (explicit, element.attribute("ID")) {
         (Some(category), None) => {
-            return Err((format!("<{}> without ID", category.as_str()), "the registration id".into()));
+            return Err((
+                format!("<{}> without ID", category.as_str()),
+                "the registration id".into(),
+            ));
         }
         (Some(Category::SubTree), Some(id)) => {
             if forest.trees.contains_key(&id.value) {
                 return Ok(Cow::Owned(builtins::subtree(&id.value)));
             }
+            if !told {
+                return Err(Default::default());
+            }
             let hint = hint(&id.value, forest.trees.keys().map(String::as_str));
-            return Err((format!("unknown tree `{}`", id.value), format!("the ID of a <BehaviorTree>{hint}")));
+            return Err((
+                format!("unknown tree `{}`", id.value),
+                format!("the ID of a <BehaviorTree>{hint}"),
+            ));
         }
         (Some(_), Some(id)) => id.value.as_str(),
         (None, _) => element.tag.as_str(),
@@ -68,8 +86,12 @@ pub(super) fn specification<'f, C>(
                 && category.is_none_or(Category::is_leaf) =>
         {
             let category = category.unwrap_or(Category::Action);
-            Ok(Cow::Owned(NodeSpec { open: true, ..NodeSpec::new(category, id, "") }))
+            Ok(Cow::Owned(NodeSpec {
+                open: true,
+                ..NodeSpec::new(category, id, "")
+            }))
         }
+        (None, _) if !told => Err(Default::default()),
         (None, _) => {
             let known = registry.specs().map(|spec| spec.id.as_str());
             let hint = hint(id, known.chain(forest.models.keys().map(String::as_str)));
@@ -78,31 +100,21 @@ pub(super) fn specification<'f, C>(
     }
 }
 
-/// What one tree adds to the whole when it is unfolded.
-#[derive(Default)]
-struct Size {
-    nodes: u64,
-    depth: usize,
-    /// SubTrees: id, place, depth below the root of this tree.
-    subtrees: Vec<(String, Place, usize)>,
-}
-
 /// Checks every tree, used or not.
-pub(super) fn check<C>(
-    forest: &Forest,
-    registry: &Registry<C>,
-    limits: &Limits,
-    errors: &mut Collector,
-) -> Summary {
+pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits, errors: &mut Collector) -> Summary {
     let mut sizes = BTreeMap::new();
     for (id, tree) in &forest.trees {
         let mut size = Size::default();
         let mut todo: Vec<(ElementId, usize)> = tree.root.map(|root| (root, 1)).into_iter().collect();
         while let Some((element, depth)) = todo.pop() {
-            let Some(element) = forest.element(element) else { continue };
+            let Some(element) = forest.element(element) else {
+                continue;
+            };
             size.nodes += 1;
+            let bytes = element.attributes.iter().map(|attribute| attribute.value.len() as u64);
+            size.bytes += bytes.sum::<u64>();
             size.depth = size.depth.max(depth);
-            match specification(element, forest, registry) {
+            match specification(element, forest, registry, !errors.is_full()) {
                 Ok(spec) => {
                     node(element, &spec, forest, errors);
                     if spec.category == Category::SubTree {
@@ -119,9 +131,14 @@ pub(super) fn check<C>(
         && !forest.trees.contains_key(main)
     {
         let hint = hint(main, forest.trees.keys().map(String::as_str));
-        errors.add(*at, format!("unknown tree `{main}`"), format!("the ID of a <BehaviorTree>{hint}"));
+        errors.add(
+            *at,
+            format!("unknown tree `{main}`"),
+            format!("the ID of a <BehaviorTree>{hint}"),
+        );
     }
-    unfold(&sizes, forest, limits, errors)
+    let trees = unfold(&sizes, forest, limits, errors);
+    Summary { trees }
 }
 
 /// The tree to run.
@@ -133,7 +150,11 @@ pub(super) fn main_tree(forest: &Forest, wanted: Option<&str>, errors: &mut Coll
         (Some(id), _, _) => {
             if wanted.is_some() {
                 let hint = hint(id, forest.trees.keys().map(String::as_str));
-                errors.add(forest.start, format!("no tree `{id}`"), format!("the ID of a <BehaviorTree>{hint}"));
+                errors.add(
+                    forest.start,
+                    format!("no tree `{id}`"),
+                    format!("the ID of a <BehaviorTree>{hint}"),
+                );
             }
             None
         }
@@ -145,7 +166,11 @@ pub(super) fn main_tree(forest: &Forest, wanted: Option<&str>, errors: &mut Coll
             None
         }
         (None, Some(_), Some(_)) => {
-            errors.add(forest.start, "several trees and no main_tree_to_execute", "the ID of the tree to run");
+            errors.add(
+                forest.start,
+                "several trees and no main_tree_to_execute",
+                "the ID of the tree to run",
+            );
             None
         }
     }
@@ -161,26 +186,49 @@ fn node(element: &Element, spec: &NodeSpec, forest: &Forest, errors: &mut Collec
             name => match spec.find_port(name) {
                 Some(port) => port_value(attribute, port, errors),
                 None if spec.open => key_name(attribute, errors),
+                None if errors.is_full() => errors.add(attribute.at, "", ""),
                 None => {
                     let ports = spec.ports.iter().map(|port| port.name.as_str());
                     let hint = hint(name, ports.clone());
                     let ports: Vec<&str> = ports.collect();
-                    let expected = if ports.is_empty() { "no port".to_owned() } else { format!("one of {}", ports.join(", ")) };
-                    errors.add(attribute.at, format!("`{}` has no port `{name}`", spec.id), format!("{expected}{hint}"));
+                    let expected = if ports.is_empty() {
+                        "no port".to_owned()
+                    } else {
+                        format!("one of {}", ports.join(", "))
+                    };
+                    errors.add(
+                        attribute.at,
+                        format!("`{}` has no port `{name}`", spec.id),
+                        format!("{expected}{hint}"),
+                    );
                 }
             },
         }
     }
     for port in spec.ports.iter().filter(|port| port.required) {
         if element.attribute(&port.name).is_none() {
-            errors.add(element.at, format!("`{}` without port `{}`", spec.id, port.name), format!("{} ({})", port.kind.expected(), port.doc));
+            errors.add(
+                element.at,
+                format!("`{}` without port `{}`", spec.id, port.name),
+                format!("{} ({})", port.kind.expected(), port.doc),
+            );
         }
     }
     if spec.category == Category::SubTree {
-        let autoremap = element.attribute("_autoremap").is_some_and(|remap| parse_bool(&remap.value) == Some(true));
-        for port in forest.subtree_models.get(&spec.id).map_or(&[][..], |model| &model.ports) {
+        let autoremap = element
+            .attribute("_autoremap")
+            .is_some_and(|remap| parse_bool(&remap.value) == Some(true));
+        for port in forest
+            .subtree_models
+            .get(&spec.id)
+            .map_or(&[][..], |model| &model.ports)
+        {
             if port.default.is_none() && !autoremap && element.attribute(&port.name).is_none() {
-                errors.add(element.at, format!("SubTree `{}` without `{}`", spec.id, port.name), "a remapping: the TreeNodesModel gives no default");
+                errors.add(
+                    element.at,
+                    format!("SubTree `{}` without `{}`", spec.id, port.name),
+                    "a remapping: the TreeNodesModel gives no default",
+                );
             }
         }
     }
@@ -202,16 +250,28 @@ fn special(attribute: &Attribute, spec: &NodeSpec, errors: &mut Collector) {
     let name = attribute.name.as_str();
     if GUARDS.contains(&name) {
         if let Err(wrong) = script::parse(&attribute.value) {
-            errors.add(attribute.at, format!("{name}: {} at character {}", wrong.message, wrong.at), wrong.expected);
+            errors.add(
+                attribute.at,
+                format!("{name}: {} at character {}", wrong.message, wrong.at),
+                wrong.expected,
+            );
         }
     } else if name == "_autoremap" && spec.category == Category::SubTree {
         if parse_bool(&attribute.value).is_none() {
-            errors.add(attribute.at, format!("_autoremap `{}`", attribute.value), "true or false");
+            errors.add(
+                attribute.at,
+                format!("_autoremap `{}`", attribute.value),
+                "true or false",
+            );
         }
     } else if !["_description", "_uid", "_fullpath", "_collapsed", "_autoremap"].contains(&name) {
         let known = GUARDS.into_iter().chain(["_autoremap"]);
         if let Some(known) = super::nearest::nearest(name, known) {
-            errors.add(attribute.at, format!("unknown attribute `{name}`"), format!("`{known}`"));
+            errors.add(
+                attribute.at,
+                format!("unknown attribute `{name}`"),
+                format!("`{known}`"),
+            );
         }
     }
 }
@@ -221,7 +281,11 @@ fn key_name(attribute: &Attribute, errors: &mut Collector) {
     if let Some(key) = pointer(&attribute.value, &attribute.name)
         && !is_key(key)
     {
-        errors.add(attribute.at, format!("`{}` names no blackboard entry", attribute.value), "{name}, of letters, digits and _");
+        errors.add(
+            attribute.at,
+            format!("`{}` names no blackboard entry", attribute.value),
+            "{name}, of letters, digits and _",
+        );
     }
 }
 
@@ -234,7 +298,11 @@ fn port_value(attribute: &Attribute, port: &PortSpec, errors: &mut Collector) {
     let value = attribute.value.as_str();
     if port.kind == PortType::Script {
         if let Err(wrong) = script::parse(value) {
-            errors.add(attribute.at, format!("port `{}`: {} at character {}", port.name, wrong.message, wrong.at), wrong.expected);
+            errors.add(
+                attribute.at,
+                format!("port `{}`: {} at character {}", port.name, wrong.message, wrong.at),
+                wrong.expected,
+            );
         }
         return;
     }
@@ -243,91 +311,23 @@ fn port_value(attribute: &Attribute, port: &PortSpec, errors: &mut Collector) {
     }
     if port.kind == PortType::Key {
         if !is_key(value.trim()) {
-            errors.add(attribute.at, format!("port `{}` is `{value}`", port.name), port.kind.expected());
+            errors.add(
+                attribute.at,
+                format!("port `{}` is `{value}`", port.name),
+                port.kind.expected(),
+            );
         }
     } else if port.direction == Direction::Output {
-        errors.add(attribute.at, format!("output port `{}` is the literal `{}`", port.name, shortened(value)), "a blackboard entry, as in {key}");
+        errors.add(
+            attribute.at,
+            format!("output port `{}` is the literal `{}`", port.name, shortened(value, 60)),
+            "a blackboard entry, as in {key}",
+        );
     } else if port.kind.parse(value).is_none() {
-        errors.add(attribute.at, format!("port `{}` is `{}`", port.name, shortened(value)), port.kind.expected());
-    }
-}
-
-fn shortened(value: &str) -> String {
-    if value.chars().count() > 60 {
-        value.chars().take(60).chain(['…']).collect()
-    } else {
-        value.to_owned()
-    }
-}
-
-/// Sizes with SubTrees unfolded, without unfolding them: first the trees that have none, then
-/// those that have only these, and so on. What is left over goes in circles.
-fn unfold(sizes: &BTreeMap<&str, Size>, forest: &Forest, limits: &Limits, errors: &mut Collector) -> Summary {
-    let mut waiting: BTreeMap<&str, usize> = BTreeMap::new();
-    let mut users: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-    for (id, size) in sizes {
-        waiting.insert(id, size.subtrees.len());
-        for (sub, _, _) in &size.subtrees {
-            users.entry(sub).or_default().push(id);
-        }
-    }
-    let mut ready: Vec<&str> = waiting.iter().filter(|(_, left)| **left == 0).map(|(id, _)| *id).collect();
-    let mut total: BTreeMap<&str, (u64, usize)> = BTreeMap::new();
-    let mut told = false;
-    while let Some(id) = ready.pop() {
-        let Some(size) = sizes.get(id) else { continue };
-        let (mut nodes, mut depth) = (size.nodes, size.depth);
-        for (sub, _, at) in &size.subtrees {
-            if let Some((more, deeper)) = total.get(sub.as_str()) {
-                nodes = nodes.saturating_add(*more);
-                depth = depth.max(at.saturating_add(*deeper));
-            }
-        }
-        let at = forest.trees.get(id).map(|tree| tree.at).unwrap_or_default();
-        if !told && nodes > limits.nodes() {
-            told = true;
-            errors.add(at, format!("tree `{id}` has {nodes} nodes with its SubTrees"), format!("at most {}", limits.nodes()));
-        }
-        if !told && depth > limits.depth() {
-            told = true;
-            errors.add(at, format!("tree `{id}` has {depth} levels with its SubTrees"), format!("at most {}", limits.depth()));
-        }
-        total.insert(id, (nodes, depth));
-        for user in users.get(id).into_iter().flatten() {
-            if let Some(left) = waiting.get_mut(user) {
-                *left -= 1;
-                if *left == 0 {
-                    ready.push(user);
-                }
-            }
-        }
-    }
-    cycles(sizes, &total, errors);
-    Summary { trees: total.into_iter().map(|(id, (nodes, _))| (id.to_owned(), nodes)).collect() }
-}
-
-/// Tells every circle once.
-fn cycles(sizes: &BTreeMap<&str, Size>, done: &BTreeMap<&str, (u64, usize)>, errors: &mut Collector) {
-    let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
-    for (walk, start) in sizes.keys().filter(|id| !done.contains_key(*id)).enumerate() {
-        let mut way: Vec<(&str, Place)> = Vec::new();
-        let mut here = *start;
-        // A way that meets an earlier one leads to a circle that has been told.
-        while !seen.contains_key(here) {
-            seen.insert(here, walk);
-            let next = sizes.get(here).and_then(|size| {
-                size.subtrees.iter().find(|(sub, _, _)| sizes.contains_key(sub.as_str()) && !done.contains_key(sub.as_str()))
-            });
-            let Some((sub, at, _)) = next else { break };
-            way.push((here, *at));
-            here = sub;
-        }
-        if let Some(from) = way.iter().position(|(id, _)| *id == here)
-            && seen.get(here) == Some(&walk)
-            && let Some((_, at)) = way.last()
-        {
-            let names: Vec<&str> = way[from..].iter().map(|(id, _)| *id).chain([here]).collect();
-            errors.add(*at, format!("trees contain one another: {}", names.join(" > ")), "SubTrees without a cycle");
-        }
+        errors.add(
+            attribute.at,
+            format!("port `{}` is `{}`", port.name, shortened(value, 60)),
+            port.kind.expected(),
+        );
     }
 }

@@ -72,20 +72,22 @@ pub(super) fn read(
 ) -> Forest {
     let mut forest = Forest::default();
     let index = errors.add_file(file);
-    forest.start = Place { file: index, line: 1, column: 1 };
+    forest.start = Place { file: index, offset: 0 };
     let mut budget = limits.bytes;
     let mut includes = limits.includes;
     // Files still to be read: name, index, bytes.
     let mut todo = vec![(file.to_owned(), index, bytes.to_vec())];
     while let Some((name, index, bytes)) = todo.pop() {
-        let start = Place { file: index, line: 1, column: 1 };
+        let start = Place { file: index, offset: 0 };
         if bytes.len() > budget {
             let message = format!("{} bytes", bytes.len());
             errors.add(start, message, format!("at most {} bytes in all files", limits.bytes));
             continue;
         }
         budget -= bytes.len();
-        let Some(root) = parse(&bytes, index, limits, &mut forest, errors) else { continue };
+        let Some(root) = parse(&bytes, index, limits, &mut forest, errors) else {
+            continue;
+        };
         for (path, at) in sort(root, index == 0, &mut forest, errors) {
             if includes == 0 {
                 errors.add(at, "too many includes", format!("at most {}", limits.includes));
@@ -106,66 +108,45 @@ pub(super) fn read(
     forest
 }
 
-/// Where bytes stand in lines.
-struct Lines<'t> {
-    text: &'t str,
-    file: u16,
-    starts: Vec<usize>,
-}
-
-impl<'t> Lines<'t> {
-    fn new(text: &'t str, file: u16) -> Lines<'t> {
-        let starts = std::iter::once(0)
-            .chain(text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1))
-            .collect();
-        Lines { text, file, starts }
-    }
-
-    fn place(&self, at: usize) -> Place {
-        let line = self.starts.partition_point(|start| *start <= at).max(1);
-        let start = self.starts.get(line - 1).copied().unwrap_or(0);
-        // A line as long as a file would make this quadratic: count only so far.
-        let before = self.text.get(start..at.min(start + 10_000)).unwrap_or("");
-        Place { file: self.file, line: line as u32, column: before.chars().count() as u32 + 1 }
-    }
-}
-
 /// Reads one file into elements; the id of its root.
-fn parse(
-    bytes: &[u8],
-    file: u16,
-    limits: &Limits,
-    forest: &mut Forest,
-    errors: &mut Collector,
-) -> Option<ElementId> {
+fn parse(bytes: &[u8], file: u16, limits: &Limits, forest: &mut Forest, errors: &mut Collector) -> Option<ElementId> {
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text.strip_prefix('\u{feff}').unwrap_or(text),
         Err(wrong) => {
-            let line = bytes.iter().take(wrong.valid_up_to()).filter(|byte| **byte == b'\n').count();
-            let at = Place { file, line: line as u32 + 1, column: 1 };
-            errors.add(at, "bytes that are not text", "UTF-8");
+            let before = bytes.iter().take(wrong.valid_up_to());
+            let line = before.filter(|byte| **byte == b'\n').count() as u32 + 1;
+            errors.add_at(file, (line, 1), "bytes that are not text", "UTF-8");
             return None;
         }
     };
-    let lines = Lines::new(text, file);
+    errors.add_text(file, text);
+    let place = |offset: usize| Place {
+        file,
+        offset: offset as u32,
+    };
     // Two levels are `root` and `BehaviorTree`.
     if let Err(refused) = guard(text, limits.depth() + 2) {
-        errors.add(lines.place(refused.at), refused.message, refused.expected);
+        errors.add(place(refused.at), refused.message, refused.expected);
         return None;
     }
-    let options = roxmltree::ParsingOptions { nodes_limit: XML_NODES, ..Default::default() };
+    let options = roxmltree::ParsingOptions {
+        nodes_limit: XML_NODES,
+        ..Default::default()
+    };
     let document = match roxmltree::Document::parse_with_options(text, options) {
         Ok(document) => document,
         Err(wrong) => {
-            let at = Place { file, line: wrong.pos().row, column: wrong.pos().col };
-            errors.add(at, format!("not XML: {wrong}"), "well-formed XML of bounded size");
+            let at = (wrong.pos().row, wrong.pos().col);
+            errors.add_at(file, at, format!("not XML: {wrong}"), "well-formed XML of bounded size");
             return None;
         }
     };
     // The parser's ids are dense and in document order, so parents come first.
-    let mut known: BTreeMap<roxmltree::NodeId, ElementId> = BTreeMap::new();
+    let mut known: BTreeMap<usize, ElementId> = BTreeMap::new();
     for node in document.descendants() {
-        let parent = node.parent().and_then(|parent| known.get(&parent.id()).copied());
+        let parent = node
+            .parent()
+            .and_then(|parent| known.get(&parent.id().get_usize()).copied());
         if node.is_text()
             && let (Some(parent), Some(text)) = (parent, node.text())
             && let Some(parent) = forest.elements.get_mut(parent)
@@ -179,32 +160,34 @@ fn parse(
             continue;
         }
         let id = forest.elements.len();
-        known.insert(node.id(), id);
+        known.insert(node.id().get_usize(), id);
         if let Some(parent) = parent.and_then(|parent| forest.elements.get_mut(parent)) {
             parent.children.push(id);
         }
         forest.elements.push(Element {
             tag: node.tag_name().name().to_owned(),
-            at: lines.place(node.range().start),
+            at: place(node.range().start),
             attributes: node
                 .attributes()
                 .map(|attribute| Attribute {
                     name: attribute.name().to_owned(),
                     value: attribute.value().to_owned(),
-                    at: lines.place(attribute.range().start),
+                    at: place(attribute.range().start),
                 })
                 .collect(),
             children: Vec::new(),
             text: String::new(),
         });
     }
-    known.get(&document.root_element().id()).copied()
+    known.get(&document.root_element().id().get_usize()).copied()
 }
 
 /// Sorts what stands below a root into trees and models; answers the includes.
 fn sort(root: ElementId, first: bool, forest: &mut Forest, errors: &mut Collector) -> Vec<(String, Place)> {
     let mut includes = Vec::new();
-    let Some(element) = forest.elements.get(root) else { return includes };
+    let Some(element) = forest.elements.get(root) else {
+        return includes;
+    };
     let at = element.at;
     if element.tag != "root" {
         errors.add(at, format!("<{}> at the top", element.tag), "<root BTCPP_format=\"4\">");
@@ -220,7 +203,11 @@ fn sort(root: ElementId, first: bool, forest: &mut Forest, errors: &mut Collecto
             name => {
                 let known = ["BTCPP_format", "main_tree_to_execute"];
                 let hint = hint(name, known.into_iter());
-                errors.add(attribute.at, format!("unknown attribute `{name}` of <root>"), format!("BTCPP_format or main_tree_to_execute{hint}"));
+                errors.add(
+                    attribute.at,
+                    format!("unknown attribute `{name}` of <root>"),
+                    format!("BTCPP_format or main_tree_to_execute{hint}"),
+                );
             }
         }
     }
@@ -230,13 +217,19 @@ fn sort(root: ElementId, first: bool, forest: &mut Forest, errors: &mut Collecto
         forest.start = at;
     }
     for child in children {
-        let Some(element) = forest.elements.get(child) else { continue };
+        let Some(element) = forest.elements.get(child) else {
+            continue;
+        };
         match element.tag.as_str() {
             "BehaviorTree" => define(child, forest, errors),
             "TreeNodesModel" => models(child, forest, errors),
             "include" => match element.attribute("path") {
                 Some(_) if element.attribute("ros_pkg").is_some() => {
-                    errors.add(element.at, "include by ros_pkg", "a path alone: there are no ROS packages here");
+                    errors.add(
+                        element.at,
+                        "include by ros_pkg",
+                        "a path alone: there are no ROS packages here",
+                    );
                 }
                 Some(path) => includes.push((path.value.clone(), path.at)),
                 None => errors.add(element.at, "<include> without a path", "<include path=\"file.xml\"/>"),
@@ -244,7 +237,11 @@ fn sort(root: ElementId, first: bool, forest: &mut Forest, errors: &mut Collecto
             tag => {
                 let known = ["BehaviorTree", "TreeNodesModel", "include"];
                 let hint = hint(tag, known.into_iter());
-                errors.add(element.at, format!("<{tag}> below <root>"), format!("BehaviorTree, TreeNodesModel or include{hint}"));
+                errors.add(
+                    element.at,
+                    format!("<{tag}> below <root>"),
+                    format!("BehaviorTree, TreeNodesModel or include{hint}"),
+                );
             }
         }
     }
@@ -256,14 +253,22 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
     let at = element.at;
     for attribute in &element.attributes {
         if attribute.name != "ID" && !attribute.name.starts_with('_') {
-            errors.add(attribute.at, format!("unknown attribute `{}` of <BehaviorTree>", attribute.name), "ID");
+            errors.add(
+                attribute.at,
+                format!("unknown attribute `{}` of <BehaviorTree>", attribute.name),
+                "ID",
+            );
         }
     }
     let name = element.attribute("ID").map(|id| id.value.clone()).unwrap_or_default();
     let root = match element.children.as_slice() {
         [root] => Some(*root),
         children => {
-            errors.add(at, format!("tree `{name}` has {} children", children.len()), "exactly 1");
+            errors.add(
+                at,
+                format!("tree `{name}` has {} children", children.len()),
+                "exactly 1",
+            );
             None
         }
     };
@@ -280,23 +285,43 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
 }
 
 fn models(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
-    let children = forest.elements.get(id).map(|model| model.children.clone()).unwrap_or_default();
+    let children = forest
+        .elements
+        .get(id)
+        .map(|model| model.children.clone())
+        .unwrap_or_default();
     for child in children {
-        let Some(element) = forest.elements.get(child) else { continue };
+        let Some(element) = forest.elements.get(child) else {
+            continue;
+        };
         let Some(category) = Category::from_tag(&element.tag) else {
-            errors.add(element.at, format!("<{}> in TreeNodesModel", element.tag), "Action, Condition, Control, Decorator or SubTree");
+            errors.add(
+                element.at,
+                format!("<{}> in TreeNodesModel", element.tag),
+                "Action, Condition, Control, Decorator or SubTree",
+            );
             continue;
         };
         let Some(name) = element.attribute("ID").map(|id| id.value.clone()) else {
-            errors.add(element.at, format!("<{}> without ID", element.tag), "the registration id");
+            errors.add(
+                element.at,
+                format!("<{}> without ID", element.tag),
+                "the registration id",
+            );
             continue;
         };
         let mut spec = NodeSpec::new(category, name.clone(), element.text.clone());
         for port in &element.children {
-            let Some(port) = forest.elements.get(*port) else { continue };
+            let Some(port) = forest.elements.get(*port) else {
+                continue;
+            };
             spec.ports.extend(port_model(port, errors));
         }
-        let models = if category == Category::SubTree { &mut forest.subtree_models } else { &mut forest.models };
+        let models = if category == Category::SubTree {
+            &mut forest.subtree_models
+        } else {
+            &mut forest.models
+        };
         // The same node may be described in several included files.
         models.entry(name).or_insert(spec);
     }
@@ -306,20 +331,31 @@ fn port_model(port: &Element, errors: &mut Collector) -> Option<PortSpec> {
     let direction = match port.tag.as_str() {
         "input_port" => Direction::Input,
         "output_port" => Direction::Output,
-        "inout_port" => Direction::InOut,
+        "inout_port" | "bidirectional_port" => Direction::InOut,
         "MetadataFields" | "description" => return None,
         tag => {
-            errors.add(port.at, format!("<{tag}> in the model of a node"), "input_port, output_port or inout_port");
+            errors.add(
+                port.at,
+                format!("<{tag}> in the model of a node"),
+                "input_port, output_port or inout_port",
+            );
             return None;
         }
     };
     let Some(name) = port.attribute("name") else {
-        errors.add(port.at, format!("<{}> without a name", port.tag), "the name of the port");
+        errors.add(
+            port.at,
+            format!("<{}> without a name", port.tag),
+            "the name of the port",
+        );
         return None;
     };
     let kind = PortType::from_name(port.attribute("type").map_or("", |kind| kind.value.as_str()));
-    // Nav2's model writes an empty default as two quotation marks.
-    let default = port.attribute("default").map(|default| default.value.replace("\"\"", ""));
+    // Nav2's model writes text defaults in quotation marks, and C++ where it has no literal.
+    let default = port
+        .attribute("default")
+        .map(|default| default.value.trim_matches('"').to_owned())
+        .filter(|default| default.starts_with('{') || kind.parse(default).is_some());
     Some(PortSpec {
         name: name.value.clone(),
         direction,

@@ -42,55 +42,126 @@ impl std::fmt::Display for TreeErrors {
 
 impl std::error::Error for TreeErrors {}
 
-/// Where something stands; `file` is an index into the files read.
+/// Where something stands; `file` is an index into the files read. Line and column are counted
+/// only for what is told.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) file: u16,
-    pub(super) line: u32,
-    pub(super) column: u32,
+    /// Byte of the file.
+    pub(super) offset: u32,
+}
+
+/// Longest message or expectation, characters.
+const MESSAGE: usize = 300;
+
+struct File {
+    name: String,
+    text: String,
+    /// Byte at which each line starts.
+    lines: Vec<usize>,
+}
+
+impl File {
+    /// Line and column of a byte, from 1.
+    fn position(&self, offset: usize) -> (u32, u32) {
+        let line = self.lines.partition_point(|start| *start <= offset).max(1);
+        let start = self.lines.get(line - 1).copied().unwrap_or(0);
+        let column = self.text.get(start..offset).map_or(0, |before| before.chars().count());
+        (line as u32, column as u32 + 1)
+    }
 }
 
 /// Errors so far.
 pub(super) struct Collector {
-    files: Vec<String>,
+    files: Vec<File>,
     found: TreeErrors,
     limit: usize,
 }
 
 impl Collector {
     pub(super) fn new(limit: usize) -> Collector {
-        let found = TreeErrors { errors: Vec::new(), more: 0 };
-        Collector { files: Vec::new(), found, limit: limit.max(1) }
+        let found = TreeErrors {
+            errors: Vec::new(),
+            more: 0,
+        };
+        Collector {
+            files: Vec::new(),
+            found,
+            limit: limit.max(1),
+        }
     }
 
     /// Makes a file known and gives its index.
     pub(super) fn add_file(&mut self, name: &str) -> u16 {
-        self.files.push(name.to_owned());
+        self.files.push(File {
+            name: name.to_owned(),
+            text: String::new(),
+            lines: vec![0],
+        });
         (self.files.len() - 1) as u16
     }
 
+    /// What a file says, so that places in it have lines.
+    pub(super) fn add_text(&mut self, file: u16, text: &str) {
+        if let Some(file) = self.files.get_mut(usize::from(file)) {
+            file.text = text.to_owned();
+            let breaks = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n');
+            file.lines = std::iter::once(0).chain(breaks.map(|(at, _)| at + 1)).collect();
+        }
+    }
+
     pub(super) fn file_index(&self, name: &str) -> Option<u16> {
-        self.files.iter().position(|file| file == name).map(|index| index as u16)
+        self.files
+            .iter()
+            .position(|file| file.name == name)
+            .map(|index| index as u16)
     }
 
     /// A place in words, for messages about another place.
     pub(super) fn describe(&self, at: Place) -> String {
-        let file = self.files.get(usize::from(at.file)).map_or("", String::as_str);
-        format!("{file}:{}:{}", at.line, at.column)
+        let Some(file) = self.files.get(usize::from(at.file)) else {
+            return String::new();
+        };
+        let (line, column) = file.position(at.offset as usize);
+        format!("{}:{line}:{column}", file.name)
     }
 
     pub(super) fn add(&mut self, at: Place, message: impl Into<String>, expected: impl Into<String>) {
-        if self.found.errors.len() >= self.limit {
+        let position = match self.files.get(usize::from(at.file)) {
+            Some(file) if !self.is_full() => file.position(at.offset as usize),
+            _ => (0, 0),
+        };
+        self.add_at(at.file, position, message, expected);
+    }
+
+    /// As `add`, where line and column are known.
+    pub(super) fn add_at(
+        &mut self,
+        file: u16,
+        (line, column): (u32, u32),
+        message: impl Into<String>,
+        expected: impl Into<String>,
+    ) {
+        if self.is_full() {
             self.found.more += 1;
             return;
         }
         self.found.errors.push(TreeError {
-            file: self.files.get(usize::from(at.file)).cloned().unwrap_or_default(),
-            line: at.line,
-            column: at.column,
-            message: message.into(),
-            expected: expected.into(),
+            file: self
+                .files
+                .get(usize::from(file))
+                .map(|file| file.name.clone())
+                .unwrap_or_default(),
+            line,
+            column,
+            message: shortened(&message.into(), MESSAGE),
+            expected: shortened(&expected.into(), MESSAGE),
         });
+    }
+
+    /// Whether further errors are only counted: then no work should go into their words.
+    pub(super) fn is_full(&self) -> bool {
+        self.found.errors.len() >= self.limit
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -103,5 +174,13 @@ impl Collector {
 
     pub(super) fn into_errors(self) -> TreeErrors {
         self.found
+    }
+}
+
+/// The beginning of a text.
+pub(super) fn shortened(text: &str, most: usize) -> String {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => format!("{}…", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
     }
 }

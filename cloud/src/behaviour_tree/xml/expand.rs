@@ -89,14 +89,26 @@ impl<C> Builder<'_, C> {
         let forest = self.forest;
         let registry = self.registry;
         let element = forest.element(id)?;
-        let spec = specification(element, forest, registry).ok()?;
+        let spec = specification(element, forest, registry, true).ok()?;
         let node = self.nodes.len() as NodeId;
-        let name = element.attribute("name").map_or(spec.id.as_str(), |name| name.value.as_str());
+        let name = element
+            .attribute("name")
+            .map_or(spec.id.as_str(), |name| name.value.as_str());
         self.hash(element, &spec.id, depth);
-        let mut site = Site { builder: self, element, spec: &spec, scope };
+        let mut site = Site {
+            builder: self,
+            element,
+            spec: &spec,
+            scope,
+        };
         let guards = site.guards();
         let (kind, ports) = site.kind(node, name);
-        self.nodes.push(Node { kind, guards, first_child: 0, child_count: 0 });
+        self.nodes.push(Node {
+            kind,
+            guards,
+            first_child: 0,
+            child_count: 0,
+        });
         self.infos.push(Info {
             name: Arc::from(name),
             id: Arc::from(spec.id.as_str()),
@@ -109,10 +121,14 @@ impl<C> Builder<'_, C> {
         let below: Vec<NodeId> = if spec.category == Category::SubTree {
             let inner = self.scope(element, &spec.id, name, scope);
             let root = forest.trees.get(&spec.id).and_then(|tree| tree.root);
-            root.and_then(|root| self.node(root, Some(node), depth + 1, inner)).into_iter().collect()
+            root.and_then(|root| self.node(root, Some(node), depth + 1, inner))
+                .into_iter()
+                .collect()
         } else {
             let children = element.children.iter();
-            children.filter_map(|child| self.node(*child, Some(node), depth + 1, scope)).collect()
+            children
+                .filter_map(|child| self.node(*child, Some(node), depth + 1, scope))
+                .collect()
         };
         if let Some(made) = self.nodes.get_mut(node as usize) {
             made.first_child = self.children.len() as u32;
@@ -133,7 +149,10 @@ impl<C> Builder<'_, C> {
 
     /// The scope of a SubTree: remapped names, and literals as entries of its own.
     fn scope(&mut self, element: &Element, tree: &str, name: &str, outer: ScopeId) -> ScopeId {
-        let autoremap = element.attribute("_autoremap").and_then(|remap| parse_bool(&remap.value)).unwrap_or(false);
+        let autoremap = element
+            .attribute("_autoremap")
+            .and_then(|remap| parse_bool(&remap.value))
+            .unwrap_or(false);
         let inner = self.board.add_scope(name.to_owned(), outer, autoremap);
         let mut remapped: Vec<(&str, &str)> = element
             .attributes
@@ -176,7 +195,10 @@ impl<C> Builder<'_, C> {
                 self.kinds.insert(slot.index(), (kind.clone(), at));
             }
             Some((other, first)) if !other.shares_entry_with(kind) => {
-                let message = format!("port `{port}` and the port at {} share an entry", self.errors.describe(*first));
+                let message = format!(
+                    "port `{port}` and the port at {} share an entry",
+                    self.errors.describe(*first)
+                );
                 let expected = format!("the same type, not {} and {}", kind.expected(), other.expected());
                 self.errors.add(at, message, expected);
             }
@@ -210,7 +232,12 @@ impl<C> Site<'_, '_, C> {
         };
         let ports = self.bound_ports();
         let body = self.builder.bodies.len() as u32;
-        let site = LeafSite { id: &spec.id, name, uid: (node + 1) as u16, spec };
+        let site = LeafSite {
+            id: &spec.id,
+            name,
+            uid: (node + 1) as u16,
+            spec,
+        };
         match (make, registry.inventor()) {
             (Some(Make::Leaf(make)), _) => {
                 self.builder.bodies.push(Body::Leaf(make(site)));
@@ -226,7 +253,9 @@ impl<C> Site<'_, '_, C> {
             }
             _ => {
                 let message = format!("nothing here implements `{}`", spec.id);
-                self.builder.errors.add(self.element.at, message, "a node that this program can run");
+                self.builder
+                    .errors
+                    .add(self.element.at, message, "a node that this program can run");
                 (Kind::AlwaysFailure, ports)
             }
         }
@@ -252,7 +281,11 @@ impl<C> Site<'_, '_, C> {
             });
             for attribute in extra {
                 let source = self.source_of(&attribute.name, &attribute.value, &PortType::Any, attribute.at);
-                ports.push(BoundPort { name: Arc::from(attribute.name.as_str()), kind: PortType::Any, source });
+                ports.push(BoundPort {
+                    name: Arc::from(attribute.name.as_str()),
+                    kind: PortType::Any,
+                    source,
+                });
             }
         }
         ports.retain(|port| port.source != Source::Unset);
@@ -311,7 +344,10 @@ impl<C> Site<'_, '_, C> {
 
 impl<C> Ports for Site<'_, '_, C> {
     fn source(&mut self, port: &str) -> Source {
-        let kind = self.spec.find_port(port).map_or(PortType::Any, |port| port.kind.clone());
+        let kind = self
+            .spec
+            .find_port(port)
+            .map_or(PortType::Any, |port| port.kind.clone());
         match self.text(port) {
             Some((value, at)) => self.source_of(port, &value, &kind, at),
             None => Source::Unset,

@@ -16,7 +16,11 @@ pub(super) struct Refused {
 /// Looks through a text. `depth` is the most levels of elements.
 pub(super) fn guard(text: &str, depth: usize) -> Result<(), Refused> {
     let refuse = |at, message: &str, expected: String| {
-        Err(Refused { at, message: message.to_owned(), expected })
+        Err(Refused {
+            at,
+            message: message.to_owned(),
+            expected,
+        })
     };
     let bytes = text.as_bytes();
     let mut at = 0;
@@ -46,7 +50,11 @@ pub(super) fn guard(text: &str, depth: usize) -> Result<(), Refused> {
             }
             level += usize::from(!tag.closes_itself);
             if level > depth {
-                return refuse(found, "elements are nested too deeply", format!("at most {depth} levels"));
+                return refuse(
+                    found,
+                    "elements are nested too deeply",
+                    format!("at most {depth} levels"),
+                );
             }
             tag.end
         };
@@ -66,7 +74,12 @@ struct Tag {
 
 /// Goes to the end of a start tag, over quoted values.
 fn tag(bytes: &[u8], mut at: usize) -> Tag {
-    let mut tag = Tag { attributes: 0, namespace: None, closes_itself: false, end: None };
+    let mut tag = Tag {
+        attributes: 0,
+        namespace: None,
+        closes_itself: false,
+        end: None,
+    };
     while let Some(byte) = bytes.get(at) {
         match byte {
             b'"' | b'\'' => match find(bytes, at + 1, &[*byte]) {
@@ -94,7 +107,10 @@ fn find(bytes: &[u8], from: usize, what: &[u8]) -> Option<usize> {
     let rest = bytes.get(from..)?;
     match what {
         [only] => rest.iter().position(|byte| byte == only).map(|found| from + found),
-        _ => rest.windows(what.len()).position(|window| window == what).map(|found| from + found),
+        _ => rest
+            .windows(what.len())
+            .position(|window| window == what)
+            .map(|found| from + found),
     }
 }
 
@@ -115,9 +131,19 @@ mod tests {
     fn entities_namespaces_and_crowds_of_attributes_are_refused() {
         let bomb = "<!DOCTYPE a [<!ENTITY b 'b'>]><a>&b;</a>";
         assert!(guard(bomb, 256).unwrap_err().message.contains("document type"));
-        assert!(guard("<a xmlns:b='c'/>", 256).unwrap_err().message.contains("namespace"));
+        assert!(
+            guard("<a xmlns:b='c'/>", 256)
+                .unwrap_err()
+                .message
+                .contains("namespace")
+        );
         let crowd: String = (0..300).map(|index| format!(" a{index}=''")).collect();
-        assert!(guard(&format!("<a{crowd}/>"), 256).unwrap_err().message.contains("attributes"));
+        assert!(
+            guard(&format!("<a{crowd}/>"), 256)
+                .unwrap_err()
+                .message
+                .contains("attributes")
+        );
     }
 
     #[test]

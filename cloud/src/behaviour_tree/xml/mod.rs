@@ -11,6 +11,7 @@ mod error;
 mod expand;
 mod guard;
 mod nearest;
+mod unfold;
 
 use super::registry::Registry;
 use super::tree::Tree;
@@ -39,7 +40,13 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { bytes: 4 << 20, depth: 256, nodes: 10_000, includes: 64, errors: 100 }
+        Limits {
+            bytes: 4 << 20,
+            depth: 256,
+            nodes: 10_000,
+            includes: 64,
+            errors: 100,
+        }
     }
 }
 

@@ -87,7 +87,7 @@ fn begins_at_speed(start: Pose2, velocity: Twist2, corners: &[Point2<f64>], limi
 }
 
 /// The way from a place beside it: to its nearest point, and on from there.
-fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f64>> {
+pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut nearest = (f64::INFINITY, 0, corners[0]);
     for (i, pair) in corners.windows(2).enumerate() {
         let leg = pair[1] - pair[0];

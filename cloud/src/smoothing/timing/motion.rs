@@ -118,6 +118,10 @@ impl Motion {
         let mut state = stretch.at(t - begin);
         state.point.t = t;
         state.point.yaw = wrap_angle(state.point.yaw);
+        if t >= self.duration {
+            // Every motion ends at rest, to the last bit.
+            (state.point.v, state.point.w) = (0.0, 0.0);
+        }
         state
     }
 

@@ -1,0 +1,441 @@
+//! What would a tree do if its leaves answered so? A tree is ticked against a script, in simulated
+//! time, without a robot.
+//!
+//! The script says how each leaf answers, by registration id or by `name`: which of its starts
+//! fail, how long a start takes, what a failure writes. Actions that are not named succeed at once;
+//! conditions that the blackboard decides are decided; the others fail.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::leaf::{Gate, Leaf, LeafIo, Pass};
+use super::nav2_conditions::{goals, nav2_condition};
+use super::nav2_nodes::nav2_nodes;
+use super::registry::{Category, Registry};
+use super::status::Status;
+use super::tree::Tree;
+use super::value::Value;
+use super::xml::{Include, TreeErrors, build};
+
+/// How the leaves of a tree answer.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Script {
+    /// Simulated time between two ticks, ms; at least 1.
+    pub tick_period_ms: u64,
+    /// Simulated time after which a tree that still runs is stopped, ms.
+    pub timeout_ms: u64,
+    /// Leaves by registration id or by `name`; the name goes before.
+    pub leaves: BTreeMap<String, LeafScript>,
+    /// Entries of the root blackboard before the first tick.
+    pub blackboard: BTreeMap<String, serde_json::Value>,
+    /// What happens meanwhile.
+    pub events: Vec<Event>,
+}
+
+impl Default for Script {
+    fn default() -> Self {
+        Script {
+            tick_period_ms: 10,
+            timeout_ms: 60_000,
+            leaves: BTreeMap::new(),
+            blackboard: BTreeMap::new(),
+            events: Vec::new(),
+        }
+    }
+}
+
+/// How one leaf answers.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LeafScript {
+    /// Starts that end in `Failure`: inclusive ranges, counted from 1.
+    pub fail: Vec<(u64, u64)>,
+    /// How long a start stays `Running`, ms.
+    pub run_ms: u64,
+    /// Output ports to write when it fails.
+    pub set: BTreeMap<String, serde_json::Value>,
+    /// What the other starts end with; `Success` unless said. `RUNNING` never ends.
+    pub status: Option<Status>,
+}
+
+/// Something that happens once.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Event {
+    /// When it happens.
+    pub when: When,
+    /// Entries of the root blackboard to set.
+    pub set: BTreeMap<String, serde_json::Value>,
+}
+
+/// A moment: a leaf has been started so often.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct When {
+    /// The leaf, by registration id or by `name`.
+    pub leaf: String,
+    /// Its starts, from 1.
+    pub starts: u64,
+}
+
+/// How a simulation ended.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Outcome {
+    /// What the root answered last; `RUNNING` after a time-out, `FAILURE` after an error.
+    pub status: Status,
+    /// How often the tree was ticked.
+    pub ticks: u64,
+    /// Simulated time from the first tick to the last, ms.
+    pub sim_time_ms: u64,
+    /// How often each leaf was started (entered from not `Running`), by registration id; those
+    /// that the script calls by `name` also by name.
+    pub counts: BTreeMap<String, u64>,
+    /// Whether the simulated time ran out.
+    pub timed_out: bool,
+    /// The node in error that ended the tree, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// What in the script had no effect.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
+}
+
+/// The context of the scripted leaves.
+#[derive(Debug, Default)]
+pub struct Simulation {
+    script: Script,
+    by_id: BTreeMap<String, u64>,
+    by_name: BTreeMap<String, u64>,
+    happened: Vec<bool>,
+    warnings: Vec<String>,
+}
+
+/// Nodes whose leaves follow a script: the built-in ones, Nav2's, and whatever leaf a tree names.
+pub fn registry() -> Registry<Simulation> {
+    let mut registry = Registry::new();
+    for spec in nav2_nodes() {
+        let added = match spec.id.as_str() {
+            "DistanceController"
+            | "SpeedController"
+            | "GoalUpdatedController"
+            | "GoalUpdater"
+            | "PathLongerOnApproach" => registry.decorator(spec, |site| standing_robot(site.id)),
+            _ => {
+                registry.declare(spec);
+                Ok(())
+            }
+        };
+        debug_assert!(added.is_ok(), "{added:?}");
+    }
+    registry.invent_unknown_leaves(|site| {
+        Box::new(Scripted {
+            condition: site.spec.category == Category::Condition,
+            inner: nav2_condition(site.id),
+        })
+    });
+    registry
+}
+
+/// Builds the tree of a file and plays a script to it.
+///
+/// # Errors
+/// Everything that is wrong with the tree file.
+pub fn simulate(
+    file: &str,
+    bytes: &[u8],
+    tree_id: Option<&str>,
+    script: &Script,
+    include: &mut Include<'_>,
+) -> Result<Outcome, TreeErrors> {
+    let mut tree = build(file, bytes, &registry(), tree_id, include)?;
+    Ok(play(&mut tree, script))
+}
+
+/// Plays a script to a tree built over [`registry`].
+pub fn play(tree: &mut Tree<Simulation>, script: &Script) -> Outcome {
+    let mut simulation = Simulation {
+        script: script.clone(),
+        happened: vec![false; script.events.len()],
+        ..Simulation::default()
+    };
+    for (key, value) in &script.blackboard {
+        let written = Value::from_json(value).map(|value| tree.blackboard_mut().set(key, value));
+        if let Some(Err(wrong)) = written {
+            simulation.warnings.push(format!("blackboard `{key}`: {wrong}"));
+        }
+    }
+    let (status, ticks, now, error) = run(tree, script, &mut simulation);
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    for node in tree.iter() {
+        if !matches!(node.category.as_str(), "Action" | "Condition") {
+            continue;
+        }
+        if node.name != node.id && script.leaves.contains_key(&node.name) {
+            *counts.entry(node.name).or_default() += u64::from(node.starts);
+        }
+        *counts.entry(node.id).or_default() += u64::from(node.starts);
+    }
+    let mut warnings = simulation.warnings;
+    for key in script
+        .leaves
+        .keys()
+        .chain(script.events.iter().map(|event| &event.when.leaf))
+    {
+        let known = tree.iter().any(|node| node.name == *key || node.id == *key);
+        if !known {
+            warnings.push(format!("no leaf of the tree is called `{key}`"));
+        }
+    }
+    warnings.dedup();
+    let timed_out = status == Status::Running;
+    Outcome {
+        status,
+        ticks,
+        sim_time_ms: now,
+        counts,
+        timed_out,
+        error,
+        warnings,
+    }
+}
+
+fn run(
+    tree: &mut Tree<Simulation>,
+    script: &Script,
+    simulation: &mut Simulation,
+) -> (Status, u64, u64, Option<String>) {
+    let period = script.tick_period_ms.max(1);
+    let (mut now, mut ticks) = (0_u64, 0);
+    loop {
+        ticks += 1;
+        match tree.tick(Duration::from_millis(now), simulation) {
+            Err(error) => return (Status::Failure, ticks, now, Some(error.to_string())),
+            Ok(Status::Running) if now.saturating_add(period) <= script.timeout_ms => now += period,
+            Ok(status) => {
+                // A script of the tree that fails while it is halted changes nothing any more.
+                let halted = tree.halt(Duration::from_millis(now), simulation);
+                return (status, ticks, now, halted.err().map(|error| error.to_string()));
+            }
+        }
+    }
+}
+
+/// A leaf that answers as the script says.
+struct Scripted {
+    condition: bool,
+    inner: Option<Box<dyn Leaf<Simulation>>>,
+}
+
+/// A start that has not ended: when it began, ns, and the how-manieth it was.
+type Begun = (u64, u64);
+
+impl Leaf<Simulation> for Scripted {
+    fn start(&mut self, io: &mut LeafIo<'_>, simulation: &mut Simulation) -> Status {
+        let count = |counts: &mut BTreeMap<String, u64>, key: &str| {
+            let starts = counts.entry(key.to_owned()).or_default();
+            *starts += 1;
+            *starts
+        };
+        let by_id = count(&mut simulation.by_id, io.id());
+        let by_name = match io.name() == io.id() {
+            true => by_id,
+            false => count(&mut simulation.by_name, io.name()),
+        };
+        simulation.happen(io, by_id, by_name);
+        let start = if simulation.script.leaves.contains_key(io.name()) {
+            by_name
+        } else {
+            by_id
+        };
+        if simulation.of(io).is_none() {
+            return match &mut self.inner {
+                Some(inner) => inner.start(io, simulation),
+                None if self.condition => Status::Failure,
+                None => succeed(io),
+            };
+        }
+        let now = super::node::nanos(io.now());
+        if let Err(wrong) = io.remember::<Begun>(&(now, start)) {
+            return io.abort(wrong.to_string());
+        }
+        self.tick(io, simulation)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, simulation: &mut Simulation) -> Status {
+        let (Some(script), Some((begun, start))) = (simulation.of(io), io.recall::<Begun>()) else {
+            return io.abort("a leaf that the script does not name cannot be running");
+        };
+        let fails = script
+            .fail
+            .iter()
+            .any(|(first, last)| (*first..=*last).contains(&start));
+        let status = if fails {
+            Status::Failure
+        } else {
+            script.status.unwrap_or(Status::Success)
+        };
+        let waited = super::node::nanos(io.now()).saturating_sub(begun) / 1_000_000;
+        if waited < script.run_ms {
+            return Status::Running;
+        }
+        match status {
+            Status::Success => succeed(io),
+            Status::Failure => {
+                let set = script.set.clone();
+                for (port, value) in set {
+                    let Some(value) = Value::from_json(&value) else {
+                        continue;
+                    };
+                    if let Err(wrong) = io.set(&port, value) {
+                        simulation.warnings.push(format!("`{}`: {wrong}", io.name()));
+                    }
+                }
+                Status::Failure
+            }
+            other => other,
+        }
+    }
+}
+
+impl Simulation {
+    /// What the script says of a leaf.
+    fn of(&self, io: &LeafIo<'_>) -> Option<&LeafScript> {
+        self.script
+            .leaves
+            .get(io.name())
+            .or_else(|| self.script.leaves.get(io.id()))
+    }
+
+    /// Sets what the events of this start set.
+    fn happen(&mut self, io: &mut LeafIo<'_>, by_id: u64, by_name: u64) {
+        for (event, happened) in self.script.events.iter().zip(&mut self.happened) {
+            let now = (event.when.leaf == io.name() && event.when.starts == by_name)
+                || (event.when.leaf == io.id() && event.when.starts == by_id);
+            if !now || *happened {
+                continue;
+            }
+            *happened = true;
+            for (key, value) in &event.set {
+                let Some(value) = Value::from_json(value) else { continue };
+                if let Err(wrong) = io.set_entry(&format!("@{key}"), value) {
+                    self.warnings.push(format!("event sets `{key}`: {wrong}"));
+                }
+            }
+        }
+    }
+}
+
+/// Success writes what every Nav2 node writes then: no error; a selector its default.
+fn succeed(io: &mut LeafIo<'_>) -> Status {
+    // Entries of another type are the tree's affair: nothing but these ports is written.
+    let _ = io.set("error_code_id", 0_i64);
+    let _ = io.set("error_msg", "");
+    if let Some(selector) = io.id().strip_suffix("Selector") {
+        let mut kind = String::new();
+        for letter in selector.chars() {
+            if letter.is_uppercase() && !kind.is_empty() {
+                kind.push('_');
+            }
+            kind.extend(letter.to_lowercase());
+        }
+        match io.get::<String>(&format!("default_{kind}")) {
+            Ok(default) => {
+                let _ = io.set(&format!("selected_{kind}"), default);
+            }
+            Err(_) => return io.fail("nothing selected and no default"),
+        }
+    }
+    Status::Success
+}
+
+/// Nav2's decorators that need a robot, with a robot that stands still.
+fn standing_robot(id: &str) -> Box<dyn Gate<Simulation>> {
+    match id {
+        "DistanceController" => Box::new(Standing { period: None }),
+        "SpeedController" => Box::new(Standing {
+            period: Some("min_rate"),
+        }),
+        "GoalUpdatedController" => Box::new(OnGoal),
+        "GoalUpdater" => Box::new(CopyGoal),
+        _ => Box::new(NeverLonger),
+    }
+}
+
+/// DistanceController and SpeedController: the child on activation and while it runs, then again
+/// only after the period of the rate at standstill, if there is one.
+struct Standing {
+    period: Option<&'static str>,
+}
+
+impl Gate<Simulation> for Standing {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Pass {
+        let last: Option<u64> = io.recall();
+        let due = match (self.period.map(|port| io.get::<f64>(port)), last) {
+            (Some(Ok(rate)), Some(last)) => {
+                let waited = super::node::nanos(io.now()).saturating_sub(last);
+                waited as f64 >= 1e9 / rate
+            }
+            _ => false,
+        };
+        if !io.previous().is_active() || child == Status::Running || due {
+            Pass::Tick
+        } else {
+            Pass::Answer(Status::Running)
+        }
+    }
+
+    fn leave(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Status {
+        if child == Status::Success {
+            let now = super::node::nanos(io.now());
+            let _ = io.remember(&now);
+        }
+        child
+    }
+}
+
+/// GoalUpdatedController: the child on activation, when a goal has changed, and while it runs.
+struct OnGoal;
+
+impl Gate<Simulation> for OnGoal {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Pass {
+        let goals = goals(io);
+        let seen: Option<[Option<Value>; 2]> = io.recall();
+        let changed = !io.previous().is_active() || seen.as_ref() != Some(&goals);
+        if changed && io.remember(&goals).is_err() {
+            return Pass::Answer(io.fail("goal cannot be kept"));
+        }
+        if changed || child == Status::Running {
+            Pass::Tick
+        } else {
+            Pass::Answer(Status::Running)
+        }
+    }
+}
+
+/// GoalUpdater without an update: passes its inputs on.
+struct CopyGoal;
+
+impl Gate<Simulation> for CopyGoal {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, _: Status) -> Pass {
+        for (input, output) in [("input_goal", "output_goal"), ("input_goals", "output_goals")] {
+            if let Ok(value) = io.value(input).cloned()
+                && let Err(wrong) = io.set(output, value)
+            {
+                return Pass::Answer(io.fail(wrong.to_string()));
+            }
+        }
+        Pass::Tick
+    }
+}
+
+/// PathLongerOnApproach: no path ever gets longer.
+struct NeverLonger;
+
+impl Gate<Simulation> for NeverLonger {
+    fn enter(&mut self, _: &mut LeafIo<'_>, _: &mut Simulation, _: Status) -> Pass {
+        Pass::Answer(Status::Success)
+    }
+}

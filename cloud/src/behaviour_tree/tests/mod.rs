@@ -1,0 +1,16 @@
+//! Claims about the engine as a whole: one test a row of the semantics table, whole trees, bad
+//! files, snapshots.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+mod bad_files;
+mod branches;
+mod controls;
+mod decorators;
+mod extensions;
+mod guards;
+mod nav2;
+mod navigation;
+mod properties;
+mod rig;
+mod snapshots;
+mod subtrees;

@@ -1,0 +1,195 @@
+//! Nav2's default tree, against scripted leaves.
+
+use crate::behaviour_tree::simulate::{Outcome, Script, registry, simulate};
+use crate::behaviour_tree::{Limits, Status, check};
+
+/// The shape of Nav2's default tree for NavigateToPose, rewritten for this test.
+const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="Navigate"><BehaviorTree ID="Navigate">
+<RecoveryNode number_of_retries="6" name="NavigateRecovery">
+  <PipelineSequence>
+    <ControllerSelector selected_controller="{controller}" default_controller="FollowPath"/>
+    <PlannerSelector selected_planner="{planner}" default_planner="GridBased"/>
+    <RateController hz="1.0"><RecoveryNode name="Plan">
+      <Fallback>
+        <ReactiveSequence>
+          <Inverter><GlobalUpdatedGoal/></Inverter>
+          <IsGoalNearby path="{path}" proximity_threshold="4.0"/>
+          <TruncatePathLocal input_path="{path}" output_path="{rest}" distance_forward="-1"/>
+          <ValidatePath path="{rest}"/>
+        </ReactiveSequence>
+        <ComputePathToPose goal="{goal}" path="{path}" planner_id="{planner}" error_code_id="{plan_code}"/>
+      </Fallback>
+      <Sequence>
+        <WouldAPlannerRecoveryHelp error_code="{plan_code}"/>
+        <ClearEntireCostmap name="ClearGlobal-Context"/>
+      </Sequence>
+    </RecoveryNode></RateController>
+    <RecoveryNode name="Follow">
+      <FollowPath path="{path}" controller_id="{controller}" error_code_id="{follow_code}"/>
+      <Sequence>
+        <WouldAControllerRecoveryHelp error_code="{follow_code}"/>
+        <ClearEntireCostmap name="ClearLocal-Context"/>
+      </Sequence>
+    </RecoveryNode>
+  </PipelineSequence>
+  <Sequence>
+    <Fallback>
+      <WouldAControllerRecoveryHelp error_code="{follow_code}"/>
+      <WouldAPlannerRecoveryHelp error_code="{plan_code}"/>
+    </Fallback>
+    <ReactiveFallback>
+      <GoalUpdated/>
+      <RoundRobin name="RecoveryActions">
+        <Sequence>
+          <ClearEntireCostmap name="ClearLocal"/>
+          <ClearEntireCostmap name="ClearGlobal"/>
+        </Sequence>
+        <Spin spin_dist="1.57"/>
+        <Wait wait_duration="5.0"/>
+        <BackUp backup_dist="0.30" backup_speed="0.15"/>
+      </RoundRobin>
+    </ReactiveFallback>
+  </Sequence>
+</RecoveryNode></BehaviorTree></root>"#;
+
+fn run(tree: &str, script: &str) -> Outcome {
+    let script: Script = serde_json::from_str(script).unwrap();
+    let outcome = simulate(
+        "nav.xml",
+        tree.as_bytes(),
+        None,
+        &script,
+        &mut |_, _| Err("none".into()),
+    )
+    .unwrap();
+    assert_eq!(outcome.warnings, Vec::<String>::new());
+    outcome
+}
+
+fn counts(outcome: &Outcome) -> [u64; 6] {
+    [
+        "ComputePathToPose",
+        "FollowPath",
+        "ClearEntireCostmap",
+        "Spin",
+        "Wait",
+        "BackUp",
+    ]
+    .map(|leaf| outcome.counts.get(leaf).copied().unwrap_or(0))
+}
+
+#[test]
+fn the_nodes_of_nav2_are_known() {
+    check(
+        "nav.xml",
+        TREE.as_bytes(),
+        &registry(),
+        &mut |_, _| Err("none".into()),
+        Limits::default(),
+    )
+    .unwrap();
+}
+
+#[test]
+fn all_leaves_succeed() {
+    let outcome = run(TREE, "{}");
+    assert_eq!(
+        (outcome.status, outcome.ticks, outcome.sim_time_ms),
+        (Status::Success, 1, 0)
+    );
+    assert_eq!(counts(&outcome), [1, 1, 0, 0, 0, 0]);
+}
+
+#[test]
+fn planner_and_controller_fail_once_and_their_maps_are_cleared() {
+    let outcome = run(
+        TREE,
+        r#"{"leaves": {"ComputePathToPose": {"fail": [[1, 1]], "set": {"error_code_id": "207"}},
+                        "FollowPath": {"fail": [[1, 1]], "set": {"error_code_id": "106"}},
+                        "ClearLocal-Context": {}}}"#,
+    );
+    assert_eq!(outcome.status, Status::Success);
+    assert_eq!(counts(&outcome), [2, 2, 2, 0, 0, 0]);
+    assert_eq!(outcome.counts.get("ClearLocal-Context"), Some(&1));
+}
+
+#[test]
+fn the_third_failure_of_the_controller_takes_a_recovery() {
+    let outcome = run(
+        TREE,
+        r#"{"leaves": {"FollowPath": {"fail": [[1, 3]], "set": {"error_code_id": "106"}}}}"#,
+    );
+    assert_eq!(outcome.status, Status::Success);
+    // Two tries, the first recovery (both maps cleared), one failure, cleared, success.
+    assert_eq!(counts(&outcome), [2, 4, 4, 0, 0, 0]);
+}
+
+#[test]
+fn a_controller_that_keeps_failing_ends_after_the_last_recovery_succeeds() {
+    let script = r#"{"leaves": {"FollowPath": {"status": "FAILURE", "set": {"error_code_id": "106"}}}}"#;
+    let outcome = run(TREE, script);
+    assert_eq!(outcome.status, Status::Failure);
+    // Four passes of two tries: the round robin fails after BackUp, though it succeeded.
+    assert_eq!(counts(&outcome), [4, 8, 6, 1, 1, 1]);
+    let mended = TREE.replace("<RoundRobin ", "<RoundRobin wrap_around=\"true\" ");
+    let outcome = run(&mended, script);
+    assert_eq!(outcome.status, Status::Failure);
+    // All six retries: seven passes.
+    assert_eq!(counts(&outcome)[1], 14);
+}
+
+#[test]
+fn an_error_that_no_recovery_helps_ends_at_once() {
+    let outcome = run(
+        TREE,
+        r#"{"leaves": {"FollowPath": {"status": "FAILURE", "set": {"error_code_id": 102}}}}"#,
+    );
+    assert_eq!(outcome.status, Status::Failure);
+    assert_eq!(counts(&outcome), [1, 1, 0, 0, 0, 0]);
+}
+
+#[test]
+fn a_new_goal_during_a_recovery_does_not_disturb_it() {
+    let script = r#"{"leaves": {"FollowPath": {"fail": [[1, 4]], "set": {"error_code_id": "106"}}, "Spin": {"run_ms": 500}},
+        "blackboard": {"goal": "0;0;0"},
+        "events": [{"when": {"leaf": "Spin", "starts": 1}, "set": {"goal": "1;1;1"}}]}"#;
+    let outcome = run(TREE, script);
+    assert_eq!(outcome.status, Status::Success);
+    assert_eq!(counts(&outcome), [3, 5, 4, 1, 0, 0]);
+    // GoalUpdated is reset by its reactive parent in every tick that Spin runs, so it never sees
+    // a change there; GlobalUpdatedGoal, which remembers for life, does.
+    assert_eq!(outcome.sim_time_ms, 500);
+    let mended = TREE.replace("<GoalUpdated/>", "<GlobalUpdatedGoal/>");
+    let outcome = run(&mended, &script.replace("[1, 4]", "[1, 6]"));
+    assert_eq!((outcome.status, outcome.sim_time_ms), (Status::Success, 10));
+}
+
+#[test]
+fn while_driving_the_way_is_planned_once_a_second_unless_it_is_still_valid() {
+    let script = r#"{"leaves": {"FollowPath": {"run_ms": 3500}}}"#;
+    assert_eq!(counts(&run(TREE, script))[0], 4);
+    let near = r#"{"leaves": {"FollowPath": {"run_ms": 3500}, "IsGoalNearby": {}}}"#;
+    assert_eq!(counts(&run(TREE, near))[0], 1);
+}
+
+#[test]
+fn a_script_is_checked_and_time_runs_out() {
+    assert!(serde_json::from_str::<Script>(r#"{"leafs": {}}"#).is_err());
+    assert!(serde_json::from_str::<Script>(r#"{"leaves": {"A": {"fails": []}}}"#).is_err());
+    let endless = r#"{"timeout_ms": 100, "leaves": {"FollowPath": {"status": "RUNNING"}}}"#;
+    let outcome = run(TREE, endless);
+    assert_eq!((outcome.status, outcome.timed_out), (Status::Running, true));
+    assert_eq!((outcome.ticks, outcome.sim_time_ms), (11, 100));
+}
+
+#[test]
+fn leaves_that_nobody_declares_are_actions_unless_called_conditions() {
+    let tree = r#"<root><BehaviorTree ID="A"><Sequence><Grab/><Inverter><Condition ID="Seen"/></Inverter>
+        <Action ID="Put" where="{place}"/></Sequence></BehaviorTree></root>"#;
+    let outcome = run(tree, r#"{"leaves": {"Put": {"fail": [[1, 1]], "set": {"where": 3}}}}"#);
+    assert_eq!(outcome.status, Status::Failure);
+    assert_eq!(
+        serde_json::to_value(&outcome.counts).unwrap(),
+        serde_json::json!({"Grab": 1, "Seen": 1, "Put": 1})
+    );
+}

@@ -1,0 +1,112 @@
+//! Which beams of a scan tell something about the map, and what?
+
+use std::f64::consts::TAU;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::Scan;
+
+/// How beams are read.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BeamOptions {
+    /// Beams dropped at each end of the sweep, where lidars see their own housing; none of a full circle is.
+    pub trim: usize,
+    /// Returns from farther away are not trusted: such a beam clears up to here and hits nothing, m. `None`: the scan's own range.
+    pub max_range: Option<f64>,
+    /// Whether a beam without a return clears the way up to the largest range; some lidars also lose black and glass.
+    pub clear_without_return: bool,
+}
+
+impl Default for BeamOptions {
+    fn default() -> Self {
+        Self { trim: 2, max_range: None, clear_without_return: true }
+    }
+}
+
+/// One beam in the map frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beam {
+    /// Where it ends, m.
+    pub end: Point2<f64>,
+    /// Its length, m.
+    pub range: f64,
+    /// Position in the sweep: neighbours differ by one.
+    pub number: usize,
+    /// Whether it met something there.
+    pub hit: bool,
+}
+
+/// Turns scans into beams; keeps the directions of the last sweep's geometry, which rarely changes.
+#[derive(Clone, Debug, Default)]
+pub struct BeamReader {
+    geometry: (f64, f64),
+    directions: Vec<[f64; 2]>,
+}
+
+impl BeamReader {
+    /// Appends the beams of a sane scan that tell something.
+    pub fn read(&mut self, scan: &Scan, options: &BeamOptions, beams: &mut Vec<Beam>) {
+        let count = scan.ranges.len();
+        if self.directions.len() != count || self.geometry != (scan.angle_min, scan.angle_increment) {
+            self.geometry = (scan.angle_min, scan.angle_increment);
+            self.directions = (0..count).map(|beam| scan.angle(beam).sin_cos().into()).collect();
+        }
+        let full_circle = scan.angle_increment * (count as f64 + 0.5) > TAU;
+        let trim = if full_circle { 0 } else { options.trim.min(count) };
+        let usable = options.max_range.filter(|range| *range > 0.0).map_or(scan.range_max, |range| range.min(scan.range_max));
+        let laser = scan.map_from_laser();
+        let (yaw_sin, yaw_cos) = laser.yaw.sin_cos();
+        for (number, (range, [sin, cos])) in scan.ranges.iter().zip(&self.directions).enumerate().take(count - trim).skip(trim) {
+            let measured = f64::from(*range);
+            let hit = measured <= usable;
+            if measured.is_nan() || measured < scan.range_min || (measured > scan.range_max && !options.clear_without_return) {
+                continue;
+            }
+            let range = measured.min(usable);
+            let end = Point2::new(laser.x + range * (yaw_cos * cos - yaw_sin * sin), laser.y + range * (yaw_sin * cos + yaw_cos * sin));
+            beams.push(Beam { end, range, number, hit });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    fn scan(angle_increment: f64, ranges: Vec<f32>) -> Scan {
+        Scan { stamp: Stamp(1), angle_min: 0.0, angle_increment, range_min: 0.1, range_max: 5.0, ranges, base_from_laser: Pose2::new(1.0, 0.0, 0.0), map_from_odom: Pose2::IDENTITY, odom_from_base: Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2) }
+    }
+
+    fn read(scan: &Scan, options: &BeamOptions) -> Vec<Beam> {
+        let mut beams = Vec::new();
+        BeamReader::default().read(scan, options, &mut beams);
+        beams
+    }
+
+    #[test]
+    fn a_beam_ends_where_the_laser_stands_and_looks() {
+        let beams = read(&scan(0.1, vec![2.0]), &BeamOptions { trim: 0, ..BeamOptions::default() });
+        assert!((beams[0].end - Point2::new(0.0, 5.0)).norm() < 1e-12 && beams[0].hit);
+    }
+
+    #[test]
+    fn readings_that_mean_nothing_are_dropped_and_far_ones_clear() {
+        let scan = scan(0.1, vec![0.05, f32::NAN, -1.0, 1.0, 4.5, f32::INFINITY]);
+        let options = BeamOptions { trim: 0, max_range: Some(4.0), clear_without_return: true };
+        let beams = read(&scan, &options);
+        assert_eq!(beams.iter().map(|beam| (beam.number, beam.hit, beam.range)).collect::<Vec<_>>(), vec![(3, true, 1.0), (4, false, 4.0), (5, false, 4.0)]);
+        assert_eq!(read(&scan, &BeamOptions { clear_without_return: false, ..options }).len(), 2);
+    }
+
+    #[test]
+    fn only_an_open_sweep_is_trimmed() {
+        let options = BeamOptions { trim: 3, ..BeamOptions::default() };
+        assert_eq!(read(&scan(0.1, vec![1.0; 10]), &options).len(), 4);
+        assert_eq!(read(&scan(TAU / 10.0, vec![1.0; 10]), &options).len(), 10);
+        assert_eq!(read(&scan(0.1, vec![1.0; 5]), &options).len(), 0);
+    }
+}

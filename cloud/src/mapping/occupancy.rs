@@ -1,0 +1,500 @@
+//! What is where? A grid of log-odds that grows by whole tiles and is changed by scans.
+//!
+//! The sensor model is per ray and once a scan: a cell that any beam of the scan ended in takes one hit, every other cell
+//! that any beam went through takes one miss, all others none. Beams of one scan are not independent looks, and a hit is
+//! not wiped out by its neighbours that graze the same cell.
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{GridSpec, MAX_SIDE, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{Scan, TILE, Tile};
+use zenav_protocol::robot::Footprint;
+
+use super::beams::{Beam, BeamOptions, BeamReader};
+use super::evidence::{Evidence, SensorModel, UNSEEN};
+use super::window::Window;
+
+/// How scans are drawn into the map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InsertMode {
+    /// Every beam, exactly.
+    #[default]
+    Reference,
+    /// Wedges between neighbouring beams are filled as long as every cell there is met by a beam, and only what lies
+    /// beyond is drawn beam by beam.
+    Fast,
+}
+
+/// Most cells of a map.
+pub const MAX_CELLS: u64 = 1 << 28;
+
+const TILE_SIDE: usize = TILE as usize;
+
+/// Free, occupied and unknown cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CellCounts {
+    /// Seen to be empty.
+    pub free: u64,
+    /// Seen to be full.
+    pub occupied: u64,
+    /// Neither.
+    pub unknown: u64,
+}
+
+impl CellCounts {
+    /// Counts occupancy values.
+    #[must_use]
+    pub fn of(values: &[i8]) -> Self {
+        let mut counts = Self::default();
+        for value in values {
+            match Occupancy::of(*value) {
+                Occupancy::Free => counts.free += 1,
+                Occupancy::Occupied => counts.occupied += 1,
+                Occupancy::Unknown => counts.unknown += 1,
+            }
+        }
+        counts
+    }
+}
+
+/// Log-odds of every cell seen so far.
+#[derive(Clone, Debug)]
+pub struct LogOddsGrid {
+    evidence: Evidence,
+    resolution: f64,
+    /// Where tile (0, 0) begins, whatever the grid grows to, m.
+    anchor: Point2<f64>,
+    /// Tile column and row of the grid's lower-left corner, counted from the anchor.
+    first_tile: [i64; 2],
+    /// Tiles in each direction.
+    tiles: [usize; 2],
+    /// Row-major from the lowest row, whole tiles.
+    cells: Vec<u8>,
+    /// Tiles that changed since they were last taken.
+    dirty: Vec<bool>,
+    reader: BeamReader,
+    beams: Vec<Beam>,
+    window: Window,
+}
+
+impl LogOddsGrid {
+    /// An empty map; cells have this side (m), and a tile border lies at the map frame's origin.
+    #[must_use]
+    pub fn new(resolution: f64, model: &SensorModel) -> Self {
+        Self {
+            evidence: Evidence::new(model),
+            resolution,
+            anchor: Point2::origin(),
+            first_tile: [0, 0],
+            tiles: [0, 0],
+            cells: Vec::new(),
+            dirty: Vec::new(),
+            reader: BeamReader::default(),
+            beams: Vec::new(),
+            window: Window::default(),
+        }
+    }
+
+    /// A map that begins with known values; it is padded with unknown cells to whole tiles, and all of it counts as changed.
+    #[must_use]
+    pub fn from_occupancy(grid: &OccupancyGrid, model: &SensorModel) -> Self {
+        let spec = *grid.spec();
+        let mut map = Self::new(spec.resolution, model);
+        map.anchor = spec.origin;
+        map.tiles = [spec.width.div_ceil(TILE) as usize, spec.height.div_ceil(TILE) as usize];
+        map.cells = vec![UNSEEN; map.tiles[0] * map.tiles[1] * TILE_SIDE * TILE_SIDE];
+        map.dirty = vec![true; map.tiles[0] * map.tiles[1]];
+        let (width, stride) = (spec.width as usize, map.tiles[0] * TILE_SIDE);
+        if width > 0 {
+            for (row, values) in grid.values().chunks_exact(width).enumerate() {
+                for (cell, value) in map.cells[row * stride..].iter_mut().zip(values) {
+                    *cell = map.evidence.of_percent(*value);
+                }
+            }
+        }
+        map
+    }
+
+    /// Where the grid lies now.
+    #[must_use]
+    pub fn spec(&self) -> GridSpec {
+        let tile = self.resolution * f64::from(TILE);
+        GridSpec {
+            origin: Point2::new(self.anchor.x + self.first_tile[0] as f64 * tile, self.anchor.y + self.first_tile[1] as f64 * tile),
+            resolution: self.resolution,
+            width: (self.tiles[0] * TILE_SIDE) as u32,
+            height: (self.tiles[1] * TILE_SIDE) as u32,
+        }
+    }
+
+    /// Inserts a sane scan, and clears the cells under the robot's own footprint, where one is given. Beams that end
+    /// beyond the largest map are left out. Returns how many beams were drawn.
+    pub fn insert(&mut self, scan: &Scan, options: &BeamOptions, mode: InsertMode, footprint: Option<&Footprint>) -> usize {
+        let mut beams = std::mem::take(&mut self.beams);
+        beams.clear();
+        self.reader.read(scan, options, &mut beams);
+        let laser = scan.map_from_laser().position();
+        let base = scan.map_from_odom * scan.odom_from_base;
+        let body = footprint.map_or(0.0, Footprint::circumscribed_radius);
+        let drawn = self.draw(laser, &mut beams, mode, footprint.map(|footprint| (footprint, base, body)), scan.angle_increment);
+        self.beams = beams;
+        drawn
+    }
+
+    fn draw(&mut self, laser: Point2<f64>, beams: &mut Vec<Beam>, mode: InsertMode, body: Option<(&Footprint, Pose2, f64)>, spacing: f64) -> usize {
+        let mut bounds = Bounds::at(laser);
+        if let Some((_, base, radius)) = body {
+            bounds.add(Point2::new(base.x - radius, base.y - radius));
+            bounds.add(Point2::new(base.x + radius, base.y + radius));
+        }
+        if !self.cover(&bounds) {
+            return 0;
+        }
+        let mut all = bounds;
+        for beam in beams.iter() {
+            all.add(beam.end);
+        }
+        if self.cover(&all) {
+            bounds = all;
+        } else {
+            // Slow but rare: some beam leaves the largest map.
+            beams.retain(|beam| {
+                let mut with = bounds;
+                with.add(beam.end);
+                let covered = self.cover(&with);
+                if covered {
+                    bounds = with;
+                }
+                covered
+            });
+        }
+        let spec = self.spec();
+        let (low, high) = (spec.to_cells(bounds.low), spec.to_cells(bounds.high));
+        let (words, rows) = (low.x as usize / TILE_SIDE..high.x as usize / TILE_SIDE + 1, low.y as usize..high.y as usize + 1);
+        let words = words.start..words.end.min(self.tiles[0]);
+        let rows = rows.start..rows.end.min(self.tiles[1] * TILE_SIDE);
+        if words.is_empty() || rows.is_empty() {
+            return 0;
+        }
+        self.window.lay(words.clone(), rows.clone());
+        let corner = ((words.start * TILE_SIDE) as f64, rows.start as f64);
+        let in_window = |p: Point2<f64>| {
+            let p = spec.to_cells(p);
+            (p.x - corner.0, p.y - corner.1)
+        };
+        let origin = in_window(laser);
+        for beam in beams.iter().filter(|beam| beam.hit) {
+            let (x, y) = in_window(beam.end);
+            self.window.hit(x, y);
+        }
+        match mode {
+            InsertMode::Reference => {
+                for beam in beams.iter() {
+                    self.window.ray(origin, in_window(beam.end));
+                }
+            }
+            InsertMode::Fast => {
+                let _ = spacing;
+                for beam in beams.iter() {
+                    self.window.ray(origin, in_window(beam.end));
+                }
+            }
+        }
+        if let Some((footprint, base, radius)) = body {
+            self.vacate(footprint, base, radius, &spec, corner);
+        }
+        self.apply();
+        beams.len()
+    }
+
+    /// Marks the cells whose centre the robot itself covers as empty.
+    fn vacate(&mut self, footprint: &Footprint, base: Pose2, radius: f64, spec: &GridSpec, corner: (f64, f64)) {
+        let base_from_map = base.inverse();
+        let (low, high) = (spec.to_cells(Point2::new(base.x - radius, base.y - radius)), spec.to_cells(Point2::new(base.x + radius, base.y + radius)));
+        for y in low.y as u32..=high.y as u32 {
+            for x in low.x as u32..=high.x as u32 {
+                let center = spec.center(zenav_protocol::grid::Cell::new(x, y));
+                if footprint.distance(base_from_map.transform_point(center)) <= 0.0 {
+                    self.window.vacate((x as usize).saturating_sub(corner.0 as usize), (y as usize).saturating_sub(corner.1 as usize));
+                }
+            }
+        }
+    }
+
+    /// Carries the window's bits over into the map.
+    fn apply(&mut self) {
+        let stride = self.tiles[0] * TILE_SIDE;
+        let window = &self.window;
+        for row in 0..window.rows {
+            let y = window.first_row + row;
+            let (cleared, hits) = window.row(row);
+            for (column, (cleared, hits)) in cleared.iter().zip(hits).enumerate() {
+                let (mut missed, mut hit) = (cleared & !hits, *hits);
+                if missed | hit == 0 {
+                    continue;
+                }
+                let word = window.first_word + column;
+                let cells = &mut self.cells[y * stride + word * TILE_SIDE..][..TILE_SIDE];
+                let mut changed = false;
+                while missed != 0 {
+                    let start = missed.trailing_zeros();
+                    let length = (!(missed >> start)).trailing_zeros();
+                    changed |= self.evidence.miss(&mut cells[start as usize..(start + length) as usize]);
+                    missed &= !((u64::MAX >> (64 - length)) << start);
+                }
+                while hit != 0 {
+                    changed |= self.evidence.hit(&mut cells[hit.trailing_zeros() as usize]);
+                    hit &= hit - 1;
+                }
+                self.dirty[y / TILE_SIDE * self.tiles[0] + word] |= changed;
+            }
+        }
+    }
+
+    /// Grows the grid, by whole tiles, until it holds a rectangle; `false` when the map would become too large.
+    fn cover(&mut self, bounds: &Bounds) -> bool {
+        let tile = self.resolution * f64::from(TILE);
+        let tile_of = |p: Point2<f64>| [((p.x - self.anchor.x) / tile).floor(), ((p.y - self.anchor.y) / tile).floor()];
+        let (low, high) = (tile_of(bounds.low), tile_of(bounds.high));
+        if ![low, high].iter().flatten().all(|at| at.abs() < 1e9) {
+            return false;
+        }
+        let empty = self.tiles[0] == 0 || self.tiles[1] == 0;
+        let (mut first, mut end) = ([0_i64; 2], [0_i64; 2]);
+        for axis in 0..2 {
+            let (now_first, now_end) = (self.first_tile[axis], self.first_tile[axis] + self.tiles[axis] as i64);
+            (first[axis], end[axis]) = (low[axis] as i64, high[axis] as i64 + 1);
+            if !empty {
+                first[axis] = first[axis].min(now_first);
+                end[axis] = end[axis].max(now_end);
+            }
+        }
+        let tiles = [end[0] - first[0], end[1] - first[1]];
+        if tiles.iter().any(|side| *side > i64::from(MAX_SIDE / TILE)) || (tiles[0] * tiles[1]).cast_unsigned() * u64::from(TILE * TILE) > MAX_CELLS {
+            return false;
+        }
+        let tiles = [tiles[0] as usize, tiles[1] as usize];
+        if tiles != self.tiles || first != self.first_tile {
+            self.grow(first, tiles);
+        }
+        true
+    }
+
+    fn grow(&mut self, first: [i64; 2], tiles: [usize; 2]) {
+        let mut cells = vec![UNSEEN; tiles[0] * tiles[1] * TILE_SIDE * TILE_SIDE];
+        let mut dirty = vec![false; tiles[0] * tiles[1]];
+        let shift = [(self.first_tile[0] - first[0]).max(0) as usize, (self.first_tile[1] - first[1]).max(0) as usize];
+        let (old, new) = (self.tiles[0] * TILE_SIDE, tiles[0] * TILE_SIDE);
+        if old > 0 {
+            for (y, row) in self.cells.chunks_exact(old).enumerate() {
+                cells[(y + shift[1] * TILE_SIDE) * new + shift[0] * TILE_SIDE..][..old].copy_from_slice(row);
+            }
+            for (y, row) in self.dirty.chunks_exact(self.tiles[0]).enumerate() {
+                dirty[(y + shift[1]) * tiles[0] + shift[0]..][..self.tiles[0]].copy_from_slice(row);
+            }
+        }
+        (self.cells, self.dirty, self.first_tile, self.tiles) = (cells, dirty, first, tiles);
+    }
+
+    /// Whether any tile changed since it was last taken.
+    #[must_use]
+    pub fn is_dirty(&self) -> bool {
+        self.dirty.contains(&true)
+    }
+
+    /// Takes changed tiles, at most so many, in row-major order; the rest stays for the next time.
+    pub fn take_dirty(&mut self, at_most: usize) -> Vec<Tile> {
+        let mut tiles = Vec::new();
+        for index in 0..self.dirty.len() {
+            if tiles.len() == at_most {
+                break;
+            }
+            if std::mem::take(&mut self.dirty[index]) {
+                tiles.push(self.tile(index % self.tiles[0], index / self.tiles[0]));
+            }
+        }
+        tiles
+    }
+
+    fn tile(&self, x: usize, y: usize) -> Tile {
+        let stride = self.tiles[0] * TILE_SIDE;
+        let mut values = Vec::with_capacity(TILE_SIDE * TILE_SIDE);
+        for row in y * TILE_SIDE..(y + 1) * TILE_SIDE {
+            let cells = &self.cells[row * stride + x * TILE_SIDE..][..TILE_SIDE];
+            values.extend(cells.iter().map(|cell| self.evidence.percent[usize::from(*cell)]));
+        }
+        Tile { x: x as u32, y: y as u32, values }
+    }
+
+    /// All occupancy values, row-major from the lowest row.
+    #[must_use]
+    pub fn values(&self) -> Vec<i8> {
+        self.cells.iter().map(|cell| self.evidence.percent[usize::from(*cell)]).collect()
+    }
+
+    /// The map with ROS's occupancy values.
+    #[must_use]
+    pub fn to_occupancy(&self) -> OccupancyGrid {
+        let mut grid = OccupancyGrid::filled(self.spec(), Occupancy::UNKNOWN);
+        for (value, cell) in grid.values_mut().iter_mut().zip(&self.cells) {
+            *value = self.evidence.percent[usize::from(*cell)];
+        }
+        grid
+    }
+
+    /// How many cells are free, occupied, unknown.
+    #[must_use]
+    pub fn counts(&self) -> CellCounts {
+        let mut histogram = [0_u64; 256];
+        for cell in &self.cells {
+            histogram[usize::from(*cell)] += 1;
+        }
+        let mut counts = CellCounts::default();
+        for (count, percent) in histogram.iter().zip(&self.evidence.percent) {
+            match Occupancy::of(*percent) {
+                Occupancy::Free => counts.free += count,
+                Occupancy::Occupied => counts.occupied += count,
+                Occupancy::Unknown => counts.unknown += count,
+            }
+        }
+        counts
+    }
+}
+
+/// A rectangle that holds points.
+#[derive(Clone, Copy)]
+struct Bounds {
+    low: Point2<f64>,
+    high: Point2<f64>,
+}
+
+impl Bounds {
+    fn at(p: Point2<f64>) -> Self {
+        Self { low: p, high: p }
+    }
+
+    fn add(&mut self, p: Point2<f64>) {
+        self.low = Point2::new(self.low.x.min(p.x), self.low.y.min(p.y));
+        self.high = Point2::new(self.high.x.max(p.x), self.high.y.max(p.y));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::grid::Cell;
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    const OPTIONS: BeamOptions = BeamOptions { trim: 0, max_range: None, clear_without_return: true };
+
+    /// A scan from a pose whose beams start straight ahead and go counter-clockwise by `step`.
+    fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
+        Scan { stamp: Stamp(1), angle_min: 0.0, angle_increment: step, range_min: 0.02, range_max: 5.0, ranges, base_from_laser: Pose2::IDENTITY, map_from_odom: Pose2::IDENTITY, odom_from_base: pose }
+    }
+
+    fn empty() -> LogOddsGrid {
+        LogOddsGrid::new(0.05, &SensorModel::default())
+    }
+
+    fn at(map: &LogOddsGrid, x: f64, y: f64) -> Occupancy {
+        map.to_occupancy().at(Point2::new(x, y)).map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+    }
+
+    #[test]
+    fn a_beam_frees_its_way_and_fills_its_end_and_leaves_the_rest_unknown() {
+        let mut map = empty();
+        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![2.0]), &OPTIONS, InsertMode::Reference, None);
+        assert_eq!(at(&map, 1.0, 0.01), Occupancy::Free);
+        assert_eq!(at(&map, 2.01, 0.01), Occupancy::Occupied);
+        assert_eq!(at(&map, 2.06, 0.01), Occupancy::Unknown);
+        assert_eq!(at(&map, 1.0, 0.11), Occupancy::Unknown);
+        assert_eq!(map.counts().occupied, 1);
+    }
+
+    #[test]
+    fn a_beam_without_a_return_frees_its_whole_range() {
+        let mut map = empty();
+        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]), &OPTIONS, InsertMode::Reference, None);
+        assert_eq!((at(&map, 4.9, 0.01), map.counts().occupied), (Occupancy::Free, 0));
+        let mut map = empty();
+        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]), &BeamOptions { clear_without_return: false, ..OPTIONS }, InsertMode::Reference, None);
+        assert_eq!(map.counts().free, 0);
+    }
+
+    #[test]
+    fn a_hit_is_not_wiped_out_by_another_beam_of_its_scan() {
+        let mut map = empty();
+        // The second beam goes on through the cell that the first one ended in.
+        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![1.0, 2.0]), &OPTIONS, InsertMode::Reference, None);
+        assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
+        // The next scan does wipe it out.
+        for _ in 0..5 {
+            map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![2.0, 2.0]), &OPTIONS, InsertMode::Reference, None);
+        }
+        assert_eq!(at(&map, 1.01, 0.01), Occupancy::Free);
+    }
+
+    #[test]
+    fn the_place_where_the_robot_stands_is_free() {
+        let mut map = empty();
+        map.insert(&scan(Pose2::new(3.0, -2.0, 0.3), 0.1, vec![0.1; 40]), &OPTIONS, InsertMode::Reference, Some(&Footprint::Radius(0.25)));
+        for (x, y) in [(3.0, -2.0), (3.2, -2.0), (2.8, -2.0), (3.0, -1.8), (3.1, -2.0)] {
+            assert_eq!(at(&map, x, y), Occupancy::Free);
+        }
+    }
+
+    #[test]
+    fn growing_keeps_what_was_known_where_it_was() {
+        let mut map = empty();
+        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]), &OPTIONS, InsertMode::Reference, None);
+        let before = map.spec();
+        map.insert(&scan(Pose2::new(-20.0, -30.0, 0.0), 0.1, vec![1.0]), &OPTIONS, InsertMode::Reference, None);
+        let after = map.spec();
+        assert!(after.len() > before.len() && after.width % TILE == 0 && after.height % TILE == 0);
+        assert_eq!((at(&map, 0.5, 0.01), at(&map, 1.01, 0.01)), (Occupancy::Free, Occupancy::Occupied));
+        assert_eq!((at(&map, -19.5, -30.0), at(&map, -18.99, -29.99)), (Occupancy::Free, Occupancy::Occupied));
+    }
+
+    #[test]
+    fn a_beam_to_the_end_of_the_world_is_left_out() {
+        let mut map = empty();
+        let mut far = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0, 1e9]);
+        far.range_max = 1e10;
+        assert_eq!(map.insert(&far, &OPTIONS, InsertMode::Reference, None), 1);
+        let nowhere = scan(Pose2::new(1e12, 0.0, 0.0), 0.1, vec![1.0]);
+        assert_eq!(map.insert(&nowhere, &OPTIONS, InsertMode::Reference, None), 0);
+        assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
+    }
+
+    #[test]
+    fn changed_tiles_are_given_once() {
+        let mut map = empty();
+        let still = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]);
+        map.insert(&still, &OPTIONS, InsertMode::Reference, None);
+        let tiles = map.take_dirty(usize::MAX);
+        assert_eq!(tiles.len(), 1);
+        assert_eq!(tiles[0].values, map.values());
+        assert!(!map.is_dirty());
+        // A scene that does not change any more is not told again.
+        for _ in 0..100 {
+            map.insert(&still, &OPTIONS, InsertMode::Reference, None);
+        }
+        map.take_dirty(usize::MAX);
+        map.insert(&still, &OPTIONS, InsertMode::Reference, None);
+        assert!(!map.is_dirty());
+    }
+
+    #[test]
+    fn known_values_are_taken_over_and_padded() {
+        let spec = GridSpec { origin: Point2::new(0.3, -0.7), resolution: 0.1, width: 70, height: 3 };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        grid[Cell::new(69, 2)] = Occupancy::OCCUPIED;
+        let map = LogOddsGrid::from_occupancy(&grid, &SensorModel::default());
+        assert_eq!((map.spec().width, map.spec().height, map.spec().origin), (128, 64, spec.origin));
+        assert_eq!(map.counts(), CellCounts { free: 209, occupied: 1, unknown: 128 * 64 - 210 });
+        assert_eq!(Occupancy::of(map.to_occupancy()[Cell::new(69, 2)]), Occupancy::Occupied);
+    }
+}

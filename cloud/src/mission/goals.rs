@@ -1,0 +1,259 @@
+//! Which goals are there, and how do they end? Every change becomes a record; an end comes once.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+
+use super::records::{Record, StoredGoal};
+
+/// Ended goals that are kept.
+const MAX_ENDED: usize = 1000;
+/// Goals that may wait.
+const MAX_WAITING: usize = 100;
+/// First answers that are kept.
+const MAX_ANSWERS: usize = 256;
+/// Goals in one answer where the asker does not say.
+const DEFAULT_LIMIT: usize = 100;
+
+/// All goals of one robot.
+#[derive(Clone, Debug, Default)]
+pub struct GoalBook {
+    goals: BTreeMap<u64, StoredGoal>,
+    by_id: BTreeMap<String, u64>,
+    answers: VecDeque<(String, GoalReply)>,
+    records: Vec<Record>,
+    changed: BTreeSet<u64>,
+}
+
+impl GoalBook {
+    /// As they were stored.
+    #[must_use]
+    pub fn new(goals: Vec<StoredGoal>, answers: Vec<(String, GoalReply)>) -> Self {
+        let goals: BTreeMap<u64, StoredGoal> = goals.into_iter().map(|goal| (goal.sequence, goal)).collect();
+        let by_id = goals.iter().map(|(sequence, goal)| (goal.state.id.clone(), *sequence)).collect();
+        let changed = goals.iter().filter(|(_, goal)| !goal.state.state.is_end()).map(|(sequence, _)| *sequence).collect();
+        Self { goals, by_id, answers: answers.into(), records: Vec::new(), changed }
+    }
+
+    /// A goal by its name.
+    #[must_use]
+    pub fn get(&self, id: &str) -> Option<&StoredGoal> {
+        self.by_id.get(id).and_then(|sequence| self.goals.get(sequence))
+    }
+
+    /// The goal that runs or is held by a pause.
+    #[must_use]
+    pub fn active(&self) -> Option<&StoredGoal> {
+        // An active goal is newer than nearly all others.
+        self.goals.values().rev().find(|goal| matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused))
+    }
+
+    /// The goal whose turn is next.
+    #[must_use]
+    pub fn next(&self) -> Option<&StoredGoal> {
+        self.waiting().min_by_key(|goal| (!goal.urgent, goal.sequence))
+    }
+
+    fn waiting(&self) -> impl Iterator<Item = &StoredGoal> {
+        self.goals.values().filter(|goal| goal.state.state == GoalPhase::Accepted)
+    }
+
+    /// How many goals wait.
+    #[must_use]
+    pub fn queued(&self) -> usize {
+        self.waiting().count()
+    }
+
+    /// Whether no more goals can wait.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.queued() >= MAX_WAITING
+    }
+
+    /// The order number of the next goal.
+    #[must_use]
+    pub fn next_sequence(&self) -> u64 {
+        self.goals.last_key_value().map_or(1, |(last, _)| last.saturating_add(1))
+    }
+
+    /// Takes a goal that has been checked.
+    pub fn accept(&mut self, robot: &str, id: String, request: GoalRequest, urgent: bool, now: Stamp) {
+        let sequence = self.next_sequence();
+        let state = GoalState {
+            id: id.clone(),
+            robot: robot.to_owned(),
+            state: GoalPhase::Accepted,
+            reason: None,
+            accepted: now,
+            started: None,
+            ended: None,
+            feedback: GoalFeedback::default(),
+            legs: Vec::new(),
+            request,
+        };
+        self.by_id.insert(id, sequence);
+        self.goals.insert(sequence, StoredGoal { sequence, urgent, paused_secs: 0.0, state });
+        self.store(sequence);
+        self.forget_old();
+    }
+
+    /// Changes a goal that has not ended; stores and publishes it.
+    pub fn change(&mut self, id: &str, change: impl FnOnce(&mut StoredGoal)) {
+        let Some(sequence) = self.by_id.get(id).copied() else { return };
+        if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| !goal.state.state.is_end()) {
+            change(goal);
+            self.store(sequence);
+        }
+    }
+
+    /// Changes how a goal goes; published, not stored.
+    pub fn feed_back(&mut self, id: &str, feedback: &GoalFeedback) {
+        let Some(sequence) = self.by_id.get(id).copied() else { return };
+        if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| !goal.state.state.is_end()) {
+            goal.state.feedback = feedback.clone();
+            self.changed.insert(sequence);
+        }
+    }
+
+    /// Ends a goal; `false` when it has ended before (or never was): an end comes once.
+    pub fn end(&mut self, id: &str, state: GoalPhase, reason: Option<String>, now: Stamp) -> bool {
+        let ends = self.get(id).is_some_and(|goal| !goal.state.state.is_end()) && state.is_end();
+        if ends {
+            self.change(id, |goal| {
+                goal.state.state = state;
+                goal.state.reason = reason;
+                goal.state.ended = Some(now);
+            });
+        }
+        ends
+    }
+
+    fn store(&mut self, sequence: u64) {
+        if let Some(goal) = self.goals.get(&sequence) {
+            self.records.push(Record::Goal(Box::new(goal.clone())));
+            self.changed.insert(sequence);
+        }
+    }
+
+    fn forget_old(&mut self) {
+        let ended: Vec<u64> = self.goals.values().filter(|goal| goal.state.state.is_end()).map(|goal| goal.sequence).collect();
+        for sequence in ended.iter().take(ended.len().saturating_sub(MAX_ENDED)) {
+            if let Some(goal) = self.goals.remove(sequence) {
+                self.by_id.remove(&goal.state.id);
+                self.records.push(Record::ForgetGoal(goal.state.id));
+            }
+        }
+    }
+
+    /// The first answer to a request, if it was answered before.
+    #[must_use]
+    pub fn answered(&self, request_id: &str) -> Option<&GoalReply> {
+        self.answers.iter().find(|(known, _)| known == request_id).map(|(_, reply)| reply)
+    }
+
+    /// Keeps the first answer to a request.
+    pub fn keep_answer(&mut self, request_id: String, reply: GoalReply) {
+        if self.answers.len() >= MAX_ANSWERS
+            && let Some((old, _)) = self.answers.pop_front()
+        {
+            self.records.push(Record::ForgetAnswer(old));
+        }
+        self.records.push(Record::Answer(request_id.clone(), reply.clone()));
+        self.answers.push_back((request_id, reply));
+    }
+
+    /// What is to be stored, once.
+    pub fn take_records(&mut self) -> Vec<Record> {
+        std::mem::take(&mut self.records)
+    }
+
+    /// The goals that are to be published, once.
+    pub fn take_changed(&mut self) -> Vec<GoalState> {
+        let changed = std::mem::take(&mut self.changed);
+        changed.iter().filter_map(|sequence| self.goals.get(sequence)).map(|goal| goal.state.clone()).collect()
+    }
+
+    /// Goals that a question asks for, newest first.
+    ///
+    /// # Errors
+    /// [`Refusal::NotFound`] for a goal by a name that there is not.
+    pub fn list(&self, request: &GoalsRequest) -> Result<GoalsReply, Refusal> {
+        if let Some(id) = &request.id
+            && self.get(id).is_none()
+        {
+            return Err(Refusal::NotFound { what: format!("goal {id}") });
+        }
+        let wanted = |goal: &&StoredGoal| {
+            request.id.as_ref().is_none_or(|id| *id == goal.state.id)
+                && (request.states.is_empty() || request.states.contains(&goal.state.state))
+        };
+        let limit = request.limit.unwrap_or(DEFAULT_LIMIT);
+        let goals = self.goals.values().rev().filter(wanted).take(limit).map(|goal| goal.state.clone()).collect();
+        Ok(GoalsReply { goals })
+    }
+}
+
+/// Where a goal stands, as its asker is told.
+#[must_use]
+pub fn reply(goal: &GoalState) -> GoalReply {
+    GoalReply { id: goal.id.clone(), state: goal.state, reason: goal.reason.clone() }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn book(ids: &[&str]) -> GoalBook {
+        let mut book = GoalBook::default();
+        for id in ids {
+            let request = GoalRequest { x: Some(1.0), y: Some(2.0), ..GoalRequest::default() };
+            book.accept("r", (*id).to_owned(), request, false, Stamp(1));
+        }
+        book
+    }
+
+    #[test]
+    fn an_end_comes_once() {
+        let mut book = book(&["a"]);
+        assert!(book.end("a", GoalPhase::Succeeded, None, Stamp(2)));
+        assert!(!book.end("a", GoalPhase::Aborted, Some("late".into()), Stamp(3)));
+        assert_eq!(book.get("a").unwrap().state.state, GoalPhase::Succeeded);
+        let ends = book.take_records().into_iter().filter(|record| matches!(record, Record::Goal(goal) if goal.state.state.is_end()));
+        assert_eq!(ends.count(), 1);
+        assert!(!book.end("a", GoalPhase::Active, None, Stamp(3)));
+    }
+
+    #[test]
+    fn goals_take_their_turn_and_an_urgent_one_goes_before() {
+        let mut book = book(&["a", "b"]);
+        assert_eq!(book.next().unwrap().state.id, "a");
+        book.accept("r", "c".into(), GoalRequest::default(), true, Stamp(2));
+        assert_eq!(book.next().unwrap().state.id, "c");
+        assert_eq!(book.queued(), 3);
+    }
+
+    #[test]
+    fn lists_are_newest_first_filtered_and_bounded() {
+        let mut book = book(&["a", "b", "c"]);
+        book.end("b", GoalPhase::Canceled, None, Stamp(2));
+        let ids = |request: &GoalsRequest| book.list(request).unwrap().goals.into_iter().map(|goal| goal.id).collect::<Vec<_>>();
+        assert_eq!(ids(&GoalsRequest::default()), ["c", "b", "a"]);
+        assert_eq!(ids(&GoalsRequest { states: vec![GoalPhase::Canceled], ..GoalsRequest::default() }), ["b"]);
+        assert_eq!(ids(&GoalsRequest { limit: Some(1), ..GoalsRequest::default() }), ["c"]);
+        assert!(matches!(book.list(&GoalsRequest { id: Some("x".into()), ..GoalsRequest::default() }), Err(Refusal::NotFound { .. })));
+    }
+
+    #[test]
+    fn old_ended_goals_are_forgotten_but_never_open_ones() {
+        let mut book = book(&["open"]);
+        for number in 0..MAX_ENDED + 50 {
+            let id = format!("g{number}");
+            book.accept("r", id.clone(), GoalRequest::default(), false, Stamp(1));
+            book.end(&id, GoalPhase::Succeeded, None, Stamp(2));
+        }
+        book.accept("r", "last".into(), GoalRequest::default(), false, Stamp(1));
+        assert!(book.goals.len() <= MAX_ENDED + 2 && book.get("open").is_some() && book.get("g0").is_none());
+    }
+}

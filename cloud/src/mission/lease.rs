@@ -1,0 +1,181 @@
+//! Does this mission command the robot? It asks until it does, sends signs of life, and believes the robot, not itself.
+
+use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseReply, LeaseRequest, LeaseRole, Refusal};
+use zenav_protocol::time::Stamp;
+
+use super::context::Asks;
+use super::exchange::{Answer, Ask, NoAnswer, Ticket};
+
+/// Time between two signs of life, s.
+const BEAT: f64 = 0.1;
+/// Time between two asks while somebody else commands, s.
+const RETRY: f64 = 0.5;
+/// A mission that has slept for longer than its lease lives believes nothing that it knew before.
+const SLEPT: f64 = 1.0;
+
+/// What this mission was granted.
+#[derive(Clone, Debug, PartialEq)]
+struct Grant {
+    epoch: u64,
+    boot_id: String,
+}
+
+/// Gets and keeps the lease.
+#[derive(Debug)]
+pub struct LeaseKeeper {
+    holder: String,
+    incarnation: u64,
+    grant: Option<Grant>,
+    asking: Option<Ticket>,
+    next_ask: Stamp,
+    asked: u64,
+    beats: u64,
+    last_beat: Option<Stamp>,
+    last_step: Option<Stamp>,
+    /// Why there is no lease, in words.
+    why_not: String,
+}
+
+impl LeaseKeeper {
+    /// Nothing granted yet. `incarnation` makes requests and signs of life newer than those of every life before.
+    #[must_use]
+    pub fn new(holder: &str, incarnation: u64) -> Self {
+        Self {
+            holder: holder.to_owned(),
+            incarnation,
+            grant: None,
+            asking: None,
+            next_ask: Stamp::ZERO,
+            asked: 0,
+            beats: 0,
+            last_beat: None,
+            last_step: None,
+            why_not: "the robot has not answered yet".to_owned(),
+        }
+    }
+
+    /// The epoch that commands must carry; `None` without the lease.
+    #[must_use]
+    pub fn epoch(&self) -> Option<u64> {
+        self.grant.as_ref().map(|grant| grant.epoch)
+    }
+
+    /// Why there is no lease.
+    #[must_use]
+    pub fn why_not(&self) -> &str {
+        &self.why_not
+    }
+
+    /// Takes the robot's word.
+    pub fn observe(&mut self, now: Stamp, state: &EdgeState) {
+        let Some(grant) = &self.grant else {
+            // Nobody commands: no need to wait for the next try.
+            if !state.lease.live && self.asking.is_none() {
+                self.next_ask = self.next_ask.min(now);
+            }
+            return;
+        };
+        let lease = &state.lease;
+        let ours = lease.holder.as_deref() == Some(self.holder.as_str());
+        if state.boot_id != grant.boot_id {
+            self.lose(now, "the robot has started anew".to_owned());
+        } else if lease.epoch > grant.epoch || (lease.epoch == grant.epoch && !ours) {
+            let holder = lease.holder.as_deref().unwrap_or("nobody");
+            self.lose(now, format!("{holder} holds the lease now"));
+        } else if lease.epoch == grant.epoch && !lease.live {
+            self.lose(now, "the lease has lapsed".to_owned());
+        }
+        // A state of an older epoch was sent before the grant.
+    }
+
+    fn lose(&mut self, now: Stamp, why: String) {
+        self.grant = None;
+        self.why_not = why;
+        self.next_ask = now;
+    }
+
+    /// Asks where there is no lease; the sign of life that is due, if one is.
+    pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Option<Heartbeat> {
+        if let Some(last) = self.last_step.replace(now)
+            && now.secs_since(last) > SLEPT
+            && self.grant.is_some()
+        {
+            self.lose(now, "this mission has slept".to_owned());
+        }
+        if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
+            self.asking = None;
+            self.take(now, answer);
+        }
+        if self.grant.is_none() && self.asking.is_none() && now >= self.next_ask {
+            self.asked += 1;
+            let request = LeaseRequest {
+                holder: self.holder.clone(),
+                role: LeaseRole::Mission,
+                action: zenav_protocol::messages::LeaseAction::Acquire,
+                request_id: format!("{}-{}", self.incarnation, self.asked),
+            };
+            self.asking = Some(asks.ask(Ask::Lease(request)));
+        }
+        let epoch = self.epoch()?;
+        if self.last_beat.is_some_and(|last| now.secs_since(last) < BEAT - 1e-6) {
+            return None;
+        }
+        self.last_beat = Some(now);
+        self.beats += 1;
+        Some(Heartbeat { holder: self.holder.clone(), epoch, counter: newer(self.incarnation, self.beats) })
+    }
+
+    fn take(&mut self, now: Stamp, answer: Result<Answer, NoAnswer>) {
+        self.next_ask = now.plus_secs(RETRY);
+        match answer {
+            Ok(Answer::Lease(LeaseReply { epoch, boot_id, .. })) => {
+                self.grant = Some(Grant { epoch, boot_id });
+                self.last_beat = None;
+                self.why_not.clear();
+            }
+            Ok(_) => self.why_not = "the robot's answer was not about the lease".to_owned(),
+            Err(NoAnswer::Refused(Refusal::Held { holder, .. })) => self.why_not = format!("{holder} holds the lease"),
+            Err(NoAnswer::Refused(refusal)) => self.why_not = refusal.to_string(),
+            Err(NoAnswer::Silent(_)) => self.why_not = "the robot does not answer".to_owned(),
+        }
+    }
+}
+
+/// A counter that grows over restarts: this life's number above, this life's count below.
+#[must_use]
+pub fn newer(incarnation: u64, count: u64) -> u64 {
+    (incarnation << 32) | (count & 0xffff_ffff)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn granted(now: f64) -> (LeaseKeeper, Asks) {
+        let (mut keeper, mut asks) = (LeaseKeeper::new("me", 3), Asks::new(3));
+        assert_eq!(keeper.step(Stamp::from_secs(now), &mut asks), None);
+        let (ticket, ask) = asks.take_new().pop().unwrap();
+        assert!(matches!(ask, Ask::Lease(LeaseRequest { ref holder, .. }) if holder == "me"));
+        asks.answer(ticket, Ok(Answer::Lease(LeaseReply { epoch: 7, ttl_secs: 1.0, boot_id: "b".into() })));
+        (keeper, asks)
+    }
+
+    #[test]
+    fn signs_of_life_come_ten_times_a_second_and_grow_over_restarts() {
+        let (mut keeper, mut asks) = granted(1.0);
+        let beats: Vec<_> = (0..21).filter_map(|i| keeper.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks)).collect();
+        assert_eq!(beats.len(), 11);
+        assert!(beats.windows(2).all(|pair| pair[0].counter < pair[1].counter));
+        assert!(beats[0].counter > newer(2, 1_000_000) && beats[0].epoch == 7);
+    }
+
+    #[test]
+    fn a_mission_that_has_slept_does_not_command_before_it_has_asked_again() {
+        let (mut keeper, mut asks) = granted(1.0);
+        assert!(keeper.step(Stamp::from_secs(1.05), &mut asks).is_some());
+        assert_eq!(keeper.step(Stamp::from_secs(21.0), &mut asks), None);
+        assert_eq!(keeper.epoch(), None);
+        assert_eq!(asks.take_new().len(), 1);
+    }
+}

@@ -1,0 +1,267 @@
+//! FollowPath: a way is driven to its end, rechecked and renewed as the map grows, replaced when it is blocked.
+//!
+//! SUCCESS at the goal, within its tolerance; FAILURE when the robot does not get on, when there is no way round what
+//! blocks it, or when the robot refuses plan after plan. Without the lease, while stopped or driven by hand, it waits.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{GoalPhase, GoalPoint};
+
+use super::progress::Progress;
+use super::{fail, no_error, step};
+use crate::behaviour_tree::{Leaf, LeafIo, Status};
+use crate::mission::context::Context;
+use crate::mission::motion::{Recheck, Standing, recheck};
+use crate::mission::route::{Route, RouteData, Search, Searching};
+
+/// Nav2's codes of why a path is not followed.
+mod error_code {
+    pub const INVALID_PATH: i64 = 103;
+    pub const FAILED_TO_MAKE_PROGRESS: i64 = 105;
+    pub const NO_VALID_CONTROL: i64 = 106;
+}
+
+/// Plans in a row that the robot may refuse.
+const MAX_REFUSALS: u32 = 5;
+/// Times that the end may lie beyond the tolerance.
+const MAX_MISSES: u32 = 3;
+/// Wait after a refusal, s.
+const AFTER_REFUSAL: f64 = 0.3;
+/// A route from rest is good only where the robot still stands, m.
+const BEGIN_DISTANCE: f64 = 0.15;
+/// Blocked nearer than this ahead, the robot is brought to rest at once, s of plan time.
+const BLOCKED_NEAR: f64 = 2.5;
+
+/// Drives `path`.
+#[derive(Default)]
+pub struct FollowPath {
+    progress: Progress,
+    search: Option<Search>,
+    refusals: u32,
+    misses: u32,
+    path_sequence: u64,
+    rechecked: u64,
+    /// A better route than the one being driven, from the tree.
+    offered: Option<Arc<Route>>,
+}
+
+/// What must not be forgotten over a restart.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Memory {
+    goal: GoalPoint,
+    motion: Option<u64>,
+}
+
+impl Leaf<Context> for FollowPath {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        *self = Self::default();
+        let data: RouteData = match io.get_data("path") {
+            Ok(data) => data,
+            Err(error) => return fail(io, ctx, Some(error_code::INVALID_PATH), error.to_string()),
+        };
+        self.path_sequence = io.sequence("path");
+        self.offered = ctx.route(data.route);
+        ctx.motion.clear();
+        ctx.begin_leg(io.name(), Some(data.goal), data.length);
+        self.remember(io, Memory { goal: data.goal, motion: None });
+        self.tick(io, ctx)
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.path_sequence = io.sequence("path");
+        let memory: Option<Memory> = io.recall();
+        if memory.is_none_or(|memory| memory.motion.is_none() || memory.motion != ctx.motion.id()) {
+            ctx.motion.clear();
+        }
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let Some(mut memory) = io.recall::<Memory>() else {
+            return self.end(io, ctx, error_code::INVALID_PATH, "nothing is remembered of the goal".to_owned());
+        };
+        self.look_for_offer(io, ctx, &mut memory);
+        if let Some(why) = ctx.obstacle_to_driving() {
+            self.progress.reset();
+            self.stop_search(ctx);
+            return step(io, ctx, &why);
+        }
+        if self.progress.is_stuck(ctx) {
+            let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
+            return self.end(io, ctx, error_code::FAILED_TO_MAKE_PROGRESS, why);
+        }
+        if let Some(route) = self.offered.take()
+            && self.fits(ctx, &route)
+        {
+            return self.drive(io, ctx, memory, &route);
+        }
+        if self.search.is_none() {
+            match ctx.motion.standing().cloned() {
+                None => self.begin_search(ctx, memory.goal, 0.0),
+                Some(Standing::Void(why)) => {
+                    tracing::info!(goal = ctx.goal.id, why, "plans anew");
+                    self.begin_search(ctx, memory.goal, 0.0);
+                }
+                Some(Standing::Refused(why)) => {
+                    self.refusals += 1;
+                    tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
+                    if self.refusals > MAX_REFUSALS {
+                        return self.end(io, ctx, error_code::NO_VALID_CONTROL, format!("the robot refuses the plan: {why}"));
+                    }
+                    ctx.motion.clear();
+                    self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+                }
+                Some(Standing::Finished) => {
+                    let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y));
+                    if left <= ctx.goal.tolerance {
+                        no_error(io);
+                        io.say("there");
+                        ctx.end_leg(GoalPhase::Succeeded, None);
+                        return Status::Success;
+                    }
+                    self.misses += 1;
+                    if self.misses > MAX_MISSES {
+                        let why = format!("ended {left:.2} m from the goal, {:.2} m are allowed", ctx.goal.tolerance);
+                        return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
+                    }
+                    ctx.motion.clear();
+                    self.begin_search(ctx, memory.goal, 0.0);
+                }
+                Some(Standing::Sent | Standing::Taken) => return self.supervise(io, ctx, memory),
+            }
+        }
+        self.search(io, ctx, memory)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.stop_search(ctx);
+        ctx.end_leg(GoalPhase::Canceled, None);
+    }
+}
+
+impl FollowPath {
+    /// The tree may put a newer path on the port while this one is driven.
+    fn look_for_offer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) {
+        let sequence = io.sequence("path");
+        if sequence == self.path_sequence {
+            return;
+        }
+        self.path_sequence = sequence;
+        if let Ok(data) = io.get_data::<RouteData>("path") {
+            self.offered = ctx.route(data.route);
+            if memory.goal != data.goal {
+                memory.goal = data.goal;
+                self.remember(io, *memory);
+            }
+        }
+    }
+
+    /// Whether a route begins where the robot will be.
+    fn fits(&self, ctx: &Context, route: &Route) -> bool {
+        match route.course.splice {
+            Some(splice) => ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&Standing::Taken),
+            None => ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(|pose| pose.distance(&route.begin) < BEGIN_DISTANCE),
+        }
+    }
+
+    /// Puts a route into force, if it is free by the newest map.
+    fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
+        if let Some(model) = ctx.robot.model().cloned()
+            && let Some(space) = ctx.map.space(&model.footprint)
+            && let Recheck::Blocked(_) = recheck(&route.course.trajectory, space, 0.0)
+        {
+            // The map has changed since.
+            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+            return step(io, ctx, "plans anew: the map has changed");
+        }
+        self.stop_search(ctx);
+        ctx.drive(route.course.clone());
+        memory.motion = ctx.motion.id();
+        self.remember(io, memory);
+        step(io, ctx, "drives")
+    }
+
+    /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
+    fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
+        let standing = ctx.motion.standing() == Some(&Standing::Taken);
+        if standing && !ctx.motion.is_held() {
+            self.refusals = 0;
+        }
+        let (time, left) = self.where_it_is(ctx);
+        if let Some(progress) = left {
+            ctx.goal.feedback.distance_left = Some(progress.0);
+            ctx.goal.feedback.time_left = Some(progress.1);
+        }
+        let due = ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held();
+        let revision = ctx.map.newest().map_or(0, |map| map.revision);
+        if due || revision != self.rechecked {
+            self.rechecked = revision;
+            let checked = match ctx.robot.model().cloned() {
+                Some(model) => ctx.map.space(&model.footprint).map_or(Recheck::Free, |space| ctx.motion.recheck(space, time)),
+                None => Recheck::Free,
+            };
+            match checked {
+                Recheck::Free if due => ctx.renew(),
+                Recheck::Free => {}
+                Recheck::Blocked(ahead) => {
+                    if ahead < BLOCKED_NEAR {
+                        ctx.hold();
+                    }
+                    self.begin_search(ctx, memory.goal, 0.0);
+                    return step(io, ctx, "plans anew: the way is blocked");
+                }
+            }
+        }
+        let what = if standing { "drives" } else { "waits until the robot takes the plan" };
+        step(io, ctx, what)
+    }
+
+    fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
+        let Some(state) = ctx.robot.state() else { return (0.0, None) };
+        let time = ctx.motion.time(state, 0.0).unwrap_or(0.0);
+        let ours = state.plan.as_ref().filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
+        (time, ours.map(|plan| (plan.distance_left, plan.time_left)))
+    }
+
+    fn search(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
+        let Some(search) = &mut self.search else { return Status::Running };
+        match search.step(ctx) {
+            Searching::Wait(what) => step(io, ctx, what),
+            Searching::Found(route) => {
+                self.search = None;
+                if self.fits(ctx, &route) {
+                    self.drive(io, ctx, memory, &route)
+                } else {
+                    self.begin_search(ctx, memory.goal, 0.0);
+                    step(io, ctx, "plans anew: the robot is elsewhere by now")
+                }
+            }
+            Searching::Failed(no_route) => self.end(io, ctx, error_code::NO_VALID_CONTROL, format!("no way on: {}", no_route.reason)),
+        }
+    }
+
+    fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
+        self.stop_search(ctx);
+        let from = ctx.now.plus_secs(wait);
+        self.search = Some(Search::new(ctx, goal, None, from));
+    }
+
+    fn stop_search(&mut self, ctx: &mut Context) {
+        if let Some(search) = self.search.take() {
+            search.cancel(ctx);
+        }
+    }
+
+    fn end(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
+        self.stop_search(ctx);
+        ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
+        fail(io, ctx, Some(code), why)
+    }
+
+    fn remember(&self, io: &mut LeafIo<'_>, memory: Memory) {
+        if let Err(error) = io.remember(&memory) {
+            tracing::warn!(%error, "a goal has no stored form");
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! What outlives a crash? Plain records; how they are kept on disk is the store's business.
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{GoalReply, GoalState, Plan};
+
+use crate::behaviour_tree::TreeSnapshot;
+
+/// A goal as it is stored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StoredGoal {
+    /// Order of acceptance.
+    pub sequence: u64,
+    /// Goes before those that wait: it preempted.
+    #[serde(default)]
+    pub urgent: bool,
+    /// Time it was held by pauses, s.
+    #[serde(default)]
+    pub paused_secs: f64,
+    /// The goal.
+    pub state: GoalState,
+}
+
+/// The tree that runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunningTree {
+    /// The goal that it serves.
+    pub goal_id: String,
+    /// Its nodes and blackboard.
+    pub snapshot: TreeSnapshot,
+}
+
+/// One change of what is stored.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// A goal, new or changed.
+    Goal(Box<StoredGoal>),
+    /// An old goal's end.
+    ForgetGoal(String),
+    /// The tree that runs, if one does.
+    Tree(Option<Box<RunningTree>>),
+    /// The plan in force, if there is one; renewals are not stored.
+    Motion(Option<Box<Plan>>),
+    /// The first answer to a request.
+    Answer(String, GoalReply),
+    /// An old answer's end.
+    ForgetAnswer(String),
+}
+
+/// What a mission begins with.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Restored {
+    /// Number of this life, greater than that of every life before.
+    pub incarnation: u64,
+    /// All goals.
+    pub goals: Vec<StoredGoal>,
+    /// The tree that ran.
+    pub tree: Option<RunningTree>,
+    /// The plan that was in force.
+    pub motion: Option<Plan>,
+    /// First answers to requests.
+    pub answers: Vec<(String, GoalReply)>,
+}
+
+impl Restored {
+    /// The first life, with nothing before it.
+    #[must_use]
+    pub fn fresh() -> Self {
+        Self { incarnation: 1, ..Self::default() }
+    }
+}

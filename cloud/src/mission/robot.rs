@@ -1,0 +1,128 @@
+//! What is known of the robot? Its newest word, when it came, and what it is built like.
+
+use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::*;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+use super::context::Asks;
+use super::exchange::{Answer, Ask, Ticket};
+
+/// A robot that has said nothing for this long is not heard, s.
+const SILENCE: f64 = 1.0;
+/// Time between two asks for its description, s.
+const RETRY: f64 = 1.0;
+/// Slower than this is at rest: m/s and rad/s.
+const AT_REST: (f64, f64) = (0.02, 0.04);
+
+/// The robot as the mission knows it.
+#[derive(Clone, Debug, Default)]
+pub struct RobotView {
+    state: Option<(Stamp, EdgeState)>,
+    pose: Option<(Stamp, PoseEstimate)>,
+    model: Option<RobotModel>,
+    model_boot: Option<String>,
+    asking: Option<Ticket>,
+    next_ask: Stamp,
+}
+
+impl RobotView {
+    /// Takes the robot's newest word in. What is not finite is not taken.
+    pub fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
+        if let Some(state) = state.filter(|state| state.velocity.is_finite()) {
+            self.state = Some((now, state));
+        }
+        if let Some(pose) = pose.filter(|pose| pose.map_from_base.is_finite() && pose.velocity.is_finite()) {
+            self.pose = Some((now, pose));
+        }
+    }
+
+    /// Asks for the description until there is one of the present boot.
+    ///
+    /// # Errors
+    /// Why this mission cannot work with the robot: it speaks another version.
+    pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Result<(), String> {
+        if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
+            self.asking = None;
+            self.next_ask = now.plus_secs(RETRY);
+            if let Ok(Answer::EdgeInfo(info)) = answer {
+                if info.schema != SCHEMA_VERSION {
+                    return Err(format!(
+                        "the robot's edge ({}) speaks schema {}, this mission ({}) schema {SCHEMA_VERSION}: expected the same",
+                        info.version,
+                        info.schema,
+                        env!("CARGO_PKG_VERSION")
+                    ));
+                }
+                match info.model.map(|model| model.checked("the robot's description")) {
+                    Some(Ok(model)) => {
+                        self.model = Some(model);
+                        self.model_boot = info.boot.map(|boot| boot.boot_id);
+                    }
+                    Some(Err(error)) => tracing::warn!(%error, "description refused"),
+                    None => tracing::warn!("the robot's edge has sent no description"),
+                }
+            }
+        }
+        let boot = self.state.as_ref().map(|(_, state)| &state.boot_id);
+        let known = self.model.is_some() && (boot.is_none() || self.model_boot.is_none() || boot == self.model_boot.as_ref());
+        if !known && self.asking.is_none() && now >= self.next_ask {
+            self.asking = Some(asks.ask(Ask::EdgeInfo(InfoRequest {})));
+        }
+        Ok(())
+    }
+
+    /// Whether it has said something lately.
+    #[must_use]
+    pub fn is_heard(&self, now: Stamp) -> bool {
+        self.state.as_ref().is_some_and(|(came, _)| now.secs_since(*came) < SILENCE)
+    }
+
+    /// Its newest state.
+    #[must_use]
+    pub fn state(&self) -> Option<&EdgeState> {
+        self.state.as_ref().map(|(_, state)| state)
+    }
+
+    /// Time since its newest state came, s.
+    #[must_use]
+    pub fn state_age(&self, now: Stamp) -> f64 {
+        self.state.as_ref().map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
+    }
+
+    /// Where it is, map frame.
+    #[must_use]
+    pub fn pose(&self) -> Option<Pose2> {
+        self.pose.as_ref().map(|(_, pose)| pose.map_from_base)
+    }
+
+    /// How fast it is.
+    #[must_use]
+    pub fn velocity(&self) -> Twist2 {
+        self.state().map_or(Twist2::ZERO, |state| state.velocity)
+    }
+
+    /// Whether it stands.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let twist = self.velocity();
+        twist.v.abs() < AT_REST.0 && twist.w.abs() < AT_REST.1
+    }
+
+    /// What it is built like.
+    #[must_use]
+    pub fn model(&self) -> Option<&RobotModel> {
+        self.model.as_ref()
+    }
+
+    /// The edge pose that a plan made now is based on.
+    #[must_use]
+    pub fn based_on(&self) -> Option<BasedOn> {
+        let (_, state) = self.state.as_ref()?;
+        let (_, pose) = self.pose.as_ref()?;
+        // A pose from before a restart has a stamp of another clock.
+        let stamp = if pose.stamp > state.stamp.plus_secs(1.0) { state.stamp } else { pose.stamp.max(state.stamp) };
+        Some(BasedOn { stamp, boot_id: state.boot_id.clone() })
+    }
+}

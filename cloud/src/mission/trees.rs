@@ -1,0 +1,89 @@
+//! Which trees are shipped, and how does a goal's tree become one that runs?
+
+use std::fmt;
+use std::sync::LazyLock;
+
+use super::context::Context;
+use super::leaves;
+use crate::behaviour_tree::{Registry, Tree, TreeErrors, build as build_tree};
+
+/// To one place: plan, follow, and after a failure try again.
+pub const NAVIGATE: &str = "navigate";
+/// Through places in order.
+pub const NAVIGATE_THROUGH: &str = "navigate_through";
+
+/// Names and texts of the shipped trees.
+pub const SHIPPED: &[(&str, &str)] = &[
+    (NAVIGATE, include_str!("../../trees/navigate.xml")),
+    (NAVIGATE_THROUGH, include_str!("../../trees/navigate_through.xml")),
+    ("kitchen", include_str!("../../trees/kitchen.xml")),
+];
+
+/// The text of a shipped tree.
+#[must_use]
+pub fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// Why there is no tree.
+#[derive(Clone, Debug)]
+pub enum NoTree {
+    /// Neither XML nor the name of a shipped tree.
+    Unknown(String),
+    /// Everything that is wrong with the XML.
+    Bad(String),
+}
+
+impl fmt::Display for NoTree {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unknown(name) => {
+                let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+                write!(f, "no tree `{name}`: expected XML or one of {}", names.join(", "))
+            }
+            Self::Bad(errors) => f.write_str(errors),
+        }
+    }
+}
+
+/// The nodes that trees may use.
+#[must_use]
+pub fn registry() -> &'static Registry<Context> {
+    static REGISTRY: LazyLock<Registry<Context>> = LazyLock::new(leaves::registry);
+    &REGISTRY
+}
+
+/// Builds a tree from XML, or from the name of a shipped one. Files that it includes are not looked for: the text may
+/// come from another machine.
+///
+/// # Errors
+/// [`NoTree`].
+pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
+    let (name, text) = match shipped(tree) {
+        Some(text) => (format!("{tree}.xml"), text),
+        None if tree.trim_start().starts_with('<') => ("tree".to_owned(), tree),
+        None => return Err(NoTree::Unknown(tree.chars().take(80).collect())),
+    };
+    let mut no_includes = |_: &str, _: &str| Err("a tree sent as text cannot include files".to_owned());
+    build_tree(&name, text.as_bytes(), registry(), None, &mut no_includes).map_err(|errors: TreeErrors| NoTree::Bad(errors.to_string()))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_tree_can_be_built() {
+        for (name, _) in SHIPPED {
+            build(name).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+
+    #[test]
+    fn what_is_no_tree_is_told_apart() {
+        assert!(build("kitchn").unwrap_err().to_string().contains("kitchen"));
+        let error = build("<root BTCPP_format=\"4\"><BehaviorTree ID=\"A\"><Folow/></BehaviorTree></root>").unwrap_err();
+        assert!(error.to_string().contains("Folow"), "{error}");
+    }
+}

@@ -1,0 +1,26 @@
+//! How long may a search take? Expansions, and a flag that somebody else may set: a search knows no clock.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Expansions between two looks at the flag.
+const PERIOD: u64 = 512;
+
+/// What a search may use.
+#[derive(Clone, Copy, Debug)]
+pub struct Budget<'a> {
+    /// Nodes that may be expanded.
+    pub max_expansions: u64,
+    /// Ends the search soon after it is set.
+    pub cancel: Option<&'a AtomicBool>,
+}
+
+impl Budget<'_> {
+    /// As long as it takes.
+    pub const UNLIMITED: Budget<'static> = Budget { max_expansions: u64::MAX, cancel: None };
+
+    /// Whether the search must end after this many expansions.
+    #[must_use]
+    pub fn is_spent(&self, expansions: u64) -> bool {
+        expansions >= self.max_expansions || (expansions.is_multiple_of(PERIOD) && self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)))
+    }
+}

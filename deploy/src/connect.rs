@@ -1,0 +1,241 @@
+//! How does a command reach the router, and which robot does it mean?
+//!
+//! A command is a Zenoh client that fails at once when nobody is there. The robot may be left out when there is one:
+//! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{BuildHasher, Hasher};
+use std::time::Duration;
+
+use tokio::time::Instant;
+use zenav_protocol::bus::{Bus, BusConfig, BusError};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::exit_code;
+use zenav_protocol::topics;
+
+use crate::failure::Failure;
+
+/// Where the router is unless told otherwise: Zenoh's own port.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// How long to look for a robot that does not show at once: it may just be starting.
+const LOOK_FOR: Duration = Duration::from_millis(2000);
+/// How long one look at the tokens may take.
+const GLANCE: Duration = Duration::from_millis(500);
+/// Pause between two looks.
+const PAUSE: Duration = Duration::from_millis(100);
+/// A robot without tokens is known by its state, published ten times a second: others may follow within this time.
+const STATE_ROUND: Duration = Duration::from_millis(300);
+
+/// Where to connect to, and how long to wait for answers.
+#[derive(Clone, Debug, clap::Args)]
+pub struct LinkArgs {
+    /// Router to connect to, or a robot's own endpoint; of several, separated by commas, one is enough
+    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT)]
+    pub connect: Vec<String>,
+    /// Longest wait for a connection or an answer, s
+    #[arg(long, global = true, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
+    pub timeout: f64,
+}
+
+impl LinkArgs {
+    /// Longest wait for an answer.
+    #[must_use]
+    pub fn patience(&self) -> Duration {
+        Duration::try_from_secs_f64(self.timeout).unwrap_or(Duration::MAX)
+    }
+}
+
+/// Where to connect to, and which robot is meant.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RobotArgs {
+    /// Where to connect to.
+    #[command(flatten)]
+    pub link: LinkArgs,
+    /// Robot's name; may be left out when there is one
+    #[arg(long, global = true, value_name = "NAME", value_parser = robot_name)]
+    pub robot: Option<String>,
+}
+
+fn robot_name(text: &str) -> Result<String, String> {
+    Id::robot(text).map(String::from).map_err(|error| error.to_string())
+}
+
+/// A finite number on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn finite(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "expected a number".to_owned())?;
+    if number.is_finite() { Ok(number) } else { Err("expected a finite number".to_owned()) }
+}
+
+/// A positive, finite number on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let number = finite(text)?;
+    if number > 0.0 { Ok(number) } else { Err("expected a positive number".to_owned()) }
+}
+
+/// Runs a command's work in a Tokio runtime of its own (a multi-threaded one: Zenoh needs it).
+///
+/// # Errors
+/// The work's own, or when the system gives no threads.
+pub fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let result = runtime.block_on(work);
+    // A thread that blocks on the keyboard must not hold up the end.
+    runtime.shutdown_background();
+    result
+}
+
+/// Connects, does the work, and leaves.
+///
+/// # Errors
+/// [`exit_code::CANNOT_CONNECT`] when nobody is there, or the work's own.
+pub fn on_bus<T>(link: &LinkArgs, work: impl AsyncFnOnce(Bus) -> Result<T, Failure>) -> Result<T, Failure> {
+    block_on(async {
+        let bus = open(link).await?;
+        let result = work(bus.clone()).await;
+        bus.close().await;
+        result
+    })
+}
+
+/// As [`on_bus`], for work on one robot, which is looked for first.
+///
+/// # Errors
+/// As [`on_bus`] and [`find`].
+pub fn on_robot<T>(args: &RobotArgs, work: impl AsyncFnOnce(Bus, String) -> Result<T, Failure>) -> Result<T, Failure> {
+    on_bus(&args.link, async |bus| {
+        let robot = find(&bus, args.robot.as_deref()).await?;
+        work(bus, robot).await
+    })
+}
+
+/// Connects.
+///
+/// # Errors
+/// [`exit_code::CANNOT_CONNECT`] when nobody is there, [`exit_code::USAGE`] for what is no endpoint.
+pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
+    let endpoints = link.connect.join(", ");
+    let config = BusConfig { connect: link.connect.clone(), listen: Vec::new(), name: "zenav-cli".to_owned(), retry: false };
+    let nobody = || Failure::new(exit_code::CANNOT_CONNECT, format!("cannot connect to {endpoints}: nobody answers there (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"));
+    match tokio::time::timeout(link.patience(), Bus::open(config)).await {
+        Ok(Ok(bus)) => Ok(bus),
+        Ok(Err(BusError::CannotConnect { .. })) | Err(_) => Err(nobody()),
+        Ok(Err(error)) => Err(error.into()),
+    }
+}
+
+/// The robots that show now, each with its components (`edge`, `mapping`, `mission`).
+///
+/// # Errors
+/// When the bus was closed.
+pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Failure> {
+    let mut robots = BTreeMap::<String, BTreeSet<String>>::new();
+    for key in bus.list_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]), GLANCE).await? {
+        if let Some([robot, component]) = topics::alive_chunks(topics::ALIVE_COMPONENT, &key).as_deref() {
+            robots.entry((*robot).to_owned()).or_default().insert((*component).to_owned());
+        }
+    }
+    Ok(robots)
+}
+
+/// The robot that a command means: the named one, if there is such, or the only one.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] for several to choose from; both name what was found.
+pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
+    let mut states = bus.latest(&topics::STATE, &[wanted.unwrap_or("*")])?;
+    let start = Instant::now();
+    let mut seen = BTreeSet::new();
+    let mut first_state = None;
+    loop {
+        let alive = robots(bus).await?;
+        while let Some(state) = states.take_received() {
+            seen.extend(state.chunks.into_iter().next());
+            first_state.get_or_insert_with(Instant::now);
+        }
+        // A robot whose edge shows comes before one that only has a cloud waiting for it.
+        let with_edge: BTreeSet<String> = alive.iter().filter(|(_, components)| components.contains("edge")).map(|(robot, _)| robot.clone()).collect();
+        let known = if with_edge.is_empty() && seen.is_empty() { alive.keys().cloned().collect() } else { &with_edge | &seen };
+        let complete = !with_edge.is_empty() || first_state.is_some_and(|first| first.elapsed() > STATE_ROUND) || (seen.is_empty() && !known.is_empty());
+        match wanted {
+            Some(name) if seen.contains(name) || alive.contains_key(name) => return Ok(name.to_owned()),
+            None if complete => return choose(&known),
+            _ => {}
+        }
+        if start.elapsed() > LOOK_FOR {
+            let known: BTreeSet<String> = alive.into_keys().chain(known).collect();
+            return Err(unknown(wanted, &known));
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+fn choose(known: &BTreeSet<String>) -> Result<String, Failure> {
+    let names: Vec<&str> = known.iter().map(String::as_str).collect();
+    match names.as_slice() {
+        [one] => Ok((*one).to_owned()),
+        several => Err(Failure::usage(format!("there are several robots ({}): name one with --robot", several.join(", ")))),
+    }
+}
+
+fn unknown(wanted: Option<&str>, known: &BTreeSet<String>) -> Failure {
+    let names: Vec<&str> = known.iter().map(String::as_str).collect();
+    let found = if names.is_empty() { "no robot shows here".to_owned() } else { format!("there is {}", names.join(", ")) };
+    Failure::not_found(match wanted {
+        Some(name) => format!("no robot `{name}`: {found}"),
+        None => format!("{found} (`zenav up` or `zenav edge` starts one)"),
+    })
+}
+
+/// A name that nobody else makes: for goals, requests and holders.
+#[must_use]
+pub fn fresh_id(prefix: &str) -> String {
+    // The standard library seeds every hasher from the system's randomness.
+    let random = std::hash::RandomState::new().build_hasher().finish();
+    format!("{prefix}-{random:016x}")
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn names(list: &[&str]) -> BTreeSet<String> {
+        list.iter().map(|name| (*name).to_owned()).collect()
+    }
+
+    #[test]
+    fn the_only_robot_need_not_be_named_and_one_of_several_must() {
+        assert_eq!(choose(&names(&["a"])).unwrap(), "a");
+        let failure = choose(&names(&["a", "b"])).unwrap_err();
+        assert_eq!(failure.code, exit_code::USAGE);
+        assert!(failure.message.contains("a, b"), "{failure}");
+    }
+
+    #[test]
+    fn an_unknown_robot_is_answered_with_the_known_ones() {
+        let failure = unknown(Some("x"), &names(&["a", "b"]));
+        assert_eq!(failure.code, exit_code::NOT_FOUND);
+        assert!(failure.message.contains('x') && failure.message.contains("a, b"), "{failure}");
+    }
+
+    #[test]
+    fn ids_are_valid_and_differ() {
+        let (a, b) = (fresh_id("goal"), fresh_id("goal"));
+        assert!(Id::new(a.clone()).is_ok());
+        assert_ne!(a, b);
+    }
+
+    #[test]
+    fn numbers_on_the_command_line_are_finite() {
+        assert_eq!(finite("-1.5"), Ok(-1.5));
+        assert!(finite("NaN").is_err() && finite("inf").is_err() && finite("x").is_err());
+        assert!(positive("0").is_err());
+    }
+}

@@ -1,0 +1,151 @@
+//! How does a goal go? Its state as the mission publishes it, and by asking now and then: a mission that was restarted,
+//! or a link that was cut, must not leave a watcher waiting for ever.
+
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use zenav_protocol::bus::{Bus, Latest};
+use zenav_protocol::messages::{GoalState, GoalsRequest, exit_code};
+use zenav_protocol::topics;
+
+use super::{Report, phase_code};
+use crate::connect::{self, RobotArgs};
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// How often the mission is asked besides.
+const ASK_EVERY: Duration = Duration::from_secs(2);
+/// How long it may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
+
+/// Watches one goal.
+pub(super) struct Watch {
+    bus: Bus,
+    robot: String,
+    id: String,
+    states: Latest<GoalState>,
+}
+
+impl Watch {
+    pub(super) fn new(bus: &Bus, robot: &str, id: &str) -> Result<Self, Failure> {
+        Ok(Self { bus: bus.clone(), robot: robot.to_owned(), id: id.to_owned(), states: bus.latest(&topics::GOAL_STATE, &[robot, id])? })
+    }
+
+    /// Tells `changed` every new state until the goal ends, then prints it: the exit code tells how. Ctrl-C detaches.
+    pub(super) async fn until_end(mut self, format: Format, mut changed: impl FnMut(&GoalState)) -> Outcome {
+        let mut ask = tokio::time::interval(ASK_EVERY);
+        ask.reset();
+        let interrupted = tokio::signal::ctrl_c();
+        tokio::pin!(interrupted);
+        let mut silent = false;
+        loop {
+            let state = tokio::select! {
+                _ = &mut interrupted => {
+                    eprintln!("zenav: detached; goal {} goes on (`zenav goal watch {}`, `zenav goal cancel {}`)", self.id, self.id, self.id);
+                    return Ok(exit_code::INTERRUPTED);
+                }
+                received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,
+                _ = ask.tick() => match query(&self.bus, &self.robot, &self.id, ANSWER_WITHIN).await {
+                    Ok(Some(state)) => {
+                        silent = false;
+                        state
+                    }
+                    // Not an end: the mission may be away, its store may still be coming up.
+                    Ok(None) | Err(_) => {
+                        if !silent {
+                            tracing::warn!(goal = self.id, "the mission does not answer; waiting for it");
+                            silent = true;
+                        }
+                        continue;
+                    }
+                },
+            };
+            changed(&state);
+            if state.state.is_end() {
+                output::value(format, &Report::of(&state), Report::line)?;
+                return Ok(phase_code(state.state));
+            }
+        }
+    }
+}
+
+/// The goal as the mission knows it; `None` when it knows no such goal.
+async fn query(bus: &Bus, robot: &str, id: &str, within: Duration) -> Result<Option<GoalState>, Failure> {
+    let request = GoalsRequest { id: Some(id.to_owned()), ..GoalsRequest::default() };
+    let reply = bus.ask(&topics::GOALS, &[robot], &request, within).await?;
+    Ok(reply.goals.into_iter().find(|goal| goal.id == id))
+}
+
+/// `zenav goal watch ID`.
+pub(super) fn watch(robot: &RobotArgs, format: Format, id: &str) -> Outcome {
+    let patience = robot.link.patience();
+    connect::on_robot(robot, async |bus, robot| {
+        if zenav_protocol::id::Id::new(id).is_err() {
+            return Err(Failure::not_found(format!("no goal `{id}`")));
+        }
+        let watch = Watch::new(&bus, &robot, id)?;
+        let Some(state) = query(&bus, &robot, id, patience).await? else {
+            return Err(Failure::not_found(format!("robot {robot} has no goal `{id}`")));
+        };
+        if state.state.is_end() {
+            output::value(format, &Report::of(&state), Report::line)?;
+            return Ok(phase_code(state.state));
+        }
+        let mut progress = Progress::new();
+        progress.show(&state);
+        watch
+            .until_end(format, |state| match format {
+                Format::Ndjson if !state.state.is_end() => {
+                    // Every change is data here, not only the end.
+                    let _ = output::value(format, state, |_| String::new());
+                }
+                _ => progress.show(state),
+            })
+            .await
+    })
+}
+
+/// A goal's progress on stderr: one living line on a terminal, else a line a step.
+pub(super) struct Progress {
+    bar: Option<ProgressBar>,
+    last: String,
+}
+
+impl Progress {
+    pub(super) fn new() -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new_spinner();
+            if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
+                bar.set_style(style);
+            }
+            bar.enable_steady_tick(Duration::from_millis(100));
+            bar
+        });
+        Self { bar, last: String::new() }
+    }
+
+    pub(super) fn say(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.set_message(text.to_owned()),
+            None => eprintln!("{text}"),
+        }
+    }
+
+    pub(super) fn show(&mut self, state: &GoalState) {
+        if state.state.is_end() {
+            if let Some(bar) = self.bar.take() {
+                bar.finish_and_clear();
+            }
+            return;
+        }
+        let step = format!("{:?} {}", state.state, state.feedback.step);
+        let left = state.feedback.distance_left.map(|m| format!(", {m:.2} m left")).unwrap_or_default();
+        match &self.bar {
+            Some(_) => self.say(&format!("{step}{left}")),
+            None if step != self.last => self.say(&format!("{} {step}{left}", state.id)),
+            None => {}
+        }
+        self.last = step;
+    }
+}

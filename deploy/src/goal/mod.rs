@@ -1,0 +1,169 @@
+//! How are goals given to a robot, followed and taken back from anywhere?
+//!
+//! | file | answers |
+//! |---|---|
+//! | `submit` | what the command line asks for, as a request; sending it |
+//! | `follow` | how it goes, until it ends or the watcher leaves |
+//! | `list` | which goals there are; cancel, pause, resume |
+
+mod follow;
+mod list;
+mod submit;
+
+use serde::Serialize;
+use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalState, exit_code};
+
+use crate::connect::RobotArgs;
+use crate::failure::Outcome;
+use crate::output::Format;
+
+/// Goals: submit, list, watch, cancel.
+#[derive(Debug, clap::Args)]
+pub struct GoalArgs {
+    /// Which robot.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Form of what is printed
+    #[arg(short, long, global = true, value_enum, default_value_t)]
+    output: Format,
+    #[command(subcommand)]
+    command: GoalCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum GoalCommand {
+    /// Give the robot a goal: X Y [YAW] in the map, a named place, or a behaviour tree
+    Submit(submit::SubmitArgs),
+    /// List goals, newest first
+    List(list::ListArgs),
+    /// Follow a goal until it ends; Ctrl-C only stops watching
+    Watch {
+        /// Goal to follow
+        id: String,
+    },
+    /// Cancel a goal; without an id, the running one
+    Cancel {
+        /// Goal to cancel
+        id: Option<String>,
+    },
+    /// Hold a goal; without an id, the running one
+    Pause {
+        /// Goal to hold
+        id: Option<String>,
+    },
+    /// Let a held goal go on
+    Resume {
+        /// Goal to go on with
+        id: Option<String>,
+    },
+}
+
+/// Does what the command line says.
+///
+/// # Errors
+/// A failure with its exit code.
+pub fn run(args: &GoalArgs) -> Outcome {
+    match &args.command {
+        GoalCommand::Submit(submit) => submit::run(&args.robot, args.output, submit),
+        GoalCommand::List(list) => list::run(&args.robot, args.output, list),
+        GoalCommand::Watch { id } => follow::watch(&args.robot, args.output, id),
+        GoalCommand::Cancel { id } => list::cancel(&args.robot, args.output, id.clone()),
+        GoalCommand::Pause { id } => list::pause(&args.robot, args.output, id.clone(), false),
+        GoalCommand::Resume { id } => list::pause(&args.robot, args.output, id.clone(), true),
+    }
+}
+
+/// Exit code for where a goal stands.
+const fn phase_code(phase: GoalPhase) -> u8 {
+    match phase {
+        GoalPhase::Accepted | GoalPhase::Active | GoalPhase::Paused | GoalPhase::Succeeded => exit_code::OK,
+        GoalPhase::Aborted => exit_code::FAILED,
+        GoalPhase::Canceled => exit_code::CANCELED,
+        GoalPhase::Rejected => exit_code::REJECTED,
+    }
+}
+
+/// What is printed of a goal: `id`, `state`, `reason`.
+#[derive(Debug, Serialize)]
+struct Report {
+    id: String,
+    robot: String,
+    state: GoalPhase,
+    reason: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nearest_free: Option<GoalPoint>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plans: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    replans: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_s: Option<f64>,
+}
+
+impl Report {
+    fn new(robot: &str, id: &str, state: GoalPhase, reason: Option<String>) -> Self {
+        Self { id: id.to_owned(), robot: robot.to_owned(), state, reason, nearest_free: None, plans: None, replans: None, time_s: None }
+    }
+
+    fn of(state: &GoalState) -> Self {
+        Self {
+            plans: Some(state.feedback.plans),
+            replans: Some(state.feedback.replans),
+            time_s: state.ended.map(|ended| ended.secs_since(state.started.unwrap_or(state.accepted))),
+            ..Self::new(&state.robot, &state.id, state.state, state.reason.clone())
+        }
+    }
+
+    fn line(&self) -> String {
+        let mut text = format!("{} {:?}", self.id, self.state);
+        if let Some(reason) = &self.reason {
+            text.push_str(": ");
+            text.push_str(reason);
+        }
+        if let Some(place) = &self.nearest_free {
+            text.push_str(&format!(" (nearest free place: {:.2}, {:.2})", place.x, place.y));
+        }
+        if let Some(secs) = self.time_s {
+            text.push_str(&format!(" ({secs:.1} s)"));
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(clap::Parser)]
+    struct Wrapper {
+        #[command(flatten)]
+        goal: GoalArgs,
+    }
+
+    pub(super) fn parse(words: &[&str]) -> Result<GoalArgs, clap::Error> {
+        Wrapper::try_parse_from(std::iter::once(&"goal").chain(words)).map(|wrapper| wrapper.goal)
+    }
+
+    #[test]
+    fn each_end_has_its_exit_code() {
+        let codes = [GoalPhase::Succeeded, GoalPhase::Aborted, GoalPhase::Canceled, GoalPhase::Rejected].map(phase_code);
+        assert_eq!(codes, [0, 1, 6, 7]);
+    }
+
+    #[test]
+    fn the_robot_may_be_named_before_or_after_the_command() {
+        for words in [["--robot", "r", "list"], ["list", "--robot", "r"]] {
+            assert_eq!(parse(&words).unwrap().robot.robot.as_deref(), Some("r"));
+        }
+        assert!(parse(&["--robot", "a/b", "list"]).is_err(), "a name must not widen a key");
+    }
+
+    #[test]
+    fn a_report_names_id_state_and_reason_also_without_one() {
+        let text = serde_json::to_string(&Report::new("r", "g", GoalPhase::Succeeded, None)).unwrap();
+        assert_eq!(text, r#"{"id":"g","robot":"r","state":"Succeeded","reason":null}"#);
+    }
+}

@@ -1,0 +1,188 @@
+//! What does the command line ask a robot to achieve? The request, with its id made before it is first sent.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use clap::ValueEnum;
+use zenav_protocol::bus::AskError;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
+use zenav_protocol::topics;
+
+use super::{Report, follow, phase_code};
+use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// A goal on the command line.
+#[derive(Debug, clap::Args)]
+pub(super) struct SubmitArgs {
+    /// Map x, m
+    #[arg(allow_negative_numbers = true, value_parser = finite, requires = "y", required_unless_present_any = ["place", "tree", "waypoint"], conflicts_with_all = ["place", "waypoint"])]
+    x: Option<f64>,
+    /// Map y, m
+    #[arg(allow_negative_numbers = true, value_parser = finite)]
+    y: Option<f64>,
+    /// Heading wanted at the end, rad
+    #[arg(allow_negative_numbers = true, value_parser = finite)]
+    yaw: Option<f64>,
+    /// A place named in the world or deployment
+    #[arg(long, conflicts_with_all = ["tree", "waypoint"])]
+    place: Option<String>,
+    /// A behaviour tree: an XML file, or the name of a shipped one
+    #[arg(long, value_name = "FILE", conflicts_with = "waypoint")]
+    tree: Option<String>,
+    /// A place to pass, in order; may be repeated
+    #[arg(long, value_name = "X,Y[,YAW]", allow_hyphen_values = true, value_parser = waypoint)]
+    waypoint: Vec<GoalPoint>,
+    /// An entry of the tree's blackboard: JSON, or else text
+    #[arg(long, value_name = "NAME=VALUE", requires = "tree", value_parser = entry)]
+    blackboard: Vec<(String, serde_json::Value)>,
+    /// Name of the goal: sent twice, it is the same goal [default: a fresh one]
+    #[arg(long, value_parser = goal_id)]
+    id: Option<String>,
+    /// What to do when another goal runs
+    #[arg(long, value_enum, default_value_t)]
+    on_busy: OnBusyArg,
+    /// Give the goal up after this time, s
+    #[arg(long, value_name = "SECS", value_parser = positive)]
+    deadline: Option<f64>,
+    /// Distance that counts as reached, m
+    #[arg(long, value_name = "M", value_parser = positive)]
+    tolerance: Option<f64>,
+    /// Wait for the end; Ctrl-C detaches (exit 130) and the robot goes on, `goal cancel` ends it
+    #[arg(long)]
+    wait: bool,
+}
+
+/// What to do when another goal runs.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum OnBusyArg {
+    /// Wait for its turn
+    #[default]
+    Queue,
+    /// Cancel the running goal
+    Preempt,
+    /// Refuse
+    Reject,
+}
+
+fn goal_id(text: &str) -> Result<String, String> {
+    Id::new(text).map(String::from).map_err(|error| error.to_string())
+}
+
+fn waypoint(text: &str) -> Result<GoalPoint, String> {
+    let numbers = text.split(',').map(|part| finite(part.trim())).collect::<Result<Vec<f64>, String>>()?;
+    match numbers.as_slice() {
+        [x, y] => Ok(GoalPoint { x: *x, y: *y, yaw: None }),
+        [x, y, yaw] => Ok(GoalPoint { x: *x, y: *y, yaw: Some(*yaw) }),
+        _ => Err("expected X,Y or X,Y,YAW".to_owned()),
+    }
+}
+
+fn entry(text: &str) -> Result<(String, serde_json::Value), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    let value = serde_json::from_str(value).unwrap_or_else(|_| serde_json::Value::from(value));
+    Ok((name.to_owned(), value))
+}
+
+impl SubmitArgs {
+    fn request(&self) -> Result<GoalRequest, Failure> {
+        Ok(GoalRequest {
+            id: Some(self.id.clone().unwrap_or_else(|| fresh_id("goal"))),
+            x: self.x,
+            y: self.y,
+            yaw: self.yaw,
+            place: self.place.clone(),
+            waypoints: self.waypoint.clone(),
+            tree: self.tree.as_deref().map(tree).transpose()?,
+            blackboard: self.blackboard.iter().cloned().collect::<BTreeMap<_, _>>(),
+            on_busy: match self.on_busy {
+                OnBusyArg::Queue => OnBusy::Queue,
+                OnBusyArg::Preempt => OnBusy::Preempt,
+                OnBusyArg::Reject => OnBusy::Reject,
+            },
+            deadline_secs: self.deadline,
+            tolerance: self.tolerance,
+        })
+    }
+}
+
+/// A tree file's text, or a name for the mission to know.
+fn tree(text: &str) -> Result<String, Failure> {
+    let path = Path::new(text);
+    if path.is_file() {
+        let size = path.metadata()?.len();
+        if size > topics::GOAL.max_bytes as u64 {
+            return Err(Failure::usage(format!("{text}: {size} bytes, a goal may carry at most {}", topics::GOAL.max_bytes)));
+        }
+        std::fs::read_to_string(path).map_err(|error| Failure::usage(format!("{text}: {error}")))
+    } else if Id::new(text).is_ok() {
+        Ok(text.to_owned())
+    } else {
+        Err(Failure::not_found(format!("no tree file {text}")))
+    }
+}
+
+pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outcome {
+    let request = args.request()?;
+    let patience = robot.link.patience();
+    connect::on_robot(robot, async |bus, robot| {
+        let id = request.id.clone().unwrap_or_default();
+        // Before the goal is sent, so that no end is missed.
+        let watch = follow::Watch::new(&bus, &robot, &id)?;
+        let report = match bus.ask(&topics::GOAL, &[&robot], &request, patience).await {
+            Ok(reply) if !args.wait || reply.state.is_end() => Report::new(&robot, &reply.id, reply.state, reply.reason),
+            Ok(reply) => return finish(watch, &reply, format).await,
+            Err(AskError::Refused(Refusal::Rejected { reason, nearest_free })) => Report { nearest_free, ..Report::new(&robot, &id, GoalPhase::Rejected, Some(reason)) },
+            Err(error) => return Err(error.into()),
+        };
+        output::value(format, &report, Report::line)?;
+        Ok(phase_code(report.state))
+    })
+}
+
+async fn finish(watch: follow::Watch, reply: &GoalReply, format: Format) -> Outcome {
+    let mut progress = follow::Progress::new();
+    progress.say(&format!("{} {:?}; Ctrl-C detaches, the robot goes on", reply.id, reply.state));
+    watch.until_end(format, |state| progress.show(state)).await
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use super::super::tests::parse;
+    use super::super::{GoalArgs, GoalCommand};
+    use super::*;
+
+    fn request(words: &[&str]) -> Result<GoalRequest, String> {
+        let words: Vec<&str> = std::iter::once("submit").chain(words.iter().copied()).collect();
+        let GoalArgs { command: GoalCommand::Submit(args), .. } = parse(&words).map_err(|error| error.to_string())? else { return Err("another command".into()) };
+        args.request().map_err(|failure| failure.to_string())
+    }
+
+    #[test]
+    fn negative_numbers_are_places_not_options() {
+        let goal = request(&["-1.46", "-3.12", "-1.57", "--tolerance", "0.2"]).unwrap();
+        assert_eq!((goal.x, goal.y, goal.yaw, goal.tolerance), (Some(-1.46), Some(-3.12), Some(-1.57), Some(0.2)));
+        assert!(goal.id.unwrap().starts_with("goal-"));
+    }
+
+    #[test]
+    fn exactly_one_target_is_taken() {
+        assert_eq!(request(&["--place", "sink", "--on-busy", "preempt"]).unwrap().on_busy, OnBusy::Preempt);
+        assert_eq!(request(&["--waypoint", "-1,2", "--waypoint", "3,4,0.5"]).unwrap().waypoints[0], GoalPoint { x: -1.0, y: 2.0, yaw: None });
+        for bad in [&["1"][..], &[], &["1", "2", "--place", "sink"], &["--place", "a", "--tree", "b"], &["NaN", "0"], &["1", "inf"], &["1", "2", "--deadline", "-1"], &["1", "2", "--id", "a/b"]] {
+            assert!(request(bad).is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_tree_is_a_file_or_a_name() {
+        assert_eq!(request(&["--tree", "kitchen", "--blackboard", "n=3", "--blackboard", "s=a b"]).unwrap().blackboard["s"], serde_json::json!("a b"));
+        assert!(request(&["--tree", "no/such.xml"]).unwrap_err().contains("no/such.xml"));
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "<root/>").unwrap();
+        assert_eq!(request(&["--tree", file.path().to_str().unwrap()]).unwrap().tree.as_deref(), Some("<root/>"));
+    }
+}

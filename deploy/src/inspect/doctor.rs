@@ -1,0 +1,210 @@
+//! Is everything there and well? Listens for two seconds, asks everybody who they are, and says what to do about what is wrong.
+
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use tokio::time::{Instant, sleep_until};
+use zenav_protocol::bus::{Bus, Latest, RawSubscription};
+use zenav_protocol::messages::{InfoRequest, exit_code};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+
+use super::diagnosis::{self, Check, ClockSeen, Heard, Robot, Verdict};
+use crate::connect::{self, RobotArgs};
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// How long to listen.
+const LISTEN: Duration = Duration::from_secs(2);
+/// How long a component may take to say who it is.
+const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
+
+/// Health.
+#[derive(Debug, clap::Args)]
+pub struct DoctorArgs {
+    /// Which robot; without a name, all.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Form of what is printed
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+#[derive(Serialize)]
+struct Report {
+    healthy: bool,
+    checks: Vec<Check>,
+}
+
+/// Checks a deployment: exit 0 when nothing fails (warnings are no failure), 1 when something does, 4 without a router.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] for a robot named that does not show.
+pub fn doctor(args: &DoctorArgs) -> Outcome {
+    let examined = connect::on_bus(&args.robot.link, async |bus| examine(&bus, args.robot.robot.as_deref()).await);
+    let (checks, code) = match examined {
+        Ok(checks) => {
+            let failed = checks.iter().any(|check| check.verdict == Verdict::Fail);
+            (checks, if failed { exit_code::FAILED } else { exit_code::OK })
+        }
+        Err(failure) if failure.code == exit_code::CANNOT_CONNECT => {
+            (vec![Check::fail("router", "link", failure.to_string(), "start one, or name its endpoint with --connect")], exit_code::CANNOT_CONNECT)
+        }
+        Err(failure) => return Err(failure),
+    };
+    let report = Report { healthy: code == exit_code::OK, checks };
+    output::value(args.output, &report, text)?;
+    Ok(code)
+}
+
+async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure> {
+    let mut checks = vec![Check::ok("router", "link", "connected")];
+    if wanted.is_some() {
+        connect::find(bus, wanted).await?;
+    }
+    let mut names: Vec<String> = connect::robots(bus).await?.into_keys().collect();
+    names.retain(|name| wanted.is_none_or(|wanted| wanted == name));
+    match wanted {
+        // Known by its state alone: this is its own endpoint.
+        Some(wanted) if names.is_empty() => names.push(wanted.to_owned()),
+        None if names.is_empty() => names.extend(connect::find(bus, None).await.ok()),
+        _ => {}
+    }
+    if names.is_empty() {
+        checks.push(Check::fail("robots", "robots", "none shows", "start one: `zenav edge`, or a whole deployment: `zenav up`"));
+    }
+    let end = Instant::now() + LISTEN;
+    let clock = async { clock(bus, end).await };
+    let robots = async {
+        let mut tasks = tokio::task::JoinSet::new();
+        for name in names {
+            let bus = bus.clone();
+            tasks.spawn(async move { look(&bus, name, end).await });
+        }
+        let mut found = Vec::new();
+        while let Some(robot) = tasks.join_next().await {
+            found.push(robot.map_err(|error| Failure::failed(error.to_string()))??);
+        }
+        found.sort_by(|a: &Robot, b: &Robot| a.name.cmp(&b.name));
+        Ok::<_, Failure>(found)
+    };
+    let (clock, robots) = tokio::join!(clock, robots);
+    for robot in robots? {
+        checks.extend(diagnosis::judge(&robot, LISTEN));
+    }
+    for service in ["plan", "smooth"] {
+        let workers = bus.list_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "*"]), Duration::from_millis(500)).await?;
+        checks.push(diagnosis::workers(service, workers.len()));
+    }
+    checks.push(diagnosis::clock(&clock?));
+    Ok(checks)
+}
+
+async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
+    let chunks = [name.as_str()];
+    let mut states = bus.latest(&topics::STATE, &chunks)?;
+    let mut poses = bus.latest(&topics::POSE, &chunks)?;
+    let mut scans = bus.raw_subscribe(&topics::SCAN.key(&chunks), 16)?;
+    let mut heartbeats = bus.raw_subscribe(&topics::HEARTBEAT.key(&chunks), 16)?;
+    let mut maps = bus.latest(&topics::MAP_INFO, &chunks)?;
+    let mut missions = bus.latest(&topics::MISSION, &chunks)?;
+    let (state, pose, scan, heartbeat, edge, cloud) = tokio::join!(
+        typed(&mut states, end),
+        typed(&mut poses, end),
+        raw(&mut scans, end),
+        raw(&mut heartbeats, end),
+        bus.ask_all(&topics::EDGE_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
+        bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
+    );
+    let answers = edge.into_iter().chain(cloud).flatten();
+    let infos = answers.filter_map(|answer| answer.result.ok()).collect();
+    let alive = connect::robots(bus).await?.remove(&name).unwrap_or_default();
+    Ok(Robot { alive, state, pose, scan, heartbeat, mission: missions.take(), map: maps.take(), infos, name })
+}
+
+async fn typed<T: DeserializeOwned>(topic: &mut Latest<T>, end: Instant) -> Heard<T> {
+    let mut heard = Heard::default();
+    let mut newest = None;
+    loop {
+        tokio::select! {
+            biased;
+            () = sleep_until(end) => break,
+            value = topic.next() => match value {
+                Some(value) => {
+                    heard.last = Some(value.message);
+                    heard.count += 1;
+                    newest = Some(Instant::now());
+                }
+                None => break,
+            },
+        }
+    }
+    heard.age = newest.map(|at| at.elapsed());
+    heard
+}
+
+/// Scans are large: their arrival is enough here.
+async fn raw(topic: &mut RawSubscription, end: Instant) -> Heard<()> {
+    let mut heard = Heard::default();
+    let mut newest = None;
+    loop {
+        tokio::select! {
+            biased;
+            () = sleep_until(end) => break,
+            sample = topic.next() => match sample {
+                Some(_) => {
+                    heard.count += 1;
+                    newest = Some(Instant::now());
+                }
+                None => break,
+            },
+        }
+    }
+    heard.age = newest.map(|at| at.elapsed());
+    heard
+}
+
+async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {
+    let mut clocks = bus.latest(&topics::SIM_CLOCK, &[])?;
+    let mut first: Option<(Instant, Stamp)> = None;
+    let mut last = None;
+    loop {
+        tokio::select! {
+            biased;
+            () = sleep_until(end) => break,
+            value = clocks.next() => match value {
+                Some(value) => {
+                    let now = (Instant::now(), value.message.stamp);
+                    first.get_or_insert(now);
+                    last = Some(now);
+                }
+                None => break,
+            },
+        }
+    }
+    let rate = first.zip(last).map(|((start, from), (_, to))| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
+    Ok(ClockSeen { simulated_rate: rate })
+}
+
+fn text(report: &Report) -> String {
+    let colors = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let width = report.checks.iter().map(|check| check.about.chars().count()).max().unwrap_or(0);
+    let mut lines = Vec::new();
+    for check in &report.checks {
+        let (word, color) = match check.verdict {
+            Verdict::Ok => ("ok  ", 32),
+            Verdict::Warn => ("warn", 33),
+            Verdict::Fail => ("FAIL", 31),
+        };
+        let word = if colors { format!("\x1b[{color}m{word}\x1b[0m") } else { word.to_owned() };
+        lines.push(format!("{word}  {:<width$}  {:<12}  {}", check.about, check.check, check.seen));
+        if let Some(advice) = &check.advice {
+            lines.push(format!("      {:<width$}  {:<12}  -> {advice}", "", ""));
+        }
+    }
+    let count = |verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
+    lines.push(format!("{} ok, {} to look at, {} failed", count(Verdict::Ok), count(Verdict::Warn), count(Verdict::Fail)));
+    lines.join("\n")
+}

@@ -1,0 +1,79 @@
+//! How does an operator keep the right to command? By heartbeats, until it is given back; when they end, the robot takes it back itself.
+
+use std::time::Duration;
+
+use tokio::task::JoinHandle;
+use zenav_protocol::bus::{AskError, Bus, BusError};
+use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
+use zenav_protocol::topics;
+
+use crate::connect::fresh_id;
+
+/// Heartbeats a second; the robot waits for one a second at most.
+const PERIOD: Duration = Duration::from_millis(50);
+/// Giving back is a courtesy: the lease ends by itself.
+const RELEASE_WITHIN: Duration = Duration::from_millis(800);
+
+/// Asks for the operator's lease, or gives it back.
+pub(super) async fn ask(bus: &Bus, robot: &str, holder: &str, action: LeaseAction, within: Duration) -> Result<LeaseReply, AskError> {
+    let request = LeaseRequest { holder: holder.to_owned(), role: LeaseRole::Operator, action, request_id: fresh_id("lease") };
+    bus.ask(&topics::LEASE, &[robot], &request, within).await
+}
+
+/// A lease, renewed until it is released or dropped.
+pub(super) struct Held {
+    bus: Bus,
+    robot: String,
+    holder: String,
+    /// What the robot granted.
+    pub(super) grant: LeaseReply,
+    heartbeats: JoinHandle<()>,
+}
+
+/// Why a lease was not got.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum HoldError {
+    #[error(transparent)]
+    Ask(#[from] AskError),
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
+impl From<HoldError> for crate::failure::Failure {
+    fn from(error: HoldError) -> Self {
+        match error {
+            HoldError::Ask(error) => error.into(),
+            HoldError::Bus(error) => error.into(),
+        }
+    }
+}
+
+impl Held {
+    /// Takes the lease and begins to renew it.
+    pub(super) async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, HoldError> {
+        let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
+        let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
+        let mut heartbeat = Heartbeat { holder: holder.to_owned(), epoch: grant.epoch, counter: 0 };
+        let heartbeats = tokio::spawn(async move {
+            let mut pace = tokio::time::interval(PERIOD);
+            loop {
+                pace.tick().await;
+                heartbeat.counter += 1;
+                publisher.put(&heartbeat);
+            }
+        });
+        Ok(Self { bus: bus.clone(), robot: robot.to_owned(), holder: holder.to_owned(), grant, heartbeats })
+    }
+
+    /// Gives the lease back.
+    pub(super) async fn release(self) -> Result<(), AskError> {
+        self.heartbeats.abort();
+        ask(&self.bus, &self.robot, &self.holder, LeaseAction::Release, RELEASE_WITHIN).await.map(|_| ())
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.heartbeats.abort();
+    }
+}

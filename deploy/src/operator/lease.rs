@@ -1,0 +1,124 @@
+//! Who may command a robot? Shown from the robot's own state; taken and given back as an operator.
+
+use std::time::Duration;
+
+use serde::Serialize;
+use zenav_protocol::bus::Bus;
+use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link, exit_code};
+use zenav_protocol::topics;
+
+use super::hold::{self, Held};
+use super::holder;
+use crate::connect::{self, RobotArgs, positive};
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// The lease.
+#[derive(Debug, clap::Args)]
+pub struct LeaseArgs {
+    /// Which robot.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Form of what is printed
+    #[arg(short, long, global = true, value_enum, default_value_t)]
+    output: Format,
+    /// Name to command under [default: operator-USER]
+    #[arg(long, global = true, value_name = "NAME")]
+    holder: Option<String>,
+    #[command(subcommand)]
+    command: Option<LeaseCommand>,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum LeaseCommand {
+    /// Who may command (the default)
+    Show,
+    /// Take the operator's lease and keep it until Ctrl-C: no mission drives meanwhile
+    Acquire {
+        /// Give it back after this time, s
+        #[arg(long = "for", value_name = "SECS", value_parser = positive)]
+        secs: Option<f64>,
+    },
+    /// Give the lease back
+    Release,
+}
+
+#[derive(Debug, Serialize)]
+struct Shown {
+    robot: String,
+    #[serde(flatten)]
+    lease: LeaseState,
+    link: Link,
+}
+
+#[derive(Debug, Serialize)]
+struct Granted {
+    robot: String,
+    holder: String,
+    epoch: u64,
+    ttl_secs: f64,
+}
+
+/// Shows, takes or gives back the lease.
+///
+/// # Errors
+/// [`exit_code::REJECTED`] when another operator holds it, or as every ask.
+pub fn lease(args: &LeaseArgs) -> Outcome {
+    let patience = args.robot.link.patience();
+    let name = args.holder.clone().unwrap_or_else(holder);
+    connect::on_robot(&args.robot, async |bus, robot| match &args.command {
+        None | Some(LeaseCommand::Show) => {
+            let state = state(&bus, &robot, patience).await?;
+            output::value(args.output, &Shown { robot, lease: state.lease, link: state.link }, show)?;
+            Ok(exit_code::OK)
+        }
+        Some(LeaseCommand::Acquire { secs }) => {
+            let held = Held::acquire(&bus, &robot, &name, patience).await?;
+            let grant = Granted { robot, holder: name, epoch: held.grant.epoch, ttl_secs: held.grant.ttl_secs };
+            output::value(args.output, &grant, |grant| format!("{} may command {} (epoch {})", grant.holder, grant.robot, grant.epoch))?;
+            let code = match secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok()) {
+                Some(time) => tokio::select! {
+                    () = tokio::time::sleep(time) => exit_code::OK,
+                    _ = tokio::signal::ctrl_c() => exit_code::INTERRUPTED,
+                },
+                None => {
+                    eprintln!("kept until Ctrl-C");
+                    let _ = tokio::signal::ctrl_c().await;
+                    exit_code::OK
+                }
+            };
+            held.release().await?;
+            Ok(code)
+        }
+        Some(LeaseCommand::Release) => {
+            let before = state(&bus, &robot, patience).await?;
+            let held = before.lease.holder.as_deref() == Some(&name);
+            hold::ask(&bus, &robot, &name, LeaseAction::Release, patience).await?;
+            if !held {
+                return Err(Failure::not_found(format!("{name} did not hold the lease of {robot}; {}", words(&before.lease))));
+            }
+            output::value(args.output, &serde_json::json!({ "robot": robot, "released": name }), |_| format!("{name} gave back {robot}"))?;
+            Ok(exit_code::OK)
+        }
+    })
+}
+
+/// The next state that the robot publishes.
+pub(super) async fn state(bus: &Bus, robot: &str, within: Duration) -> Result<EdgeState, Failure> {
+    let mut states = bus.latest(&topics::STATE, &[robot])?;
+    match tokio::time::timeout(within, states.next()).await {
+        Ok(Some(received)) => Ok(received.message),
+        _ => Err(Failure::new(exit_code::TIMEOUT, format!("no state from {} in time", topics::STATE.key(&[robot])))),
+    }
+}
+
+fn show(shown: &Shown) -> String {
+    format!("{}: {}, link {:?}", shown.robot, words(&shown.lease), shown.link)
+}
+
+fn words(lease: &LeaseState) -> String {
+    match (&lease.holder, lease.role) {
+        (Some(holder), Some(role)) => format!("{holder} ({role:?}) holds epoch {}{}", lease.epoch, if lease.live { "" } else { ", lapsed" }),
+        _ => format!("nobody holds the lease (last epoch {})", lease.epoch),
+    }
+}

@@ -1,0 +1,25 @@
+//! How does a person take a robot in hand? Stop and resume need no lease and no cloud; driving by hand needs the operator's lease.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `stop` | stop, resume |
+//! | `lease` | who may command: show, acquire, release |
+//! | `hold` | keeping the operator's lease while it is needed |
+//! | `hand` | which key means which motion, and for how long (pure) |
+//! | `teleop` | driving in the terminal |
+
+mod hand;
+mod hold;
+mod lease;
+mod stop;
+mod teleop;
+
+pub use lease::{LeaseArgs, lease};
+pub use stop::{StopArgs, resume, stop};
+pub use teleop::{TeleopArgs, teleop};
+
+/// The name under which this user commands: the same for every command of the user, so that one can release what another took.
+fn holder() -> String {
+    let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME")).unwrap_or_else(|_| "unknown".to_owned());
+    format!("operator-{user}")
+}

@@ -1,0 +1,153 @@
+//! How did a scenario go? The report for people and programs, from the simulator's truth.
+
+use serde::Serialize;
+
+/// What became of a scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScenarioOutcome {
+    /// Every goal was reached without a collision.
+    Succeeded,
+    /// Something else.
+    Failed,
+}
+
+/// Report of `zenav demo`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DemoReport {
+    /// Its name.
+    pub scenario: String,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// Simulated seconds asked for a second of wall time.
+    pub speed: f64,
+    /// What became of it.
+    pub outcome: ScenarioOutcome,
+    /// Why it failed.
+    pub reason: Option<String>,
+    /// Whether the map was found stored, so that mapping was skipped.
+    pub map_found: bool,
+    /// Each drive in order.
+    pub goals: Vec<GoalReport>,
+    /// Contacts.
+    pub collisions: u64,
+    /// Least distance of the footprint to an obstacle over the whole run, m.
+    pub min_clearance_m: f64,
+    /// Simulated time, s.
+    pub sim_time_s: f64,
+    /// Wall time, s.
+    pub wall_time_s: f64,
+    /// Motions published.
+    pub plans: u64,
+    /// Motions that replaced another one under way.
+    pub replans: u64,
+    /// Wall-clock latencies.
+    pub latency: Latency,
+    /// Energy drawn, J.
+    pub energy_j: f64,
+    /// What does not hold at this speed of simulation.
+    pub notes: Vec<String>,
+}
+
+/// One drive. Length, clearance and error are the simulator's truth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GoalReport {
+    /// Its name in the mission.
+    pub name: String,
+    /// `reached` or why not.
+    pub outcome: String,
+    /// Simulated time, s.
+    pub time_s: f64,
+    /// Driven, m.
+    pub length_m: f64,
+    /// Least distance of the footprint to an obstacle, m.
+    pub min_clearance_m: f64,
+    /// Distance from the goal at the end, m; `None` for a drive without a goal of its own.
+    pub final_error_m: Option<f64>,
+}
+
+/// Wall-clock latencies.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Latency {
+    /// From the arrival of the scan or pose that a motion is based on to the motion's arrival.
+    pub scan_to_plan_ms: Percentiles,
+    /// From the beginning of a drive (its planning) to the first motion.
+    pub goal_to_motion_ms: Percentiles,
+}
+
+/// Median and 99th percentile; `None` when nothing was measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Percentiles {
+    /// Median.
+    pub p50: Option<f64>,
+    /// 99th percentile (nearest rank).
+    pub p99: Option<f64>,
+}
+
+impl Percentiles {
+    /// Of samples in any order.
+    #[must_use]
+    pub fn of(samples: &[f64]) -> Self {
+        let mut sorted = samples.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let rank = |share: f64| {
+            let index = (share * sorted.len() as f64).ceil() as usize;
+            sorted.get(index.saturating_sub(1)).copied()
+        };
+        Self { p50: rank(0.5), p99: rank(0.99) }
+    }
+}
+
+fn millis(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
+}
+
+impl DemoReport {
+    /// The report for people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let rows: Vec<Vec<String>> = self
+            .goals
+            .iter()
+            .map(|goal| {
+                vec![
+                    goal.name.clone(),
+                    goal.outcome.clone(),
+                    format!("{:.1}", goal.time_s),
+                    format!("{:.2}", goal.length_m),
+                    format!("{:.3}", goal.min_clearance_m),
+                    goal.final_error_m.map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
+                ]
+            })
+            .collect();
+        let mut lines = vec![crate::output::table(&["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"], &rows)];
+        let latency = &self.latency;
+        lines.push(String::new());
+        let map = if self.map_found { ", with a stored map" } else { "" };
+        lines.push(format!("{} (seed {}{map}): {:?}{}", self.scenario, self.seed, self.outcome, self.reason.as_ref().map(|reason| format!(", {reason}")).unwrap_or_default()).to_lowercase());
+        lines.push(format!("collisions {}, least clearance {:.3} m, energy {:.0} J", self.collisions, self.min_clearance_m, self.energy_j));
+        lines.push(format!("simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans", self.sim_time_s, self.wall_time_s, self.speed, self.plans, self.replans));
+        lines.push(format!(
+            "latency p50/p99 ms: scan to plan {}/{}, goal to motion {}/{}",
+            millis(latency.scan_to_plan_ms.p50),
+            millis(latency.scan_to_plan_ms.p99),
+            millis(latency.goal_to_motion_ms.p50),
+            millis(latency.goal_to_motion_ms.p99)
+        ));
+        lines.extend(self.notes.iter().map(|note| format!("note: {note}")));
+        lines.join("\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_by_nearest_rank() {
+        let samples: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(Percentiles::of(&samples), Percentiles { p50: Some(50.0), p99: Some(99.0) });
+        assert_eq!(Percentiles::of(&[]), Percentiles { p50: None, p99: None });
+        assert_eq!(Percentiles::of(&[3.0]), Percentiles { p50: Some(3.0), p99: Some(3.0) });
+    }
+}

@@ -1,0 +1,230 @@
+//! Who may command the robot, and may it move at all? The lease, the latched stop, and the link's age.
+//!
+//! A stop needs no lease, latches across restarts, and voids the plan; so does every change of the lease's holder.
+
+use zenav_protocol::lease::LeaseBook;
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+
+use crate::config::EdgeConfig;
+use crate::journal::Journal;
+use crate::link;
+use crate::mailbox::Persisted;
+
+/// Longest name of a holder or request.
+const LONGEST_NAME: usize = 128;
+/// First answers kept for repeated requests.
+const MEMORY: usize = 64;
+
+/// Lease, stop latch, policy and link.
+#[derive(Clone, Debug)]
+pub struct Authority {
+    book: LeaseBook,
+    stopped: bool,
+    resumed: Option<Stamp>,
+    policy: LostPolicy,
+    link: Link,
+    live: bool,
+    config: EdgeConfig,
+    first_answers: std::collections::VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
+    stored: Persisted,
+}
+
+/// An answer, and what it did to the plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ruling<R> {
+    /// To be sent once [`Authority::unstored`] has been stored.
+    pub answer: Result<R, Refusal>,
+    /// Why whatever the robot was doing is void now, if it is.
+    pub void: Option<&'static str>,
+    /// Whether another holder commands now.
+    pub holder_changed: bool,
+}
+
+impl<R> Ruling<R> {
+    fn harmless(answer: Result<R, Refusal>) -> Self {
+        Self { answer, void: None, holder_changed: false }
+    }
+}
+
+impl Authority {
+    /// As it was stored.
+    #[must_use]
+    pub fn new(config: &EdgeConfig, stored: Persisted) -> Self {
+        Self {
+            book: LeaseBook::new(config.lease_ttl, stored.epoch),
+            stopped: stored.stopped,
+            resumed: None,
+            policy: config.on_lost,
+            link: Link::Lost,
+            live: false,
+            config: config.clone(),
+            first_answers: std::collections::VecDeque::new(),
+            stored,
+        }
+    }
+
+    /// Answers a request for the lease; a repeated request gets the first answer.
+    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut Journal) -> Ruling<LeaseReply> {
+        if request.holder.is_empty() || request.holder.len() > LONGEST_NAME || request.request_id.is_empty() || request.request_id.len() > LONGEST_NAME {
+            return Ruling::harmless(Err(Refusal::bad_request(format!("`holder` and `request_id`: expected 1 to {LONGEST_NAME} bytes"))));
+        }
+        if let Some((_, first)) = self.first_answers.iter().find(|(known, _)| known == request) {
+            return Ruling::harmless(first.clone());
+        }
+        let before = self.book.epoch();
+        let granted = self.book.request(now, request);
+        let holder_changed = granted.as_ref().is_ok_and(|granted| granted.holder_changed);
+        if holder_changed || self.book.epoch() != before {
+            let reason = match request.action {
+                LeaseAction::Acquire => "granted",
+                LeaseAction::Release => "released",
+            };
+            let holder = self.book.state(now).holder;
+            journal.tell(now, EventKind::Lease { holder, epoch: self.book.epoch(), reason: reason.to_owned() });
+        }
+        self.live = self.book.is_live(now);
+        let answer = granted.map(|granted| LeaseReply { epoch: granted.epoch, ttl_secs: self.book.ttl().as_secs_f64(), boot_id: journal.boot_id().to_owned() });
+        if self.first_answers.len() == MEMORY {
+            self.first_answers.pop_front();
+        }
+        self.first_answers.push_back((request.clone(), answer.clone()));
+        Ruling { answer, void: holder_changed.then_some("another holder may command"), holder_changed }
+    }
+
+    /// Takes a heartbeat.
+    pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
+        self.book.renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
+    }
+
+    /// Whether a twist by hand comes from the operator who holds the lease; if so, it renews the lease.
+    pub fn teleop(&mut self, now: Stamp, teleop: &Teleop) -> bool {
+        let admitted = self.book.admits(now, teleop.epoch) && self.book.role() == Some(LeaseRole::Operator);
+        if admitted && let Some(holder) = self.book.state(now).holder {
+            // The echoed stamps grow, so they count the operator's signs of life.
+            self.book.renew(now, &holder, teleop.epoch, teleop.echo.0);
+        }
+        admitted
+    }
+
+    /// Stops and latches.
+    pub fn stop(&mut self, now: Stamp, request: &StopRequest, journal: &mut Journal) -> Ruling<StopReply> {
+        let first = !self.stopped;
+        self.stopped = true;
+        if first {
+            journal.tell(now, EventKind::Stopped { by: name(request.by.as_deref()) });
+        }
+        Ruling { answer: Ok(StopReply { stopped: true }), void: Some("stopped by hand"), holder_changed: false }
+    }
+
+    /// Allows a new plan, and nothing else.
+    pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, journal: &mut Journal) -> Ruling<StopReply> {
+        if self.stopped {
+            self.stopped = false;
+            self.resumed = Some(now);
+            journal.tell(now, EventKind::Resumed { by: name(request.by.as_deref()) });
+        }
+        Ruling::harmless(Ok(StopReply { stopped: false }))
+    }
+
+    /// Sets the policy, if asked to.
+    ///
+    /// # Errors
+    /// [`Refusal`] without the current epoch.
+    pub fn set_policy(&mut self, now: Stamp, request: &ModeRequest) -> Result<LostPolicy, Refusal> {
+        if let Some(policy) = request.on_lost {
+            self.admit(now, request.epoch)?;
+            self.policy = policy;
+        }
+        Ok(self.policy)
+    }
+
+    /// Whether a change under this epoch may be made now.
+    ///
+    /// # Errors
+    /// [`Refusal`] without an epoch, or with another one than the current live one.
+    pub fn admit(&self, now: Stamp, epoch: Option<u64>) -> Result<(), Refusal> {
+        let Some(epoch) = epoch else {
+            return Err(Refusal::bad_request("a change needs the `epoch` of the lease"));
+        };
+        if epoch != self.book.epoch() {
+            return Err(Refusal::WrongEpoch { got: epoch, current: self.book.epoch() });
+        }
+        if self.book.is_live(now) { Ok(()) } else { Err(Refusal::rejected("the lease has expired")) }
+    }
+
+    /// Tells of a lapsed lease and a changed link.
+    pub fn watch(&mut self, now: Stamp, journal: &mut Journal) {
+        let live = self.book.is_live(now);
+        if self.live && !live && self.book.role().is_some() {
+            journal.tell(now, EventKind::Lease { holder: self.book.state(now).holder, epoch: self.book.epoch(), reason: "expired".to_owned() });
+        }
+        self.live = live;
+        let link = link::link(self.book.age(now), self.config.stale_after, self.config.lost_after);
+        if link != self.link {
+            self.link = link;
+            journal.tell(now, EventKind::LinkChanged { link });
+        }
+    }
+
+    /// What must be stored before any answer goes out, if it has changed since the last call.
+    pub fn unstored(&mut self) -> Option<Persisted> {
+        let wanted = Persisted { epoch: self.book.epoch(), stopped: self.stopped };
+        (wanted != self.stored).then(|| {
+            self.stored = wanted;
+            wanted
+        })
+    }
+
+    /// What may move the robot.
+    #[must_use]
+    pub fn motive(&self, now: Stamp, plan_valid: bool) -> link::Motive {
+        if self.stopped { link::Motive::Brake } else { link::motive(self.book.is_live(now), self.book.role(), plan_valid, self.policy) }
+    }
+
+    /// Whether the stop is latched.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// When the robot was resumed last.
+    #[must_use]
+    pub fn resumed(&self) -> Option<Stamp> {
+        self.resumed
+    }
+
+    /// Whether somebody of this role holds a live lease.
+    #[must_use]
+    pub fn is_live_as(&self, now: Stamp, role: LeaseRole) -> bool {
+        self.book.is_live(now) && self.book.role() == Some(role)
+    }
+
+    /// The current epoch.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.book.epoch()
+    }
+
+    /// The policy in force.
+    #[must_use]
+    pub fn policy(&self) -> LostPolicy {
+        self.policy
+    }
+
+    /// The link as last watched.
+    #[must_use]
+    pub fn link(&self) -> Link {
+        self.link
+    }
+
+    /// The lease as the state shows it.
+    #[must_use]
+    pub fn lease_state(&self, now: Stamp) -> LeaseState {
+        self.book.state(now)
+    }
+}
+
+fn name(by: Option<&str>) -> String {
+    by.unwrap_or("unknown").chars().take(LONGEST_NAME).collect()
+}

@@ -1,0 +1,330 @@
+//! What does the robot do in one control tick? Readings and mail in; wheel speeds, messages and answers out.
+//!
+//! The phases of a tick, in order: estimate, look around, answer asks, hear the lease, take plans, choose what moves
+//! the robot, limit, guard, report. Pure: no clock, no I/O, no randomness; the same inputs give the same outputs.
+
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::*;
+use zenav_protocol::readings::Readings;
+use zenav_protocol::time::Stamp;
+
+use crate::acceptance::{Grant, Rejection, judge_head};
+use crate::authority::Authority;
+use crate::behaviours::Behaviours;
+use crate::config::EdgeConfig;
+use crate::course::{Course, Scene, Taken};
+use crate::estimator::Estimator;
+use crate::guard::Guard;
+use crate::journal::Journal;
+use crate::limiter::{Braking, Limiter};
+use crate::link::Motive;
+use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
+use crate::surroundings::Surroundings;
+use crate::telemetry::{self, Telemetry};
+use crate::teleop::Stick;
+
+/// A tick longer than this is not integrated by controllers and limiters, s.
+const LONGEST_TICK: f64 = 0.1;
+/// Discarded motions remembered.
+const DISCARDED: usize = 32;
+
+/// The robot's side, whole and pure.
+#[derive(Clone, Debug)]
+pub struct Pilot {
+    pub(crate) config: EdgeConfig,
+    pub(crate) gains: zenav_protocol::robot::ControllerGains,
+    pub(crate) authority: Authority,
+    pub(crate) behaviours: Behaviours,
+    pub(crate) journal: Journal,
+    pub(crate) estimator: Estimator,
+    pub(crate) around: Surroundings,
+    pub(crate) guard: Guard,
+    pub(crate) course: Option<Course>,
+    limiter: Limiter,
+    stick: Stick,
+    telemetry: Telemetry,
+    newest: Option<(u64, Revision)>,
+    discarded: std::collections::VecDeque<u64>,
+    last: Option<Stamp>,
+    pressed: bool,
+    mode: Mode,
+    missed_ticks: u64,
+}
+
+impl Pilot {
+    /// A robot at rest. `boot_id` must be new at every start; `stored` is what the last life stored.
+    #[must_use]
+    pub fn new(config: EdgeConfig, boot_id: String, stored: Persisted) -> Self {
+        let model = &config.model;
+        Self {
+            gains: model.controller.clone(),
+            authority: Authority::new(&config, stored),
+            behaviours: Behaviours::default(),
+            journal: Journal::new(boot_id),
+            estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
+            around: Surroundings::new(&model.lidar),
+            guard: Guard::new(model, config.tick, config.scan_timeout),
+            course: None,
+            limiter: Limiter::new(&model.drive),
+            stick: Stick::new(config.dead_man),
+            telemetry: Telemetry::default(),
+            newest: None,
+            discarded: std::collections::VecDeque::new(),
+            last: None,
+            pressed: false,
+            mode: Mode::Idle,
+            missed_ticks: 0,
+            config,
+        }
+    }
+
+    /// One control tick at `now` (the stamp of the readings, on the edge's own clock).
+    pub fn step(&mut self, now: Stamp, readings: &Readings, inbox: Inbox) -> Outbox {
+        let mut out = Outbox::default();
+        let dt = match self.last.replace(now) {
+            None => {
+                self.journal.tell(now, EventKind::Started);
+                0.0
+            }
+            Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
+        };
+        self.missed_ticks = inbox.missed_ticks;
+        self.sense(now, readings, &inbox.corrections, &mut out.publications);
+        for (ticket, question) in inbox.questions {
+            let answer = self.answer(now, question);
+            out.answers.push((ticket, answer));
+        }
+        for heartbeat in &inbox.heartbeats {
+            self.authority.heartbeat(now, heartbeat);
+        }
+        for teleop in &inbox.teleops {
+            if self.authority.teleop(now, teleop) {
+                self.stick.take(now, teleop);
+            }
+        }
+        self.authority.watch(now, &mut self.journal);
+        self.take_plans(now, inbox.plans);
+
+        let (wanted, braking) = if inbox.halt { (Twist2::ZERO, Braking::Hard) } else { self.choose(now, dt) };
+        out.wheels = self.command(now, dt, wanted, braking, readings);
+        self.notice(now);
+        self.report(now, readings, &mut out.publications);
+        out.persist = self.authority.unstored();
+        out
+    }
+
+    /// Where the robot believes to be.
+    #[must_use]
+    pub fn map_from_base(&self) -> Pose2 {
+        self.estimator.map_from_base()
+    }
+
+    /// Measured velocity, base frame.
+    #[must_use]
+    pub fn velocity(&self) -> Twist2 {
+        self.estimator.velocity()
+    }
+
+    /// What decides the motion.
+    #[must_use]
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
+        self.estimator.step(readings);
+        for correction in corrections.iter().filter(|correction| correction.boot_id == self.journal.boot_id()) {
+            self.estimator.correction(correction);
+        }
+        self.telemetry.sensors(readings, &self.estimator, out);
+        if let Some(sweep) = &readings.sweep
+            && let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
+            && self.around.insert(sweep, odom_from_base)
+        {
+            out.extend(telemetry::scan(sweep, &self.config.model.lidar, &self.estimator).map(Publication::Scan));
+        }
+        if readings.bump.pressed && !self.pressed {
+            self.journal.tell(now, EventKind::Bumped);
+        }
+        self.pressed = readings.bump.pressed;
+    }
+
+    /// Of a burst, only the newest plan of the current grant counts.
+    fn take_plans(&mut self, now: Stamp, plans: Vec<Plan>) {
+        let epoch = self.authority.epoch();
+        let Some(plan) = plans.into_iter().max_by_key(|plan| (plan.epoch == epoch, plan.epoch, plan.revision)) else {
+            return;
+        };
+        let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
+        if newest == Some(plan.revision) && plan.epoch == epoch {
+            // The bus brings a kept sample again after every reconnection: nothing to tell.
+            return;
+        }
+        let (goal_id, revision, trajectory_id) = (plan.goal_id.chars().take(128).collect::<String>(), plan.revision, plan.trajectory_id);
+        match self.take_plan(now, plan, newest) {
+            Ok(Taken::Renewed) => {}
+            Ok(Taken::Begun) => self.journal.tell(now, EventKind::PlanAccepted { goal_id, revision, trajectory_id }),
+            Err(rejection) => self.journal.tell(now, EventKind::PlanRejected { goal_id, revision, trajectory_id, reason: rejection.to_string() }),
+        }
+    }
+
+    fn take_plan(&mut self, now: Stamp, plan: Plan, newest: Option<Revision>) -> Result<Taken, Rejection> {
+        let grant = Grant {
+            now,
+            boot_id: self.journal.boot_id(),
+            epoch: self.authority.epoch(),
+            mission_live: self.authority.is_live_as(now, LeaseRole::Mission),
+            stopped: self.authority.is_stopped(),
+            resumed: self.authority.resumed(),
+            newest,
+            max_validity: self.config.max_validity,
+        };
+        let head = judge_head(&plan, &grant);
+        if plan.epoch == grant.epoch && plan.based_on.boot_id == grant.boot_id && newest.is_none_or(|newest| plan.revision > newest) {
+            // Also a plan that is refused now must not come back later, when it would fit by chance.
+            self.newest = Some((plan.epoch, plan.revision));
+        }
+        let expiry = head?;
+        if self.discarded.contains(&plan.trajectory_id) {
+            return Err(Rejection::Discarded(plan.trajectory_id));
+        }
+        if let Some(id) = self.behaviours.running() {
+            return Err(Rejection::Busy(id.to_owned()));
+        }
+        let scene = Scene {
+            model: &self.config.model,
+            map_from_base: self.estimator.map_from_base(),
+            map_from_odom: self.estimator.map_from_odom(),
+            velocity: self.estimator.velocity(),
+            around: &self.around,
+        };
+        Course::take(&mut self.course, plan, expiry, &scene)
+    }
+
+    /// Throws the plan and the behaviour away.
+    pub(crate) fn discard(&mut self, now: Stamp, reason: &str) {
+        self.behaviours.cancel(now, reason, &mut self.journal);
+        self.discard_plan(now, reason);
+        self.stick.release();
+    }
+
+    /// Throws the plan away: its motion never comes back.
+    pub(crate) fn discard_plan(&mut self, now: Stamp, reason: &str) {
+        let Some(course) = self.course.take() else {
+            return;
+        };
+        if self.discarded.len() == DISCARDED {
+            self.discarded.pop_front();
+        }
+        self.discarded.push_back(course.plan().trajectory_id);
+        if !course.is_finished() {
+            self.journal.tell(now, EventKind::PlanDiscarded { goal_id: course.plan().goal_id.clone(), reason: reason.to_owned() });
+        }
+    }
+
+    /// Another holder numbers its motions anew.
+    pub(crate) fn forget_discarded(&mut self) {
+        self.discarded.clear();
+    }
+
+    /// What moves the robot, and how it brakes.
+    fn choose(&mut self, now: Stamp, dt: f64) -> (Twist2, Braking) {
+        let plan_valid = self.course.as_ref().is_some_and(|course| course.is_valid(now));
+        let motive = self.authority.motive(now, plan_valid);
+        if self.behaviours.running().is_some() {
+            // A behaviour moves under a live lease only; whose it is was checked when it began.
+            let live = self.authority.lease_state(now).live;
+            if live && motive != Motive::Brake {
+                self.mode = Mode::Behaviour;
+                let stopped = self.guard.zone() == GuardZone::Stop;
+                let wanted = self.behaviours.step(now, dt, self.estimator.odom_from_base(), self.estimator.velocity(), stopped, &mut self.journal);
+                return (wanted, Braking::Normal);
+            }
+            self.behaviours.cancel(now, "the lease has expired", &mut self.journal);
+        }
+        match motive {
+            Motive::Brake => {
+                self.mode = if self.authority.is_stopped() { Mode::Stopped } else { Mode::Idle };
+                (Twist2::ZERO, Braking::Hard)
+            }
+            Motive::Rest => {
+                self.mode = Mode::Idle;
+                (Twist2::ZERO, Braking::Normal)
+            }
+            Motive::Teleop => {
+                self.mode = Mode::Teleop;
+                (self.stick.twist(now), Braking::Normal)
+            }
+            Motive::Plan => match &mut self.course {
+                Some(course) => {
+                    let wanted = course.step(now, dt, self.estimator.map_from_base(), self.estimator.velocity(), &self.config.model.drive, &self.gains);
+                    self.mode = if course.is_finished() { Mode::Idle } else { Mode::Follow };
+                    (wanted, Braking::Normal)
+                }
+                None => (Twist2::ZERO, Braking::Normal),
+            },
+        }
+    }
+
+    /// Limits, then the guard's last word.
+    fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
+        let drive = &self.config.model.drive;
+        let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
+        let verdict = self.guard.judge(now, limited, &self.around, self.estimator.odom_from_base(), &readings.bump);
+        if let Some(reason) = verdict.change {
+            self.journal.tell(now, EventKind::Guard { zone: self.guard.zone(), reason });
+        }
+        let wheels = drive.wheels(verdict.twist);
+        self.limiter.set(wheels);
+        wheels
+    }
+
+    /// Ends of the plan: reached, expired, lost.
+    fn notice(&mut self, now: Stamp) {
+        let pose = self.estimator.map_from_base();
+        let Some(course) = &mut self.course else {
+            return;
+        };
+        if course.ends(&pose) {
+            let plan = course.plan();
+            self.journal.tell(now, EventKind::PlanFinished { goal_id: plan.goal_id.clone(), trajectory_id: plan.trajectory_id });
+        } else if course.expires(now) {
+            self.journal.tell(now, EventKind::PlanExpired { goal_id: course.plan().goal_id.clone() });
+        } else if let Some(reason) = course.lost() {
+            self.discard_plan(now, reason);
+        }
+    }
+
+    fn report(&mut self, now: Stamp, readings: &Readings, out: &mut Vec<Publication>) {
+        let events = self.journal.take();
+        out.extend(events.into_iter().map(Publication::Event));
+        if self.telemetry.marker_due(now) && self.mode == Mode::Follow {
+            out.extend(self.course.as_ref().and_then(|course| course.marker(now)).map(Publication::Marker));
+        }
+        if self.telemetry.state_due(now) {
+            out.push(Publication::State(Box::new(self.state(now, readings))));
+        }
+    }
+
+    fn state(&self, now: Stamp, readings: &Readings) -> EdgeState {
+        let pose = self.estimator.map_from_base();
+        EdgeState {
+            stamp: now,
+            boot_id: self.journal.boot_id().to_owned(),
+            mode: self.mode,
+            link: self.authority.link(),
+            lease: self.authority.lease_state(now),
+            plan: self.course.as_ref().map(|course| course.progress(now, &pose)),
+            velocity: self.estimator.velocity(),
+            guard: self.guard.zone(),
+            battery: readings.battery.charge,
+            behaviour: self.behaviours.last().cloned(),
+            missed_ticks: self.missed_ticks,
+        }
+    }
+}
+
+#[cfg(test)]
+mod rig;
+#[cfg(test)]
+mod tests;

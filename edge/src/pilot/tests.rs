@@ -1,0 +1,307 @@
+//! What does the robot promise, whatever the network does? Claims, driven in closed loop.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use proptest::prelude::*;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::*;
+
+use super::rig::{ROOM, Rig};
+use crate::mailbox::{Answer, Persisted, Question};
+
+fn fresh() -> Rig {
+    Rig::new(Persisted::default())
+}
+
+/// A robot that has just begun to drive four metres ahead.
+fn driving() -> (Rig, u64, Plan) {
+    let mut rig = fresh();
+    let epoch = rig.mission();
+    let plan = rig.ahead(epoch, 1, 7, 4.0);
+    rig.send(plan.clone());
+    assert_eq!(rig.rejection(), None);
+    rig.run(2.0);
+    assert!(rig.velocity.v > 0.3, "{:?}", rig.velocity);
+    (rig, epoch, plan)
+}
+
+#[test]
+fn a_renewed_plan_is_driven_to_its_end() {
+    let (mut rig, _, mut plan) = driving();
+    for counter in 2..12 {
+        plan.revision.counter = counter;
+        plan.based_on.stamp = rig.now;
+        rig.send(plan.clone());
+        rig.run(1.0);
+    }
+    assert!((rig.pose.x - 4.0).abs() < 0.03 && rig.at_rest(), "{:?}", rig.pose);
+    assert!(rig.state.unwrap().plan.unwrap().finished);
+    assert_eq!(rig.events.iter().filter(|event| matches!(event, EventKind::PlanAccepted { .. })).count(), 1);
+}
+
+#[test]
+fn with_the_heartbeats_gone_the_robot_is_at_rest_by_the_expiry() {
+    let (mut rig, _, plan) = driving();
+    rig.heartbeat = None;
+    let expiry = plan.based_on.stamp.plus_secs(plan.valid_for);
+    rig.run(1.5);
+    assert!(rig.velocity.v > 0.3, "it finishes the horizon");
+    while rig.now.plus_secs(0.02) < expiry {
+        rig.tick();
+    }
+    assert!(rig.at_rest(), "{:?}", rig.velocity);
+    let stopped = rig.pose;
+    rig.run(5.0);
+    assert!(stopped.distance(&rig.pose) < 0.01 && rig.pose.x < 3.0);
+    assert!(rig.events.contains(&EventKind::PlanExpired { goal_id: "g".into() }));
+    assert_eq!(rig.state.unwrap().link, Link::Lost);
+}
+
+#[test]
+fn the_policy_stop_brakes_as_soon_as_the_lease_is_lost() {
+    let (mut rig, epoch, _) = driving();
+    rig.ask(Question::Mode(ModeRequest { on_lost: Some(LostPolicy::Stop), epoch: Some(epoch) })).unwrap();
+    rig.heartbeat = None;
+    rig.run(1.7);
+    assert!(rig.at_rest(), "{:?}", rig.velocity);
+}
+
+#[test]
+fn a_mission_that_comes_back_renews_and_the_robot_goes_on_where_it_is() {
+    let (mut rig, _, mut plan) = driving();
+    rig.heartbeat = None;
+    rig.run(6.0);
+    let waited = rig.pose;
+    let epoch = rig.mission();
+    assert_eq!(epoch, 2, "a lapsed lease gets a new epoch");
+    plan.epoch = epoch;
+    for counter in 2..10 {
+        plan.revision.counter = counter;
+        plan.based_on.stamp = rig.now;
+        rig.send(plan.clone());
+        assert_eq!(rig.rejection(), None);
+        rig.run(1.0);
+    }
+    assert!(waited.x < 3.0 && (rig.pose.x - 4.0).abs() < 0.03, "{waited:?} {:?}", rig.pose);
+}
+
+#[test]
+fn a_plan_of_an_old_epoch_moves_nothing() {
+    let (mut rig, epoch, plan) = driving();
+    rig.heartbeat = None;
+    rig.run(6.0);
+    rig.lease("other", LeaseRole::Mission, "x").unwrap();
+    let before = rig.pose;
+    rig.send(Plan { based_on: BasedOn { stamp: rig.now, ..plan.based_on.clone() }, revision: Revision { incarnation: 9, counter: 9 }, ..plan });
+    rig.run(2.0);
+    assert!(before.distance(&rig.pose) < 0.01);
+    assert!(rig.rejection().unwrap().contains(&format!("epoch {epoch}")), "{:?}", rig.rejection());
+}
+
+#[test]
+fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
+    let mut rig = fresh();
+    let epoch = rig.mission();
+    for (epoch, counter, id) in [(epoch, 1, 1), (epoch, 3, 3), (epoch + 5, 9, 9), (epoch, 2, 2)] {
+        let plan = rig.ahead(epoch, counter, id, 2.0);
+        rig.inbox.plans.push(plan);
+    }
+    rig.run(0.2);
+    assert_eq!(rig.state.unwrap().plan.unwrap().trajectory_id, 3);
+}
+
+#[test]
+fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
+    let (mut rig, epoch, mut plan) = driving();
+    assert_eq!(rig.ask(Question::Stop(StopRequest::default())), Ok(Answer::Stop(StopReply { stopped: true })));
+    rig.run(1.0);
+    assert!(rig.at_rest());
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
+    let stopped = rig.pose;
+    rig.ask(Question::Resume(ResumeRequest::default())).unwrap();
+    rig.send(plan.clone());
+    // Also a renewal by a mission that has not noticed: the motion is gone for good.
+    plan.revision.counter = 5;
+    plan.based_on.stamp = rig.now;
+    rig.send(plan);
+    rig.run(2.0);
+    assert!(stopped.distance(&rig.pose) < 0.01);
+    let new = rig.ahead(epoch, 6, 8, 1.0);
+    rig.send(new);
+    rig.run(2.0);
+    assert!(stopped.distance(&rig.pose) > 0.3, "a new plan is driven");
+}
+
+#[test]
+fn a_stop_survives_a_restart_and_epochs_go_on() {
+    let mut rig = fresh();
+    rig.mission();
+    rig.ask(Question::Stop(StopRequest { by: Some("me".into()) })).unwrap();
+    let mut rig = Rig::new(rig.stored);
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
+    let epoch = rig.mission();
+    assert_eq!(epoch, 2);
+    let plan = rig.ahead(epoch, 1, 1, 1.0);
+    rig.send(plan);
+    rig.run(1.0);
+    assert!(rig.at_rest() && rig.rejection().unwrap().contains("stopped"));
+}
+
+#[test]
+fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
+    let (mut rig, _, _) = driving();
+    let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
+    rig.run(1.2);
+    assert!(rig.at_rest());
+    assert!(rig.events.iter().any(|event| matches!(event, EventKind::PlanDiscarded { .. })));
+    let before = rig.pose;
+    let epoch = if rig.state.as_ref().unwrap().lease.live { epoch } else { rig.lease("me", LeaseRole::Operator, "o2").unwrap() };
+    for _ in 0..20 {
+        rig.inbox.teleops.push(Teleop { epoch, twist: Twist2::new(-0.3, 0.0), echo: rig.now });
+        rig.run(0.1);
+    }
+    assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
+    rig.run(1.0);
+    assert!(rig.at_rest(), "the dead-man's switch");
+}
+
+#[test]
+fn a_repeated_request_gets_the_first_answer() {
+    let mut rig = fresh();
+    assert_eq!(rig.lease("m", LeaseRole::Mission, "r1"), Ok(1));
+    rig.run(3.0);
+    assert_eq!(rig.lease("other", LeaseRole::Mission, "r2"), Ok(2));
+    assert_eq!(rig.lease("m", LeaseRole::Mission, "r1"), Ok(1), "and changes nothing");
+    rig.run(0.2);
+    assert_eq!(rig.state.as_ref().unwrap().lease.holder.as_deref(), Some("other"));
+}
+
+#[test]
+fn a_plan_into_a_wall_that_the_scan_sees_is_refused() {
+    let mut rig = fresh();
+    rig.pose = Pose2::new(2.0, 0.0, 0.0);
+    let config = crate::config::EdgeConfig { start: rig.pose, ..crate::config::EdgeConfig::new(zenav_protocol::id::Id::robot("r").unwrap(), rig.model.clone(), Pose2::IDENTITY) };
+    rig.pilot = crate::pilot::Pilot::new(config, "boot-1".into(), Persisted::default());
+    rig.run(0.2);
+    let epoch = rig.mission();
+    let plan = rig.ahead(epoch, 1, 1, ROOM - 2.0);
+    rig.send(plan);
+    assert!(rig.rejection().unwrap().contains("blocked"), "{:?}", rig.rejection());
+    let plan = rig.ahead(epoch, 2, 2, ROOM - 2.0 - 0.265 - 0.05);
+    rig.send(plan);
+    assert_eq!(rig.state.as_ref().map(|_| rig.events.iter().filter(|e| matches!(e, EventKind::PlanAccepted { .. })).count()), Some(1));
+}
+
+#[test]
+fn a_replan_is_joined_at_speed() {
+    let (mut rig, epoch, plan) = driving();
+    let time = rig.state.as_ref().unwrap().plan.as_ref().unwrap().time + 0.3;
+    let rest: Vec<_> = plan.trajectory.iter().filter(|point| point.t >= time).copied().collect();
+    let start = rest[0].t;
+    let next = Plan {
+        trajectory: rest.iter().map(|point| TrajectoryPoint { t: point.t - start, ..*point }).collect(),
+        splice: Some(Splice { trajectory_id: 7, time: start }),
+        based_on: BasedOn { stamp: rig.now, ..plan.based_on.clone() },
+        ..rig.waypoints(epoch, 2, 8, &[])
+    };
+    rig.send(next);
+    assert_eq!(rig.rejection(), None);
+    let mut slowest = f64::INFINITY;
+    for _ in 0..100 {
+        rig.tick();
+        slowest = slowest.min(rig.velocity.v);
+    }
+    assert!(slowest > 0.45, "no slowdown at the splice: {slowest}");
+    assert_eq!(rig.state.unwrap().plan.unwrap().trajectory_id, 8);
+}
+
+#[test]
+fn waypoints_are_driven_while_renewed() {
+    let mut rig = fresh();
+    let epoch = rig.mission();
+    for counter in 1..30 {
+        let plan = rig.waypoints(epoch, counter, 1, &[(1.5, 0.0), (1.5, 1.5), (0.0, 1.5)]);
+        rig.send(plan);
+        rig.run(1.0);
+    }
+    assert!(rig.state.unwrap().plan.unwrap().finished);
+    assert!(rig.pose.distance(&Pose2::new(0.0, 1.5, 0.0)) < 0.15, "{:?}", rig.pose);
+}
+
+#[test]
+fn a_behaviour_runs_once_for_its_id() {
+    let mut rig = fresh();
+    let epoch = rig.mission();
+    let spin = |id: &str| Question::Behaviour(BehaviourRequest { id: id.into(), action: BehaviourAction::Spin { angle: 1.0 }, epoch: Some(epoch) });
+    rig.ask(spin("s1")).unwrap();
+    rig.run(4.0);
+    assert!((rig.pose.yaw - 1.0).abs() < 0.05, "{:?}", rig.pose);
+    let Ok(Answer::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else { panic!() };
+    assert_eq!(report.state, BehaviourState::Succeeded);
+    rig.run(2.0);
+    assert!((rig.pose.yaw - 1.0).abs() < 0.05, "nothing starts again");
+}
+
+#[test]
+fn a_blind_robot_stops() {
+    let (mut rig, _, _) = driving();
+    rig.scanning = false;
+    rig.run(1.5);
+    assert!(rig.at_rest());
+    assert!(rig.events.iter().any(|event| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains("scan"))));
+}
+
+/// Everything that may be wrong with a plan.
+fn spoil(plan: &mut Plan, how: usize, index: usize) {
+    let index = index % plan.trajectory.len();
+    let last = plan.trajectory.len() - 1;
+    match how {
+        0 => plan.epoch += 1,
+        1 => plan.revision = Revision { incarnation: 0, counter: 99 },
+        2 => plan.based_on.boot_id = "boot-0".into(),
+        3 => plan.based_on.stamp = zenav_protocol::time::Stamp::from_secs(1e6),
+        4 => plan.valid_for = -1.0,
+        5 => plan.valid_for = f64::NAN,
+        6 => plan.frame = "odom".into(),
+        7 => plan.trajectory[index].x = f64::NAN,
+        8 => plan.trajectory[index.max(1)].t = 0.0,
+        9 => plan.trajectory[index].v = 3.0,
+        10 => plan.trajectory.iter_mut().for_each(|point| point.y += 1.0),
+        11 => plan.trajectory[last].v = 0.4,
+        12 => plan.trajectory.truncate(0),
+        13 => plan.trajectory[index].w = f64::INFINITY,
+        14 => plan.based_on.stamp = zenav_protocol::time::Stamp::from_secs(1.0),
+        _ => plan.trajectory[index].x += 40.0,
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn a_broken_stale_or_foreign_plan_never_moves_the_robot(how in 0..16_usize, index in 0..200_usize) {
+        let mut rig = fresh();
+        let epoch = rig.mission();
+        let good = rig.waypoints(epoch, 3, 1, &[(0.02, 0.0)]);
+        rig.send(good);
+        rig.run(0.5);
+        let before = rig.pose;
+        let mut plan = rig.ahead(epoch, 4, 2, 2.0);
+        spoil(&mut plan, how, index);
+        rig.send(plan);
+        rig.run(1.0);
+        prop_assert!(before.distance(&rig.pose) < 0.01, "{how} moved it to {:?}", rig.pose);
+        prop_assert!(rig.rejection().is_some());
+    }
+
+    #[test]
+    fn re_ordered_plans_end_in_the_newest(order in Just((1..=6_u64).collect::<Vec<_>>()).prop_shuffle()) {
+        let mut rig = fresh();
+        let epoch = rig.mission();
+        let plans: Vec<_> = order.iter().map(|counter| rig.ahead(epoch, *counter, *counter, 1.0)).collect();
+        for plan in plans {
+            rig.send(plan);
+        }
+        rig.run(0.2);
+        prop_assert_eq!(rig.state.unwrap().plan.unwrap().trajectory_id, 6);
+    }
+}

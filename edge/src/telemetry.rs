@@ -1,0 +1,99 @@
+//! What does the robot publish, and how often?
+
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::*;
+use zenav_protocol::readings::{Readings, Sweep};
+use zenav_protocol::robot::LidarModel;
+use zenav_protocol::time::Stamp;
+
+use crate::estimator::Estimator;
+use crate::mailbox::Publication;
+
+/// Period of the state, s.
+const STATE: f64 = 0.1;
+/// Period of markers, s.
+const MARKER: f64 = 0.2;
+/// Period of what hardly changes (battery, contact), s.
+const SLOW: f64 = 1.0;
+
+/// The schedule.
+#[derive(Clone, Debug, Default)]
+pub struct Telemetry {
+    state: Due,
+    marker: Due,
+    slow: Due,
+    pressed: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Due(Stamp);
+
+impl Due {
+    /// Whether it is time; the next time is one period later, or later still after a pause.
+    fn now(&mut self, now: Stamp, period: f64) -> bool {
+        let due = now >= self.0;
+        if due {
+            let next = self.0.plus_secs(period);
+            self.0 = if next > now { next } else { now.plus_secs(period) };
+        }
+        due
+    }
+}
+
+impl Telemetry {
+    /// The sensors' and the estimator's messages of one tick.
+    pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
+        let now = readings.stamp;
+        let velocity: Twist2 = estimator.velocity();
+        out.push(Publication::Odometry(Odometry { stamp: now, odom_from_base: estimator.odom_from_base(), velocity, wheels: readings.wheels }));
+        out.push(Publication::Pose(PoseEstimate { stamp: now, map_from_base: estimator.map_from_base(), covariance: estimator.covariance(), velocity }));
+        out.extend(readings.imu.clone().map(Publication::Imu));
+        out.extend(readings.gps.clone().map(Publication::Gps));
+        let slow = self.slow.now(now, SLOW);
+        if slow || readings.bump.pressed != self.pressed {
+            self.pressed = readings.bump.pressed;
+            out.push(Publication::Bump(readings.bump.clone()));
+        }
+        if slow {
+            out.push(Publication::Battery(readings.battery.clone()));
+        }
+    }
+
+    /// Whether the state is due.
+    pub fn state_due(&mut self, now: Stamp) -> bool {
+        self.state.now(now, STATE)
+    }
+
+    /// Whether markers are due.
+    pub fn marker_due(&mut self, now: Stamp) -> bool {
+        self.marker.now(now, MARKER)
+    }
+}
+
+/// A sweep as a message, with the poses at its own stamp; `None` when that is too long ago to know them.
+#[must_use]
+pub fn scan(sweep: &Sweep, lidar: &LidarModel, estimator: &Estimator) -> Option<Scan> {
+    Some(Scan {
+        stamp: sweep.stamp,
+        angle_min: lidar.angle_min(),
+        angle_increment: lidar.angle_increment(),
+        range_min: lidar.range_min,
+        range_max: lidar.range_max,
+        ranges: sweep.ranges.clone(),
+        base_from_laser: lidar.mount,
+        map_from_odom: estimator.map_from_odom(),
+        odom_from_base: estimator.odom_from_base_at(sweep.stamp)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ten_hertz_stay_ten_hertz_on_a_fifty_hertz_loop() {
+        let mut due = Due::default();
+        let count = (0..500_u32).filter(|tick| due.now(Stamp(u64::from(*tick) * 20_000_000), 0.1)).count();
+        assert_eq!(count, 100);
+    }
+}

@@ -1,0 +1,257 @@
+//! What does the typed bus cost over raw Zenoh? Identical bytes, the same codec, the same sessions, taking turns in one run.
+//!
+//! A sample is the time from before encoding to after decoding, from one client to another over a router, all in this process on
+//! loopback TCP. Raw means Zenoh's own publisher, subscriber channel, `get` and queryable, used as its documentation does.
+
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use zenoh::bytes::Encoding as Wire;
+use zenoh::qos::Priority;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+
+use super::{Bus, BusConfig, BusError, Router, RouterConfig};
+use crate::codec::{self, Encoding};
+use crate::geometry::Pose2;
+use crate::messages::{Scan, StopReply, StopRequest};
+use crate::time::Stamp;
+use crate::topics::{SCAN, STOP};
+
+/// Beams of the scan that is sent.
+const BEAMS: usize = 720;
+/// Longer than a message ever takes; a lost one is sent again.
+const LOST: Duration = Duration::from_secs(1);
+/// A machine on which this many are not enough for the samples wanted loses nearly all.
+const MOST_ROUNDS: usize = 1_000_000;
+/// Between samples, so that each finds an idle link.
+const PAUSE: Duration = Duration::from_micros(500);
+
+/// Both ways to do one thing.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Comparison {
+    /// What was measured.
+    pub what: String,
+    /// Payload, bytes.
+    pub bytes: usize,
+    /// Samples of each way.
+    pub samples: usize,
+    /// The typed bus.
+    pub typed: Latency,
+    /// Raw Zenoh.
+    pub raw: Latency,
+    /// Typed over raw, medians.
+    pub ratio_p50: f64,
+    /// Typed over raw, 99th percentiles.
+    pub ratio_p99: f64,
+}
+
+/// Percentiles, microseconds.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Latency {
+    /// Half are faster.
+    pub p50_us: f64,
+    /// All but one of a hundred are faster.
+    pub p99_us: f64,
+}
+
+impl Comparison {
+    fn new(what: &str, bytes: usize, typed: Vec<Duration>, raw: Vec<Duration>) -> Self {
+        let samples = typed.len().min(raw.len());
+        let (typed, raw) = (Latency::of(typed), Latency::of(raw));
+        Self {
+            what: what.to_owned(),
+            bytes,
+            samples,
+            typed,
+            raw,
+            ratio_p50: typed.p50_us / raw.p50_us,
+            ratio_p99: typed.p99_us / raw.p99_us,
+        }
+    }
+}
+
+impl Latency {
+    fn of(mut samples: Vec<Duration>) -> Self {
+        samples.sort_unstable();
+        let at = |share: f64| {
+            let index = ((samples.len() as f64 * share) as usize).min(samples.len().saturating_sub(1));
+            samples.get(index).map_or(f64::NAN, |sample| sample.as_secs_f64() * 1e6)
+        };
+        Self {
+            p50_us: at(0.5),
+            p99_us: at(0.99),
+        }
+    }
+}
+
+/// Measures publications of a scan and asks, `samples` of each way, over a router of its own on a free port.
+///
+/// # Errors
+/// [`BusError`] when this machine does not let it listen or connect.
+pub async fn measure(samples: usize) -> Result<Vec<Comparison>, BusError> {
+    let router = Router::open(&RouterConfig {
+        listen: vec!["tcp/127.0.0.1:0".to_owned()],
+        ..RouterConfig::default()
+    })
+    .await?;
+    let endpoint = router.endpoints().await.into_iter().next().ok_or(BusError::Closed)?;
+    let near = Bus::open(BusConfig::service("near", &endpoint)).await?;
+    let far = Bus::open(BusConfig::service("far", &endpoint)).await?;
+    let results = vec![
+        publications(&near, &far, samples).await?,
+        asks(&near, &far, samples).await?,
+    ];
+    near.close().await;
+    far.close().await;
+    router.close().await;
+    Ok(results)
+}
+
+/// Whether it is the typed way's turn to go first: they change, so that neither profits from the other's warm caches.
+fn order(round: usize) -> [bool; 2] {
+    if round.is_multiple_of(2) {
+        [true, false]
+    } else {
+        [false, true]
+    }
+}
+
+async fn publications(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusError> {
+    let publisher = near.publisher(&SCAN, &["typed"])?;
+    let mut latest = far.latest(&SCAN, &["typed"])?;
+    let key = Bus::key(SCAN.key(&["raw"]))?;
+    let raw_publisher = near.declared(
+        near.session
+            .declare_publisher(key.clone())
+            .encoding(Wire::APPLICATION_JSON)
+            .await,
+    )?;
+    let raw_subscriber = far.declared(far.session.declare_subscriber(key).await)?;
+    let (mut typed, mut raw) = (Vec::new(), Vec::new());
+    let mut scan = scan();
+    for round in 0..MOST_ROUNDS {
+        if typed.len() >= samples && raw.len() >= samples {
+            break;
+        }
+        for typed_turn in order(round) {
+            tokio::time::sleep(PAUSE).await;
+            scan.stamp = Stamp(scan.stamp.0 + 1);
+            let start = Instant::now();
+            let received = if typed_turn {
+                publisher.put(&scan);
+                tokio::time::timeout(LOST, latest.next())
+                    .await
+                    .ok()
+                    .flatten()
+                    .map(|received| received.message)
+            } else {
+                let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default();
+                near.declared(raw_publisher.put(bytes).await)?;
+                let sample = tokio::time::timeout(LOST, raw_subscriber.recv_async())
+                    .await
+                    .ok()
+                    .and_then(Result::ok);
+                sample.and_then(|sample| {
+                    codec::decode::<Scan>(&sample.payload().to_bytes(), Encoding::Json, SCAN.max_bytes).ok()
+                })
+            };
+            let elapsed = start.elapsed();
+            // The first ones are lost, before the subscriptions are known.
+            if received.is_some_and(|received| received.stamp == scan.stamp) {
+                if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
+            } else if near.session.is_closed() {
+                return Err(BusError::Closed);
+            }
+        }
+    }
+    let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default().len();
+    Ok(Comparison::new("scan, publish to receive", bytes, typed, raw))
+}
+
+async fn asks(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusError> {
+    let mut server = far.serve(&STOP, &["typed"])?;
+    let key = Bus::key(STOP.key(&["raw"]))?;
+    let queryable = far.declared(far.session.declare_queryable(key.clone()).await)?;
+    let serving = tokio::spawn(async move {
+        while let Some(request) = server.next().await {
+            request.reply(&StopReply { stopped: true });
+        }
+    });
+    let raw_key = key.clone();
+    let raw_serving = tokio::spawn(async move {
+        while let Ok(query) = queryable.recv_async().await {
+            let asked = query.payload().is_some_and(|payload| {
+                codec::decode::<StopRequest>(&payload.to_bytes(), Encoding::Json, STOP.max_bytes).is_ok()
+            });
+            let bytes = codec::encode(&StopReply { stopped: asked }, Encoding::Json).unwrap_or_default();
+            if query
+                .reply(&raw_key, bytes)
+                .encoding(Wire::APPLICATION_JSON)
+                .await
+                .is_err()
+            {
+                tracing::debug!("the asker is gone");
+            }
+        }
+    });
+    let request = StopRequest {
+        by: Some("bench".to_owned()),
+    };
+    let (mut typed, mut raw) = (Vec::new(), Vec::new());
+    for round in 0..MOST_ROUNDS {
+        if typed.len() >= samples && raw.len() >= samples {
+            break;
+        }
+        for typed_turn in order(round) {
+            tokio::time::sleep(PAUSE).await;
+            let start = Instant::now();
+            let answered = if typed_turn {
+                near.ask(&STOP, &["typed"], &request, LOST).await.is_ok()
+            } else {
+                let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default();
+                let replies = near
+                    .session
+                    .get(&key)
+                    .payload(bytes)
+                    .encoding(Wire::APPLICATION_JSON)
+                    .target(QueryTarget::All)
+                    .consolidation(ConsolidationMode::None)
+                    .priority(Priority::InteractiveHigh)
+                    .timeout(LOST)
+                    .await;
+                let reply = near.declared(replies)?.recv_async().await;
+                reply.is_ok_and(|reply| {
+                    reply.result().is_ok_and(|sample| {
+                        codec::decode::<StopReply>(&sample.payload().to_bytes(), Encoding::Json, STOP.max_bytes).is_ok()
+                    })
+                })
+            };
+            let elapsed = start.elapsed();
+            if answered {
+                if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
+            } else if near.session.is_closed() {
+                return Err(BusError::Closed);
+            }
+        }
+    }
+    serving.abort();
+    raw_serving.abort();
+    let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default().len();
+    Ok(Comparison::new("ask, question to answer", bytes, typed, raw))
+}
+
+/// A scan as a robot would send it, with every digit a float has.
+fn scan() -> Scan {
+    let ranges = (0..BEAMS).map(|beam| 2.0 + (beam as f32 * 0.1).sin()).collect();
+    Scan {
+        stamp: Stamp(1),
+        angle_min: -std::f64::consts::PI,
+        angle_increment: std::f64::consts::TAU / BEAMS as f64,
+        range_min: 0.05,
+        range_max: 12.0,
+        ranges,
+        base_from_laser: Pose2::IDENTITY,
+        map_from_odom: Pose2::IDENTITY,
+        odom_from_base: Pose2::IDENTITY,
+    }
+}

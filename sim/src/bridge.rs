@@ -1,0 +1,22 @@
+//! How do nalgebra's types become parry's? (parry speaks `glam`; this is the only place that converts.)
+
+use nalgebra::Point2;
+use parry2d_f64::bounding_volume::Aabb;
+use parry2d_f64::math::Vector;
+
+/// A point as parry writes it.
+pub(crate) fn vector(point: Point2<f64>) -> Vector {
+    Vector::new(point.x, point.y)
+}
+
+/// The box with these corners.
+pub(crate) fn aabb(low: Point2<f64>, high: Point2<f64>) -> Aabb {
+    Aabb::new(vector(low), vector(high))
+}
+
+/// Squared distance from a point to a box; zero inside.
+pub(crate) fn squared_distance(point: Point2<f64>, mins: Vector, maxs: Vector) -> f64 {
+    let x = (mins.x - point.x).max(point.x - maxs.x).max(0.0);
+    let y = (mins.y - point.y).max(point.y - maxs.y).max(0.0);
+    x * x + y * y
+}

@@ -1,0 +1,261 @@
+//! How does one robot move among solids, and what does it touch? Contact blocks motion into the obstacle.
+//!
+//! Motion is cut into pieces shorter than the footprint is wide, so that nothing is jumped over. A piece that would
+//! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall.
+//! Exact distances are only computed where the last known clearance does not already rule contact out.
+
+use nalgebra::Vector2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+use crate::clearance::{Nearest, Placed};
+use crate::drive::{Motors, energy};
+use crate::scene::Scene;
+use crate::shape::Solid;
+
+/// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
+const SKIN: f64 = 1e-6;
+/// A clearance up to this is contact, m.
+pub(crate) const CONTACT: f64 = 1e-4;
+/// A contact ends when the robot is this far away, m: one touch is one collision.
+const RELEASE: f64 = 2e-3;
+/// Motors and arcs are integrated in steps of at most this, s.
+const SUBSTEP: f64 = 0.005;
+/// A blocked piece is halved this often to find how far it goes.
+const HALVINGS: u32 = 20;
+
+/// A collision, as it began.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact {
+    /// When.
+    pub stamp: Stamp,
+    /// Direction of the touched point in the base frame, rad.
+    pub bearing: f64,
+    /// The robot's own speed towards the obstacle when they met, m/s; about zero when something ran into the robot.
+    pub own_speed: f64,
+}
+
+/// What nobody on the robot knows for sure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Where the robot is.
+    pub map_from_base: Pose2,
+    /// Its velocity, base frame.
+    pub twist: Twist2,
+    /// Distance from the footprint to the nearest solid, mover or robot, m; infinite where there is none.
+    pub clearance: f64,
+    /// The least clearance since the beginning, m.
+    pub min_clearance: f64,
+    /// Contacts since the beginning; touching for a while counts once.
+    pub collisions: u32,
+    /// The latest contact.
+    pub last_contact: Option<Contact>,
+    /// Way driven since the beginning, forwards and backwards, m.
+    pub length: f64,
+    /// Energy drawn since the beginning, J.
+    pub drawn_j: f64,
+}
+
+/// Everything that can be touched: what never moves, and what moves but is not this robot.
+#[derive(Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// What never moves.
+    pub scene: &'a Scene,
+    /// Movers and robots.
+    pub solids: &'a [Solid],
+    /// The robot's own place in `solids`.
+    pub own: usize,
+}
+
+impl Surroundings<'_> {
+    /// The nearest solid to a footprint. Exact.
+    #[must_use]
+    pub fn nearest(&self, placed: &Placed<'_>) -> Nearest {
+        let mut nearest = Nearest::NONE;
+        for (index, solid) in self.solids.iter().enumerate() {
+            if index != self.own && placed.at_least_to(solid) < nearest.distance {
+                let found = placed.to_solid(solid);
+                if found.distance < nearest.distance {
+                    nearest = found;
+                }
+            }
+        }
+        self.scene.nearest(placed, nearest.distance).unwrap_or(nearest)
+    }
+}
+
+/// What a tick did, for the sensors.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Moved {
+    /// True turns of the wheels (left, right), rad.
+    pub wheels: [f64; 2],
+    /// True turn of the base, rad.
+    pub turn: f64,
+    /// No point of the footprint moved farther, m.
+    pub reach: f64,
+}
+
+/// Wheels, footprint and battery of one robot.
+#[derive(Clone, Debug)]
+pub struct Chassis {
+    motors: Motors,
+    reach: f64,
+    inscribed: f64,
+    /// No solid is nearer than this, m: exact at the end of a tick.
+    clearance: f64,
+    touching: bool,
+    bearing: Option<f64>,
+    truth: Truth,
+}
+
+impl Chassis {
+    /// At rest at a pose.
+    #[must_use]
+    pub fn new(model: &RobotModel, map_from_base: Pose2) -> Self {
+        let truth = Truth {
+            map_from_base,
+            twist: Twist2::ZERO,
+            clearance: f64::INFINITY,
+            min_clearance: f64::INFINITY,
+            collisions: 0,
+            last_contact: None,
+            length: 0.0,
+            drawn_j: 0.0,
+        };
+        let (reach, inscribed) = (model.footprint.circumscribed_radius(), model.footprint.inscribed_radius());
+        Self { motors: Motors::at_rest(), reach, inscribed, clearance: 0.0, touching: false, bearing: None, truth }
+    }
+
+    /// Commands the wheels (left, right; rad/s).
+    pub fn command(&mut self, model: &RobotModel, wheels: [f64; 2]) {
+        self.motors.command(&model.drive, wheels);
+    }
+
+    /// The truth at the end of the last tick.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        self.truth
+    }
+
+    /// Charge left, 0 to 1.
+    #[must_use]
+    pub fn charge(&self, model: &RobotModel) -> f64 {
+        (1.0 - self.truth.drawn_j / model.battery.capacity).max(0.0)
+    }
+
+    /// Direction of the touched point in the base frame, rad, while something is touched.
+    #[must_use]
+    pub fn bump(&self) -> Option<f64> {
+        self.bearing
+    }
+
+    /// Drives for a time. `others` is how far anything else has moved since the last call of [`Self::settle`], m.
+    pub fn advance(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, others: f64, now: Stamp) -> Moved {
+        self.clearance -= others;
+        if self.charge(model) <= 0.0 {
+            self.motors.command(&model.drive, [0.0; 2]);
+        }
+        let substeps = (secs / SUBSTEP).ceil().clamp(1.0, 1000.0);
+        let mut moved = Moved::default();
+        for _ in 0..substeps as u32 {
+            self.substep(model, around, secs / substeps, now, &mut moved);
+        }
+        moved
+    }
+
+    fn substep(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, now: Stamp, moved: &mut Moved) {
+        let before = model.drive.twist(self.motors.speed()).v;
+        let wheels = self.motors.step(&model.drive, secs);
+        let twist = model.drive.twist(wheels);
+        let share = if wheels == [0.0; 2] { 1.0 } else { self.roll(model, around, twist, secs, now) };
+        let secs_moving = secs * share;
+        for (sum, speed) in moved.wheels.iter_mut().zip(wheels) {
+            *sum += speed * secs_moving;
+        }
+        moved.turn += twist.w * secs_moving;
+        moved.reach += self.speed_of_outline(twist) * secs_moving;
+        self.truth.length += twist.v.abs() * secs_moving;
+        if share < 1.0 {
+            self.motors.stall();
+        }
+        self.truth.twist = model.drive.twist(self.motors.speed());
+        self.truth.drawn_j += energy(&model.battery, twist, before, self.truth.twist.v, secs);
+    }
+
+    /// No point of the footprint moves faster, m/s.
+    fn speed_of_outline(&self, twist: Twist2) -> f64 {
+        twist.v.abs() + twist.w.abs() * self.reach
+    }
+
+    /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move.
+    fn roll(&mut self, model: &RobotModel, around: Surroundings<'_>, twist: Twist2, secs: f64, now: Stamp) -> f64 {
+        let pieces = (self.speed_of_outline(twist) * secs / self.inscribed).ceil().clamp(1.0, 1000.0);
+        let piece = secs / pieces;
+        let reach = self.speed_of_outline(twist) * piece;
+        for done in 0..pieces as u32 {
+            let here = self.truth.map_from_base;
+            if self.clearance - reach > SKIN {
+                self.clearance -= reach;
+                self.truth.map_from_base = here.advance(twist, piece);
+                continue;
+            }
+            let exact = |pose: Pose2| around.nearest(&Placed::new(&model.footprint, pose));
+            let next = here.advance(twist, piece);
+            let there = exact(next).distance;
+            // Touching already, a robot may still turn on the spot or move away.
+            if there > SKIN || there >= exact(here).distance {
+                self.clearance = there;
+                self.truth.map_from_base = next;
+                continue;
+            }
+            let (mut free, mut taken) = (0.0, 1.0);
+            for _ in 0..HALVINGS {
+                let middle = 0.5 * (free + taken);
+                if exact(here.advance(twist, middle * piece)).distance > SKIN {
+                    free = middle;
+                } else {
+                    taken = middle;
+                }
+            }
+            self.truth.map_from_base = here.advance(twist, free * piece);
+            let nearest = exact(self.truth.map_from_base);
+            self.clearance = nearest.distance;
+            self.touch(nearest, twist, now);
+            return (f64::from(done) + free) / pieces;
+        }
+        1.0
+    }
+
+    fn touch(&mut self, nearest: Nearest, twist: Twist2, now: Stamp) {
+        let toward = nearest.on_solid.coords;
+        let bearing = toward.y.atan2(toward.x);
+        self.bearing = Some(bearing);
+        if self.touching {
+            return;
+        }
+        self.touching = true;
+        self.truth.collisions = self.truth.collisions.saturating_add(1);
+        let gap = nearest.on_solid - nearest.on_body;
+        let normal = if gap.norm() > 0.0 { gap.normalize() } else { Vector2::new(bearing.cos(), bearing.sin()) };
+        let at = nearest.on_body;
+        let own_speed = Vector2::new(twist.v - twist.w * at.y, twist.w * at.x).dot(&normal);
+        self.truth.last_contact = Some(Contact { stamp: now, bearing, own_speed });
+    }
+
+    /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.
+    pub fn settle(&mut self, model: &RobotModel, around: Surroundings<'_>, now: Stamp) {
+        let nearest = around.nearest(&Placed::new(&model.footprint, self.truth.map_from_base));
+        self.clearance = nearest.distance;
+        self.truth.clearance = nearest.distance;
+        self.truth.min_clearance = self.truth.min_clearance.min(nearest.distance);
+        if nearest.distance <= CONTACT {
+            self.touch(nearest, self.truth.twist, now);
+        } else {
+            self.bearing = None;
+            if nearest.distance > RELEASE {
+                self.touching = false;
+            }
+        }
+    }
+}

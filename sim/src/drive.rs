@@ -1,0 +1,154 @@
+//! What do wheels and motors make of a command? Lag, limits, exact arcs, energy.
+//!
+//! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by
+//! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean.
+
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::robot::{BatteryModel, Drive};
+
+/// Both motors.
+#[derive(Clone, Debug)]
+pub struct Motors {
+    command: [f64; 2],
+    speed: [f64; 2],
+}
+
+impl Motors {
+    /// At rest.
+    #[must_use]
+    pub fn at_rest() -> Self {
+        Self { command: [0.0; 2], speed: [0.0; 2] }
+    }
+
+    /// Sets the commanded wheel speeds (left, right; rad/s), bounded by the limits of wheels and base. What is not a
+    /// number stops both wheels.
+    pub fn command(&mut self, drive: &Drive, wheels: [f64; 2]) {
+        if wheels.iter().any(|speed| speed.is_nan()) {
+            self.command = [0.0; 2];
+            return;
+        }
+        let bounded = wheels.map(|speed| speed.clamp(-drive.max_wheel_speed, drive.max_wheel_speed));
+        let twist = drive.twist(bounded);
+        // Both wheels slow down alike: the curvature stays.
+        let excess = (twist.v.abs() / drive.max_speed).max(twist.w.abs() / drive.max_yaw_rate).max(1.0);
+        self.command = bounded.map(|speed| speed / excess);
+    }
+
+    /// Wheel speeds now (left, right; rad/s).
+    #[must_use]
+    pub fn speed(&self) -> [f64; 2] {
+        self.speed
+    }
+
+    /// Advances the motors; returns the mean wheel speeds over the time (left, right; rad/s).
+    pub fn step(&mut self, drive: &Drive, secs: f64) -> [f64; 2] {
+        let share = if drive.motor_lag > 0.0 { 1.0 - (-secs / drive.motor_lag).exp() } else { 1.0 };
+        let braking = drive.hard_braking / drive.wheel_radius;
+        let before = self.speed;
+        for (speed, command) in self.speed.iter_mut().zip(self.command) {
+            let wanted = *speed + (command - *speed) * share;
+            *speed = limited(*speed, wanted, braking * secs, drive.max_wheel_acceleration * secs);
+        }
+        [0.5 * (before[0] + self.speed[0]), 0.5 * (before[1] + self.speed[1])]
+    }
+
+    /// Stops both wheels at once: something stands in the way.
+    pub fn stall(&mut self) {
+        self.speed = [0.0; 2];
+    }
+}
+
+/// `wanted`, as far as `speed` may lose `down` and gain `up`; through zero it first brakes, then accelerates.
+fn limited(speed: f64, wanted: f64, down: f64, up: f64) -> f64 {
+    if speed == 0.0 {
+        return wanted.clamp(-up, up);
+    }
+    // Mirrored so that the speed is positive.
+    let (sign, speed, wanted) = (speed.signum(), speed.abs(), wanted * speed.signum());
+    let next = if wanted >= speed {
+        wanted.min(speed + up)
+    } else if wanted >= 0.0 || speed >= down {
+        wanted.max(0.0_f64.max(speed - down))
+    } else {
+        // The share of the time that is left after braking to zero.
+        wanted.max(-up * (1.0 - speed / down))
+    };
+    sign * next
+}
+
+/// Energy drawn over a time at mean velocity `twist` while the speed went from `before` to `after` (m/s), J.
+#[must_use]
+pub fn energy(battery: &BatteryModel, twist: Twist2, before: f64, after: f64, secs: f64) -> f64 {
+    let rolling = battery.rolling_power * twist.v.abs();
+    (battery.idle_power + rolling) * secs + battery.acceleration_energy * (after * after - before * before).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+    use proptest::prelude::*;
+    use zenav_protocol::robot::{self, RobotModel};
+
+    fn tiago() -> Drive {
+        RobotModel::from_toml(robot::shipped("tiago").unwrap(), "tiago").unwrap().drive
+    }
+
+    #[test]
+    fn a_hard_stop_from_full_speed_takes_the_hard_braking_distance_and_the_lag() {
+        let drive = tiago();
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, [drive.max_wheel_speed; 2]);
+        for _ in 0..1000 {
+            motors.step(&drive, 0.005);
+        }
+        let top = drive.twist(motors.speed()).v;
+        assert!((top - drive.top_speed()).abs() < 1e-6);
+        motors.command(&drive, [0.0; 2]);
+        let distance: f64 = (0..1000).map(|_| drive.twist(motors.step(&drive, 0.005)).v * 0.005).sum();
+        let hard = top * top / (2.0 * drive.hard_braking);
+        assert!(distance > hard && distance < hard + top * drive.motor_lag, "{distance}");
+    }
+
+    #[test]
+    fn a_base_that_may_not_go_as_fast_as_its_wheels_keeps_the_curvature() {
+        let drive = RobotModel::from_toml(robot::shipped("jackal").unwrap(), "jackal").unwrap().drive;
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, drive.wheels(Twist2::new(1.0, 5.0)));
+        for _ in 0..1000 {
+            motors.step(&drive, 0.005);
+        }
+        let twist = drive.twist(motors.speed());
+        assert!((twist.v - 0.8).abs() < 1e-6 && (twist.w - 4.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_command_that_is_no_number_stops() {
+        let drive = tiago();
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, [3.0, f64::NAN]);
+        assert_eq!(motors.step(&drive, 0.02), [0.0, 0.0]);
+        motors.command(&drive, [f64::INFINITY, f64::NEG_INFINITY]);
+        assert!(motors.step(&drive, 0.02).iter().all(|speed| speed.is_finite()));
+    }
+
+    proptest! {
+        #[test]
+        fn wheels_never_change_faster_than_their_limits(commands in prop::collection::vec((-20.0..20.0, -20.0..20.0), 1..60)) {
+            let drive = tiago();
+            let mut motors = Motors::at_rest();
+            for (left, right) in commands {
+                motors.command(&drive, [left, right]);
+                let before = motors.speed();
+                motors.step(&drive, 0.005);
+                for (before, after) in before.into_iter().zip(motors.speed()) {
+                    let change = (after - before).abs();
+                    let slower = after.abs() < before.abs() || after * before < 0.0;
+                    let limit = if slower { drive.hard_braking / drive.wheel_radius } else { drive.max_wheel_acceleration };
+                    prop_assert!(change <= limit * 0.005 + 1e-12);
+                    prop_assert!(after.abs() <= drive.max_wheel_speed);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! What stands where? Walls, furniture, a map, movers, the start and named places; the world frame is the map frame.
+
+use std::sync::Arc;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::id::Id;
+use zenav_protocol::robot::Footprint;
+
+use crate::clearance::Placed;
+use crate::movers::MoverModel;
+use crate::outline::outline;
+use crate::scene::Scene;
+use crate::shape::{self, Disc};
+use crate::world_file::{self, WorldError};
+
+/// A named goal.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// Its name.
+    pub name: Id,
+    /// m.
+    pub x: f64,
+    /// m.
+    pub y: f64,
+    /// Heading, rad, where it matters.
+    pub yaw: Option<f64>,
+}
+
+/// A world at rest.
+#[derive(Clone)]
+pub struct World {
+    pub(crate) name: String,
+    pub(crate) low: Point2<f64>,
+    pub(crate) high: Point2<f64>,
+    pub(crate) start: Pose2,
+    pub(crate) polygons: Vec<Vec<Point2<f64>>>,
+    pub(crate) discs: Vec<Disc>,
+    pub(crate) map: Option<OccupancyGrid>,
+    pub(crate) movers: Vec<MoverModel>,
+    pub(crate) places: Vec<Place>,
+    scene: Arc<Scene>,
+}
+
+/// Names and texts of the shipped worlds.
+pub const SHIPPED: &[(&str, &str)] = &[
+    ("kitchen", include_str!("../worlds/kitchen.toml")),
+    ("wall_follow", include_str!("../worlds/wall_follow.toml")),
+    ("house", include_str!("../worlds/house.toml")),
+    ("empty", include_str!("../worlds/empty.toml")),
+];
+
+/// The text of a shipped world.
+#[must_use]
+pub fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// What a world is made of, before it is indexed.
+pub(crate) struct Parts {
+    pub name: String,
+    pub low: Point2<f64>,
+    pub high: Point2<f64>,
+    pub start: Pose2,
+    pub polygons: Vec<Vec<Point2<f64>>>,
+    pub discs: Vec<Disc>,
+    pub map: Option<OccupancyGrid>,
+    pub movers: Vec<MoverModel>,
+    pub places: Vec<Place>,
+}
+
+impl World {
+    /// Reads a world file's text.
+    ///
+    /// `file` is for errors. `load_map` opens what `[map] yaml` names, exactly as written there: the caller knows what
+    /// the path is relative to, and reads images.
+    ///
+    /// # Errors
+    /// [`WorldError`] names the file, the line and the key.
+    pub fn from_toml(text: &str, file: &str, load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>) -> Result<Self, WorldError> {
+        world_file::read(text, file, load_map).map(Self::new)
+    }
+
+    /// A shipped world by name: `kitchen`, `wall_follow`, `house`, `empty`.
+    ///
+    /// # Errors
+    /// [`WorldError::Unknown`] for another name.
+    pub fn shipped(name: &str) -> Result<Self, WorldError> {
+        let text = shipped(name).ok_or_else(|| WorldError::Unknown { name: name.to_owned(), known: SHIPPED.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ") })?;
+        Self::from_toml(text, name, &|_| Err("a shipped world has no map file".to_owned()))
+    }
+
+    /// A world that is a map and nothing else: occupied cells are solid, all others open.
+    #[must_use]
+    pub fn from_map(name: &str, map: OccupancyGrid, start: Pose2) -> Self {
+        let spec = *map.spec();
+        Self::new(Parts { name: name.to_owned(), low: spec.origin, high: spec.upper(), start, polygons: Vec::new(), discs: Vec::new(), map: Some(map), movers: Vec::new(), places: Vec::new() })
+    }
+
+    fn new(parts: Parts) -> Self {
+        let Parts { name, low, high, start, polygons, discs, map, movers, places } = parts;
+        let mut edges = map.as_ref().map(outline).unwrap_or_default();
+        edges.extend(polygons.iter().flat_map(|polygon| shape::edges(polygon)));
+        let scene = Arc::new(Scene::new(edges, discs.clone()));
+        Self { name, low, high, start, polygons, discs, map, movers, places, scene }
+    }
+
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Lower-left and upper-right corner of the part that is meant to be driven in, m.
+    #[must_use]
+    pub fn bounds(&self) -> (Point2<f64>, Point2<f64>) {
+        (self.low, self.high)
+    }
+
+    /// Default pose of the first robot.
+    #[must_use]
+    pub fn start(&self) -> Pose2 {
+        self.start
+    }
+
+    /// Named goals, in the order of the file.
+    #[must_use]
+    pub fn places(&self) -> &[Place] {
+        &self.places
+    }
+
+    /// A named goal.
+    #[must_use]
+    pub fn place(&self, name: &str) -> Option<&Place> {
+        self.places.iter().find(|place| place.name.as_str() == name)
+    }
+
+    /// Moving obstacles.
+    #[must_use]
+    pub fn movers(&self) -> &[MoverModel] {
+        &self.movers
+    }
+
+    /// Solid polygons (walls too), counter-clockwise, m.
+    #[must_use]
+    pub fn polygons(&self) -> &[Vec<Point2<f64>>] {
+        &self.polygons
+    }
+
+    /// Solid discs, m.
+    #[must_use]
+    pub fn discs(&self) -> &[Disc] {
+        &self.discs
+    }
+
+    /// The map, where the world has one.
+    #[must_use]
+    pub fn map(&self) -> Option<&OccupancyGrid> {
+        self.map.as_ref()
+    }
+
+    /// Everything that never moves, indexed.
+    #[must_use]
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    pub(crate) fn shared_scene(&self) -> Arc<Scene> {
+        Arc::clone(&self.scene)
+    }
+
+    /// Whether a point lies inside something that never moves.
+    #[must_use]
+    pub fn is_solid(&self, point: Point2<f64>) -> bool {
+        let in_map = self.map.as_ref().and_then(|map| map.at(point)).is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied);
+        let in_disc = || self.discs.iter().any(|disc| (disc.center - point).norm_squared() <= disc.radius * disc.radius);
+        in_map || in_disc() || self.polygons.iter().any(|polygon| shape::contains(polygon, point))
+    }
+
+    /// Distance from a footprint at a pose to the nearest thing that never moves, m; zero on and inside it, infinite
+    /// where there is none.
+    #[must_use]
+    pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        if self.is_solid(map_from_base.position()) {
+            return 0.0;
+        }
+        let placed = Placed::new(footprint, map_from_base);
+        self.scene.nearest(&placed, f64::INFINITY).map_or(f64::INFINITY, |nearest| nearest.distance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    const TIAGO: Footprint = Footprint::Radius(0.265);
+
+    fn clearance(world: &World, x: f64, y: f64) -> f64 {
+        world.clearance(&TIAGO, Pose2::new(x, y, 0.0))
+    }
+
+    /// The least clearance on the straight way between two points.
+    fn way(world: &World, from: (f64, f64), to: (f64, f64)) -> f64 {
+        (0..=200).map(|i| f64::from(i) / 200.0).map(|s| clearance(world, from.0 + s * (to.0 - from.0), from.1 + s * (to.1 - from.1))).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn every_shipped_world_can_be_read_and_its_places_reached_by_a_tiago() {
+        for (name, _) in SHIPPED {
+            let world = World::shipped(name).unwrap();
+            assert_eq!(world.name(), *name);
+            assert!(clearance(&world, world.start().x, world.start().y) > 0.1, "{name}: start");
+            for place in world.places() {
+                assert!(clearance(&world, place.x, place.y) > 0.1, "{name}: {}", place.name);
+            }
+        }
+        assert!(World::shipped("moon").err().unwrap().to_string().contains("kitchen, wall_follow"));
+    }
+
+    #[test]
+    fn the_way_around_the_kitchen_table_has_room_for_a_tiago() {
+        let kitchen = World::shipped("kitchen").unwrap();
+        let around: Vec<(f64, f64)> = (1..=10).map(|i| kitchen.place(&format!("table_{i}")).unwrap()).map(|place| (place.x, place.y)).collect();
+        let start = (kitchen.start().x, kitchen.start().y);
+        assert!(way(&kitchen, start, around[0]) > 0.25);
+        for (from, to) in around.iter().zip(around.iter().cycle().skip(1)) {
+            assert!(way(&kitchen, *from, *to) > 0.25, "{from:?} {to:?}: {}", way(&kitchen, *from, *to));
+        }
+    }
+
+    #[test]
+    fn a_map_world_is_solid_where_its_cells_are_occupied() {
+        let spec = zenav_protocol::grid::GridSpec { origin: Point2::new(0.0, 0.0), resolution: 1.0, width: 3, height: 3 };
+        let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+        map[zenav_protocol::grid::Cell::new(1, 1)] = Occupancy::OCCUPIED;
+        let world = World::from_map("block", map, Pose2::new(0.5, 0.5, 0.0));
+        assert!(world.is_solid(Point2::new(1.5, 1.5)) && !world.is_solid(Point2::new(0.5, 1.5)));
+        assert!((world.clearance(&Footprint::Radius(0.2), Pose2::new(0.5, 1.5, 0.0)) - 0.3).abs() < 1e-12);
+        assert_eq!(world.scene().edge_count(), 4);
+    }
+}

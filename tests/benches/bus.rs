@@ -1,0 +1,35 @@
+//! What does the typed bus cost over raw Zenoh? `cargo bench -p zenav-tests --bench bus`; the aim is a ratio of 1.15 at the median.
+//!
+//! Not criterion's loop: the two ways take turns within one run, and the 99th percentile counts. Under `cargo test` a short run
+//! shows that it works.
+
+use zenav_protocol::bus::overhead;
+
+#[tokio::main(flavor = "multi_thread")]
+#[allow(clippy::print_stdout, reason = "a bench prints its numbers")]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let samples = if std::env::args().any(|argument| argument == "--bench") {
+        4000
+    } else {
+        20
+    };
+    println!(
+        "{:26} {:>6} {:>7} {:>10} {:>10} {:>6} {:>10} {:>10} {:>6}",
+        "", "bytes", "samples", "typed p50", "raw p50", "ratio", "typed p99", "raw p99", "ratio"
+    );
+    for row in overhead::measure(samples).await? {
+        println!(
+            "{:26} {:>6} {:>7} {:>7.1} us {:>7.1} us {:>6.3} {:>7.0} us {:>7.0} us {:>6.3}",
+            row.what,
+            row.bytes,
+            row.samples,
+            row.typed.p50_us,
+            row.raw.p50_us,
+            row.ratio_p50,
+            row.typed.p99_us,
+            row.raw.p99_us,
+            row.ratio_p99
+        );
+    }
+    Ok(())
+}

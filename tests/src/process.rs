@@ -1,0 +1,130 @@
+//! How does a test start and end real processes? As a user would, on ports that nobody else has.
+
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// A started process; killed when dropped.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    name: String,
+    log: mpsc::Receiver<String>,
+    seen: Vec<String>,
+}
+
+/// A loopback endpoint that nobody listens on just now.
+///
+/// # Panics
+/// When the machine has no free port.
+#[must_use]
+pub fn free_endpoint() -> String {
+    #[expect(clippy::expect_used, reason = "a test cannot go on without a port")]
+    let port = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("a free port").port();
+    format!("tcp/127.0.0.1:{port}")
+}
+
+impl Process {
+    /// Starts `binary` with arguments in a folder.
+    ///
+    /// # Panics
+    /// When it cannot be started.
+    #[must_use]
+    pub fn start(binary: &str, arguments: &[&str], folder: &Path) -> Self {
+        #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
+        let mut child = Command::new(binary)
+            .args(arguments)
+            .current_dir(folder)
+            .env("RUST_LOG", "info,zenoh=error")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the binary under test starts");
+        let (sender, log) = mpsc::channel();
+        if let Some(stderr) = child.stderr.take() {
+            std::thread::spawn(move || {
+                for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+                    if sender.send(line).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        Self { child, name: arguments.join(" "), log, seen: Vec::new() }
+    }
+
+    /// Kills it at once, as `kill -9` does.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Whether it still runs.
+    #[must_use]
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    /// What it has logged so far.
+    pub fn log(&mut self) -> String {
+        self.seen.extend(self.log.try_iter());
+        self.seen.join("\n")
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.kill();
+        if std::thread::panicking() {
+            let log = self.log();
+            eprintln!("--- {} ---\n{log}", self.name);
+        }
+    }
+}
+
+/// Runs `binary` to its end, at most `limit` long.
+///
+/// # Panics
+/// When it cannot be started or does not end in time.
+#[must_use]
+pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> Output {
+    #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
+    let mut child = Command::new(binary)
+        .args(arguments)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary under test starts");
+    let read = |pipe: Option<Box<dyn std::io::Read + Send>>| {
+        std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            if let Some(mut pipe) = pipe {
+                let _ = pipe.read_to_end(&mut bytes);
+            }
+            bytes
+        })
+    };
+    let stdout = read(child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>));
+    let stderr = read(child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>));
+    let deadline = Instant::now() + limit;
+    let status = loop {
+        if let Ok(Some(status)) = child.try_wait() {
+            break status;
+        }
+        if Instant::now() > deadline {
+            let _ = child.kill();
+            let _ = child.wait();
+            let said = String::from_utf8_lossy(&stderr.join().unwrap_or_default()).into_owned();
+            panic!("`{}` did not end within {limit:?}: {said}", arguments.join(" "));
+        }
+        // The end of a child cannot be awaited with a deadline otherwise in std.
+        std::thread::park_timeout(Duration::from_millis(10));
+    };
+    Output { status, stdout: stdout.join().unwrap_or_default(), stderr: stderr.join().unwrap_or_default() }
+}
