@@ -6,9 +6,11 @@
 //! | [`planning`] | is there a way? searches |
 //! | [`smoothing`] | how does it drive a way, in time? |
 //! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
+//! | [`mission`] | which goal is driven, and how is none lost? |
 
 pub mod behaviour_tree;
 pub mod mapping;
+pub mod mission;
 pub mod planning;
 pub mod smoothing;
 pub mod space;

@@ -163,7 +163,10 @@ pub struct Grant<'a> {
 /// [`Rejection`].
 pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
     if plan.epoch != grant.epoch {
-        return Err(Rejection::WrongEpoch { got: plan.epoch, current: grant.epoch });
+        return Err(Rejection::WrongEpoch {
+            got: plan.epoch,
+            current: grant.epoch,
+        });
     }
     if !grant.mission_live {
         return Err(Rejection::NoLease);
@@ -172,10 +175,16 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
         return Err(Rejection::Stopped);
     }
     if plan.based_on.boot_id != grant.boot_id {
-        return Err(Rejection::WrongBoot { got: plan.based_on.boot_id.chars().take(40).collect(), current: grant.boot_id.to_owned() });
+        return Err(Rejection::WrongBoot {
+            got: plan.based_on.boot_id.chars().take(40).collect(),
+            current: grant.boot_id.to_owned(),
+        });
     }
     if let Some(newest) = grant.newest.filter(|newest| plan.revision <= *newest) {
-        return Err(Rejection::Stale { got: plan.revision, newest });
+        return Err(Rejection::Stale {
+            got: plan.revision,
+            newest,
+        });
     }
     if plan.based_on.stamp > grant.now {
         return Err(Rejection::Future(plan.based_on.stamp.secs_since(grant.now)));
@@ -210,10 +219,18 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
     if plan.trajectory.len() > MOST_POINTS || plan.waypoints.len() > MOST_POINTS {
         return Err(Rejection::Malformed("it has too many points"));
     }
-    if !plan.waypoints.iter().all(|point| point.coords.iter().all(|value| value.is_finite())) {
+    if !plan
+        .waypoints
+        .iter()
+        .all(|point| point.coords.iter().all(|value| value.is_finite()))
+    {
         return Err(Rejection::Malformed("a waypoint is not finite"));
     }
-    if !plan.trajectory.iter().all(|p| p.t.is_finite() && p.pose().is_finite() && p.twist().is_finite()) {
+    if !plan
+        .trajectory
+        .iter()
+        .all(|p| p.t.is_finite() && p.pose().is_finite() && p.twist().is_finite())
+    {
         return Err(Rejection::Malformed("a trajectory point is not finite"));
     }
     if plan.splice.is_some_and(|splice| !splice.time.is_finite()) {
@@ -240,7 +257,16 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
 }
 
 fn within(what: &'static str, point: usize, value: f64, limit: f64) -> Result<(), Rejection> {
-    if value.abs() > limit * (1.0 + LIMIT_SLACK) { Err(Rejection::OverLimit { what, point, value: value.abs(), limit }) } else { Ok(()) }
+    if value.abs() > limit * (1.0 + LIMIT_SLACK) {
+        Err(Rejection::OverLimit {
+            what,
+            point,
+            value: value.abs(),
+            limit,
+        })
+    } else {
+        Ok(())
+    }
 }
 
 fn judge_speed(point: usize, twist: Twist2, drive: &Drive) -> Result<(), Rejection> {
@@ -260,7 +286,12 @@ fn judge_step(point: usize, from: &TrajectoryPoint, to: &TrajectoryPoint, drive:
     for (before, after) in before.iter().zip(after) {
         let limit = drive.max_wheel_acceleration * dt + STEP_SLACK;
         if (after - before).abs() > limit * (1.0 + LIMIT_SLACK) {
-            return Err(Rejection::OverLimit { what: "wheel acceleration", point, value: (after - before).abs() / dt, limit: drive.max_wheel_acceleration });
+            return Err(Rejection::OverLimit {
+                what: "wheel acceleration",
+                point,
+                value: (after - before).abs() / dt,
+                limit: drive.max_wheel_acceleration,
+            });
         }
     }
     // The course must be one that these speeds can drive.
@@ -273,11 +304,20 @@ fn judge_step(point: usize, from: &TrajectoryPoint, to: &TrajectoryPoint, drive:
 ///
 /// # Errors
 /// [`Rejection::Start`].
-pub fn judge_start(start: &TrajectoryPoint, predicted: Pose2, velocity: Twist2, drive: &Drive) -> Result<(), Rejection> {
+pub fn judge_start(
+    start: &TrajectoryPoint,
+    predicted: Pose2,
+    velocity: Twist2,
+    drive: &Drive,
+) -> Result<(), Rejection> {
     let distance = predicted.distance(&start.pose());
     let yaw = wrap_angle(start.yaw - predicted.yaw).abs();
     let speed = crate::limiter::wheel_surface_speed(drive, Twist2::new(start.v - velocity.v, start.w - velocity.w));
-    if distance > START_DISTANCE || yaw > START_YAW || speed > START_SPEED { Err(Rejection::Start { distance, yaw, speed }) } else { Ok(()) }
+    if distance > START_DISTANCE || yaw > START_YAW || speed > START_SPEED {
+        Err(Rejection::Start { distance, yaw, speed })
+    } else {
+        Ok(())
+    }
 }
 
 /// Judges whether a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
@@ -285,16 +325,26 @@ pub fn judge_start(start: &TrajectoryPoint, predicted: Pose2, velocity: Twist2, 
 ///
 /// # Errors
 /// [`Rejection::Blocked`].
-pub fn judge_free(trajectory: &[TrajectoryPoint], model: &RobotModel, map_from_base: Pose2, obstacles: &[Point2<f64>]) -> Result<(), Rejection> {
+pub fn judge_free(
+    trajectory: &[TrajectoryPoint],
+    model: &RobotModel,
+    map_from_base: Pose2,
+    obstacles: &[Point2<f64>],
+) -> Result<(), Rejection> {
     let footprint = &model.footprint;
     let reach = footprint.circumscribed_radius();
     let mut last: Option<Pose2> = None;
     // Only what the way may come near.
     let horizon = SCAN_HORIZON + reach;
-    let near: Vec<_> = obstacles.iter().filter(|point| (*point - map_from_base.position()).norm() < horizon).collect();
+    let near: Vec<_> = obstacles
+        .iter()
+        .filter(|point| (*point - map_from_base.position()).norm() < horizon)
+        .collect();
     for point in trajectory {
         let pose = point.pose();
-        let spaced = |last: Pose2| last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1;
+        let spaced = |last: Pose2| {
+            last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1
+        };
         let distance = pose.distance(&map_from_base);
         if distance > SCAN_HORIZON || !last.is_none_or(spaced) {
             continue;
@@ -303,10 +353,15 @@ pub fn judge_free(trajectory: &[TrajectoryPoint], model: &RobotModel, map_from_b
         let slack = SCAN_SLACK + SCAN_SLACK_PER_METRE * distance;
         let base_from_map = pose.inverse();
         let hit = near.iter().find(|obstacle| {
-            (**obstacle - pose.position()).norm_squared() < reach * reach && depth(footprint, base_from_map.transform_point(***obstacle)) > slack
+            (**obstacle - pose.position()).norm_squared() < reach * reach
+                && depth(footprint, base_from_map.transform_point(***obstacle)) > slack
         });
         if let Some(hit) = hit {
-            return Err(Rejection::Blocked { x: hit.x, y: hit.y, time: point.t });
+            return Err(Rejection::Blocked {
+                x: hit.x,
+                y: hit.y,
+                time: point.t,
+            });
         }
     }
     Ok(())
@@ -318,7 +373,10 @@ fn depth(footprint: &Footprint, point: Point2<f64>) -> f64 {
         Footprint::Radius(radius) => (radius - point.coords.norm()).max(0.0),
         Footprint::Polygon(corners) => {
             let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-            edges.map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm()).fold(f64::INFINITY, f64::min).max(0.0)
+            edges
+                .map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm())
+                .fold(f64::INFINITY, f64::min)
+                .max(0.0)
         }
     }
 }

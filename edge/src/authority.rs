@@ -43,7 +43,11 @@ pub struct Ruling<R> {
 
 impl<R> Ruling<R> {
     fn harmless(answer: Result<R, Refusal>) -> Self {
-        Self { answer, void: None, holder_changed: false }
+        Self {
+            answer,
+            void: None,
+            holder_changed: false,
+        }
     }
 }
 
@@ -66,8 +70,14 @@ impl Authority {
 
     /// Answers a request for the lease; a repeated request gets the first answer.
     pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut Journal) -> Ruling<LeaseReply> {
-        if request.holder.is_empty() || request.holder.len() > LONGEST_NAME || request.request_id.is_empty() || request.request_id.len() > LONGEST_NAME {
-            return Ruling::harmless(Err(Refusal::bad_request(format!("`holder` and `request_id`: expected 1 to {LONGEST_NAME} bytes"))));
+        if request.holder.is_empty()
+            || request.holder.len() > LONGEST_NAME
+            || request.request_id.is_empty()
+            || request.request_id.len() > LONGEST_NAME
+        {
+            return Ruling::harmless(Err(Refusal::bad_request(format!(
+                "`holder` and `request_id`: expected 1 to {LONGEST_NAME} bytes"
+            ))));
         }
         if let Some((_, first)) = self.first_answers.iter().find(|(known, _)| known == request) {
             return Ruling::harmless(first.clone());
@@ -81,20 +91,36 @@ impl Authority {
                 LeaseAction::Release => "released",
             };
             let holder = self.book.state(now).holder;
-            journal.tell(now, EventKind::Lease { holder, epoch: self.book.epoch(), reason: reason.to_owned() });
+            journal.tell(
+                now,
+                EventKind::Lease {
+                    holder,
+                    epoch: self.book.epoch(),
+                    reason: reason.to_owned(),
+                },
+            );
         }
         self.live = self.book.is_live(now);
-        let answer = granted.map(|granted| LeaseReply { epoch: granted.epoch, ttl_secs: self.book.ttl().as_secs_f64(), boot_id: journal.boot_id().to_owned() });
+        let answer = granted.map(|granted| LeaseReply {
+            epoch: granted.epoch,
+            ttl_secs: self.book.ttl().as_secs_f64(),
+            boot_id: journal.boot_id().to_owned(),
+        });
         if self.first_answers.len() == MEMORY {
             self.first_answers.pop_front();
         }
         self.first_answers.push_back((request.clone(), answer.clone()));
-        Ruling { answer, void: holder_changed.then_some("another holder may command"), holder_changed }
+        Ruling {
+            answer,
+            void: holder_changed.then_some("another holder may command"),
+            holder_changed,
+        }
     }
 
     /// Takes a heartbeat.
     pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
-        self.book.renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
+        self.book
+            .renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
     }
 
     /// Whether a twist by hand comes from the operator who holds the lease; if so, it renews the lease.
@@ -112,9 +138,18 @@ impl Authority {
         let first = !self.stopped;
         self.stopped = true;
         if first {
-            journal.tell(now, EventKind::Stopped { by: name(request.by.as_deref()) });
+            journal.tell(
+                now,
+                EventKind::Stopped {
+                    by: name(request.by.as_deref()),
+                },
+            );
         }
-        Ruling { answer: Ok(StopReply { stopped: true }), void: Some("stopped by hand"), holder_changed: false }
+        Ruling {
+            answer: Ok(StopReply { stopped: true }),
+            void: Some("stopped by hand"),
+            holder_changed: false,
+        }
     }
 
     /// Allows a new plan, and nothing else.
@@ -122,7 +157,12 @@ impl Authority {
         if self.stopped {
             self.stopped = false;
             self.resumed = Some(now);
-            journal.tell(now, EventKind::Resumed { by: name(request.by.as_deref()) });
+            journal.tell(
+                now,
+                EventKind::Resumed {
+                    by: name(request.by.as_deref()),
+                },
+            );
         }
         Ruling::harmless(Ok(StopReply { stopped: false }))
     }
@@ -148,16 +188,30 @@ impl Authority {
             return Err(Refusal::bad_request("a change needs the `epoch` of the lease"));
         };
         if epoch != self.book.epoch() {
-            return Err(Refusal::WrongEpoch { got: epoch, current: self.book.epoch() });
+            return Err(Refusal::WrongEpoch {
+                got: epoch,
+                current: self.book.epoch(),
+            });
         }
-        if self.book.is_live(now) { Ok(()) } else { Err(Refusal::rejected("the lease has expired")) }
+        if self.book.is_live(now) {
+            Ok(())
+        } else {
+            Err(Refusal::rejected("the lease has expired"))
+        }
     }
 
     /// Tells of a lapsed lease and a changed link.
     pub fn watch(&mut self, now: Stamp, journal: &mut Journal) {
         let live = self.book.is_live(now);
         if self.live && !live && self.book.role().is_some() {
-            journal.tell(now, EventKind::Lease { holder: self.book.state(now).holder, epoch: self.book.epoch(), reason: "expired".to_owned() });
+            journal.tell(
+                now,
+                EventKind::Lease {
+                    holder: self.book.state(now).holder,
+                    epoch: self.book.epoch(),
+                    reason: "expired".to_owned(),
+                },
+            );
         }
         self.live = live;
         let link = link::link(self.book.age(now), self.config.stale_after, self.config.lost_after);
@@ -169,7 +223,10 @@ impl Authority {
 
     /// What must be stored before any answer goes out, if it has changed since the last call.
     pub fn unstored(&mut self) -> Option<Persisted> {
-        let wanted = Persisted { epoch: self.book.epoch(), stopped: self.stopped };
+        let wanted = Persisted {
+            epoch: self.book.epoch(),
+            stopped: self.stopped,
+        };
         (wanted != self.stored).then(|| {
             self.stored = wanted;
             wanted
@@ -179,7 +236,11 @@ impl Authority {
     /// What may move the robot.
     #[must_use]
     pub fn motive(&self, now: Stamp, plan_valid: bool) -> link::Motive {
-        if self.stopped { link::Motive::Brake } else { link::motive(self.book.is_live(now), self.book.role(), plan_valid, self.policy) }
+        if self.stopped {
+            link::Motive::Brake
+        } else {
+            link::motive(self.book.is_live(now), self.book.role(), plan_valid, self.policy)
+        }
     }
 
     /// Whether the stop is latched.

@@ -62,7 +62,15 @@ impl Behaviours {
     }
 
     /// One tick of the running one: the wanted twist.
-    pub fn step(&mut self, now: Stamp, dt: f64, odom_from_base: Pose2, velocity: Twist2, stopped: bool, journal: &mut Journal) -> Twist2 {
+    pub fn step(
+        &mut self,
+        now: Stamp,
+        dt: f64,
+        odom_from_base: Pose2,
+        velocity: Twist2,
+        stopped: bool,
+        journal: &mut Journal,
+    ) -> Twist2 {
         let Some(behaviour) = &mut self.running else {
             return Twist2::ZERO;
         };

@@ -40,7 +40,10 @@ impl Sweeper {
             Footprint::Polygon(corners) => Shape::Polygon(grown(corners, margin)),
         };
         let motion = if twist.w.abs() > 1e-6 {
-            Motion::Arc { center: Point2::new(0.0, twist.v / twist.w), w: twist.w }
+            Motion::Arc {
+                center: Point2::new(0.0, twist.v / twist.w),
+                w: twist.w,
+            }
         } else if twist.v.abs() > 1e-9 {
             Motion::Straight { v: twist.v }
         } else {
@@ -49,10 +52,19 @@ impl Sweeper {
         let band = match (&shape, motion) {
             (_, Motion::Rest) => (f64::INFINITY, 0.0),
             (Shape::Disc(radius), Motion::Straight { .. }) => (-radius, *radius),
-            (Shape::Polygon(corners), Motion::Straight { .. }) => corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |band, corner| (band.0.min(corner.y), band.1.max(corner.y))),
-            (Shape::Disc(radius), Motion::Arc { center, .. }) => ((center.coords.norm() - radius).max(0.0), center.coords.norm() + radius),
+            (Shape::Polygon(corners), Motion::Straight { .. }) => {
+                corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |band, corner| {
+                    (band.0.min(corner.y), band.1.max(corner.y))
+                })
+            }
+            (Shape::Disc(radius), Motion::Arc { center, .. }) => {
+                ((center.coords.norm() - radius).max(0.0), center.coords.norm() + radius)
+            }
             (Shape::Polygon(corners), Motion::Arc { center, .. }) => {
-                let outer = corners.iter().map(|corner| (corner - center).norm()).fold(0.0, f64::max);
+                let outer = corners
+                    .iter()
+                    .map(|corner| (corner - center).norm())
+                    .fold(0.0, f64::max);
                 (Footprint::Polygon(corners.clone()).distance(center), outer)
             }
         };
@@ -86,7 +98,8 @@ impl Sweeper {
                     return None;
                 }
                 // The point turns the other way round than the robot does.
-                self.arc(center, from_center, radius, -w.signum()).map(|angle| angle / w.abs())
+                self.arc(center, from_center, radius, -w.signum())
+                    .map(|angle| angle / w.abs())
             }
         }
     }
@@ -103,7 +116,8 @@ impl Sweeper {
                 let crossings = edges(corners).filter_map(|(a, b)| {
                     let rise = b.y - a.y;
                     let share = (point.y - a.y) / rise;
-                    (rise.abs() > 1e-12 && (0.0..=1.0).contains(&share)).then(|| sign * (point.x - (a.x + share * (b.x - a.x))))
+                    (rise.abs() > 1e-12 && (0.0..=1.0).contains(&share))
+                        .then(|| sign * (point.x - (a.x + share * (b.x - a.x))))
                 });
                 crossings.filter(|way| *way >= 0.0).reduce(f64::min)
             }
@@ -112,7 +126,8 @@ impl Sweeper {
 
     /// Angle until a point that turns about `center` (sign +1: counter-clockwise) enters, rad.
     fn arc(&self, center: Point2<f64>, from_center: Vector2<f64>, radius: f64, sign: f64) -> Option<f64> {
-        let turn_to = |target: Vector2<f64>| (sign * from_center.perp(&target).atan2(from_center.dot(&target))).rem_euclid(TAU);
+        let turn_to =
+            |target: Vector2<f64>| (sign * from_center.perp(&target).atan2(from_center.dot(&target))).rem_euclid(TAU);
         match &self.shape {
             Shape::Disc(disc) => {
                 let reach = center.coords.norm();
@@ -171,7 +186,11 @@ fn circle_crossings(center: Point2<f64>, radius: f64, a: Point2<f64>, b: Point2<
         return [None, None];
     }
     let root = discriminant.sqrt();
-    [-root, root].map(|root| Some((root - half) / squared).filter(|share| (0.0..=1.0).contains(share)).map(|share| a + along * share))
+    [-root, root].map(|root| {
+        Some((root - half) / squared)
+            .filter(|share| (0.0..=1.0).contains(share))
+            .map(|share| a + along * share)
+    })
 }
 
 #[cfg(test)]
@@ -182,7 +201,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
 
     fn footprints() -> [Footprint; 3] {
-        let corners = |points: &[(f64, f64)]| Footprint::Polygon(points.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
+        let corners =
+            |points: &[(f64, f64)]| Footprint::Polygon(points.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
         [
             Footprint::Radius(0.265),
             corners(&[(-0.205, -0.155), (0.077, -0.155), (0.077, 0.155), (-0.205, 0.155)]),

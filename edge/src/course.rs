@@ -62,7 +62,10 @@ impl Course {
     /// # Errors
     /// [`Rejection`].
     pub fn take(current: &mut Option<Self>, plan: Plan, expiry: Stamp, scene: &Scene<'_>) -> Result<Taken, Rejection> {
-        if let Some(course) = current.as_mut().filter(|course| course.plan.trajectory_id == plan.trajectory_id) {
+        if let Some(course) = current
+            .as_mut()
+            .filter(|course| course.plan.trajectory_id == plan.trajectory_id)
+        {
             if course.plan.trajectory != plan.trajectory || course.plan.waypoints != plan.waypoints {
                 return Err(Rejection::Changed(plan.trajectory_id));
             }
@@ -79,7 +82,13 @@ impl Course {
         } else {
             Tracker::Trajectory(Self::begin(current.as_ref(), &plan, scene)?)
         };
-        *current = Some(Self { plan, expiry, tracker, expiry_told: false, end_told: false });
+        *current = Some(Self {
+            plan,
+            expiry,
+            tracker,
+            expiry_told: false,
+            end_told: false,
+        });
         Ok(Taken::Begun)
     }
 
@@ -90,9 +99,14 @@ impl Course {
             return Err(Rejection::Empty);
         };
         let splice = plan.splice.and_then(|splice| match current {
-            Some(Self { plan: old, tracker: Tracker::Trajectory(tracker), .. }) if old.trajectory_id == splice.trajectory_id && !tracker.progress().finished => {
-                Some((splice.time.clamp(tracker.timeline().start(), tracker.timeline().end()), tracker))
-            }
+            Some(Self {
+                plan: old,
+                tracker: Tracker::Trajectory(tracker),
+                ..
+            }) if old.trajectory_id == splice.trajectory_id && !tracker.progress().finished => Some((
+                splice.time.clamp(tracker.timeline().start(), tracker.timeline().end()),
+                tracker,
+            )),
             _ => None,
         });
         let tracker = match splice {
@@ -113,7 +127,12 @@ impl Course {
             }
         };
         let obstacles: Vec<_> = scene.around.seen_in(scene.map_from_odom).collect();
-        judge_free(tracker.timeline().points(), scene.model, scene.map_from_base, &obstacles)?;
+        judge_free(
+            tracker.timeline().points(),
+            scene.model,
+            scene.map_from_base,
+            &obstacles,
+        )?;
         Ok(tracker)
     }
 
@@ -124,8 +143,21 @@ impl Course {
     }
 
     /// One tick: the wanted twist, such that the robot is at rest by the expiry.
-    pub fn step(&mut self, now: Stamp, dt: f64, map_from_base: Pose2, velocity: Twist2, drive: &Drive, gains: &ControllerGains) -> Twist2 {
-        let view = View { dt, map_from_base, velocity, speed_cap: speed_cap(drive, self.expiry.secs_since(now), dt) };
+    pub fn step(
+        &mut self,
+        now: Stamp,
+        dt: f64,
+        map_from_base: Pose2,
+        velocity: Twist2,
+        drive: &Drive,
+        gains: &ControllerGains,
+    ) -> Twist2 {
+        let view = View {
+            dt,
+            map_from_base,
+            velocity,
+            speed_cap: speed_cap(drive, self.expiry.secs_since(now), dt),
+        };
         match &mut self.tracker {
             Tracker::Waypoints(tracker) => tracker.step(&view, gains),
             Tracker::Trajectory(tracker) => tracker.step(&view, gains),
@@ -136,7 +168,9 @@ impl Course {
     #[must_use]
     pub fn lost(&self) -> Option<&'static str> {
         match &self.tracker {
-            Tracker::Trajectory(tracker) if tracker.off_track() > LOST_TRACK => Some("too far from where the plan has the robot"),
+            Tracker::Trajectory(tracker) if tracker.off_track() > LOST_TRACK => {
+                Some("too far from where the plan has the robot")
+            }
             _ => None,
         }
     }
@@ -200,7 +234,11 @@ impl Course {
             Tracker::Waypoints(tracker) => ("waypoint", tracker.target()?),
             Tracker::Trajectory(tracker) => ("reference", tracker.reference().pose().position()),
         };
-        Some(Marker { stamp: now, name: name.to_owned(), points: vec![point] })
+        Some(Marker {
+            stamp: now,
+            name: name.to_owned(),
+            points: vec![point],
+        })
     }
 }
 

@@ -31,10 +31,15 @@ impl Pilot {
             }
             Question::Mode(request) => {
                 let on_lost = self.authority.set_policy(now, &request)?;
-                Ok(Answer::Mode(ModeReply { mode: self.mode(), on_lost }))
+                Ok(Answer::Mode(ModeReply {
+                    mode: self.mode(),
+                    on_lost,
+                }))
             }
             Question::Param(request) => self.param(now, &request).map(Answer::Param),
-            Question::Behaviour(request) => self.behaviour(now, &request).map(|report| Answer::Behaviour(BehaviourReply { report })),
+            Question::Behaviour(request) => self
+                .behaviour(now, &request)
+                .map(|report| Answer::Behaviour(BehaviourReply { report })),
             Question::Info(InfoRequest {}) => Ok(Answer::Info(Box::new(self.info(now)))),
         }
     }
@@ -82,11 +87,23 @@ impl Pilot {
             return Err(Refusal::rejected("the robot is stopped"));
         }
         if let Some(running) = self.behaviours.running() {
-            return Err(Refusal::Busy { reason: format!("the behaviour {running} runs") });
+            return Err(Refusal::Busy {
+                reason: format!("the behaviour {running} runs"),
+            });
         }
-        let behaviour = Behaviour::begin(&request.id, &request.action, now, self.estimator.odom_from_base(), &self.config.model.drive).map_err(Refusal::bad_request)?;
+        let behaviour = Behaviour::begin(
+            &request.id,
+            &request.action,
+            now,
+            self.estimator.odom_from_base(),
+            &self.config.model.drive,
+        )
+        .map_err(Refusal::bad_request)?;
         self.discard_plan(now, "a behaviour was started");
-        let blocked = behaviour.sweep().and_then(|(twist, secs)| self.guard.free_time(twist, secs, &self.around, self.estimator.odom_from_base()));
+        let blocked = behaviour.sweep().and_then(|(twist, secs)| {
+            self.guard
+                .free_time(twist, secs, &self.around, self.estimator.odom_from_base())
+        });
         Ok(Some(match blocked {
             Some(_) => {
                 let report = behaviour.report(BehaviourState::Failed, Some("something is in the way"));
@@ -102,7 +119,10 @@ impl Pilot {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             schema: SCHEMA_VERSION,
             robot: self.config.robot.to_string(),
-            boot: Some(BasedOn { stamp: now, boot_id: self.journal.boot_id().to_owned() }),
+            boot: Some(BasedOn {
+                stamp: now,
+                boot_id: self.journal.boot_id().to_owned(),
+            }),
             model: Some(self.config.model.clone()),
         }
     }

@@ -20,6 +20,8 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 const DOUBT_AFTER: u32 = 25;
 /// Random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
 const SLIP: f64 = 1e-6;
+/// Wheels that have not turned for this long are at rest, s.
+const STILL: f64 = 0.5;
 /// Random walk of the gyro's bias, (rad/s)² for each s.
 const BIAS_WALK: f64 = 1e-10;
 
@@ -36,6 +38,7 @@ pub struct Estimator {
     last: Option<(Stamp, [f64; 2])>,
     gyro: Option<(Stamp, f64)>,
     still: f64,
+    stood_at: [f64; 2],
     rejected: [u32; 3],
 }
 
@@ -56,13 +59,19 @@ impl Estimator {
         Self {
             model: model.clone(),
             state: Vector4::new(start.x, start.y, start.yaw, 0.0),
-            covariance: Matrix4::from_diagonal(&Vector4::new(std * std, std * std, yaw_std * yaw_std, bias_std * bias_std)),
+            covariance: Matrix4::from_diagonal(&Vector4::new(
+                std * std,
+                std * std,
+                yaw_std * yaw_std,
+                bias_std * bias_std,
+            )),
             odom_from_base: Pose2::IDENTITY,
             velocity: Twist2::ZERO,
             history: PoseHistory::default(),
             last: None,
             gyro: None,
             still: 0.0,
+            stood_at: [0.0; 2],
             rejected: [0; 3],
         }
     }
@@ -113,12 +122,18 @@ impl Estimator {
     pub fn covariance(&self) -> [f64; 9] {
         let block: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let mut rows = [0.0; 9];
-        rows.iter_mut().enumerate().for_each(|(i, value)| *value = block[(i / 3, i % 3)]);
+        rows.iter_mut()
+            .enumerate()
+            .for_each(|(i, value)| *value = block[(i / 3, i % 3)]);
         rows
     }
 
     fn predict(&mut self, readings: &Readings) {
-        let wheels = if readings.wheels.iter().all(|angle| angle.is_finite()) { readings.wheels } else { self.last.map_or([0.0; 2], |(_, wheels)| wheels) };
+        let wheels = if readings.wheels.iter().all(|angle| angle.is_finite()) {
+            readings.wheels
+        } else {
+            self.last.map_or([0.0; 2], |(_, wheels)| wheels)
+        };
         let Some((then, before)) = self.last.replace((readings.stamp, wheels)) else {
             self.history.push(readings.stamp, self.odom_from_base);
             return;
@@ -130,13 +145,27 @@ impl Estimator {
         let drive = &self.model.drive;
         let mut turns = [wheels[0] - before[0], wheels[1] - before[1]];
         // An encoder that was reset or lost counts: no wheel turns at thrice its limit.
-        if turns.iter().any(|turn| turn.abs() > 3.0 * drive.max_wheel_speed * dt + 0.1) {
+        if turns
+            .iter()
+            .any(|turn| turn.abs() > 3.0 * drive.max_wheel_speed * dt + 0.1)
+        {
             turns = [0.0; 2];
         }
         let rolled = drive.twist(turns);
-        let wheel_variance = turns.iter().map(|turn| { let metres = turn * drive.wheel_radius; (self.model.encoders.noise * metres).powi(2) + SLIP * metres.abs() }).sum::<f64>();
+        let wheel_variance = turns
+            .iter()
+            .map(|turn| {
+                let metres = turn * drive.wheel_radius;
+                (self.model.encoders.noise * metres).powi(2) + SLIP * metres.abs()
+            })
+            .sum::<f64>();
 
-        let mut variance = Vector4::new(0.25 * wheel_variance, 0.0, wheel_variance / drive.wheel_separation.powi(2), BIAS_WALK * dt);
+        let mut variance = Vector4::new(
+            0.25 * wheel_variance,
+            0.0,
+            wheel_variance / drive.wheel_separation.powi(2),
+            BIAS_WALK * dt,
+        );
         let (turn, by_gyro) = match self.gyro_rate(readings.imu.as_ref(), readings.stamp) {
             Some(rate) => {
                 variance[2] = (self.model.imu.gyro_noise * dt).powi(2) + 1e-12;
@@ -144,7 +173,7 @@ impl Estimator {
             }
             None => (rolled.w, false),
         };
-        self.learn_bias_at_rest(turns, dt);
+        self.learn_bias_at_rest(wheels, dt);
 
         let step = Twist2::new(rolled.v, turn);
         self.odom_from_base = self.odom_from_base.advance(step, 1.0);
@@ -172,37 +201,44 @@ impl Estimator {
         self.covariance = jacobian * self.covariance * jacobian.transpose() + noise;
     }
 
-    /// The mean yaw rate since the last tick, while the gyro is heard.
+    /// The mean yaw rate since the last tick, while the gyro is heard: it integrates between its readings.
     fn gyro_rate(&mut self, imu: Option<&Imu>, now: Stamp) -> Option<f64> {
-        let before = self.gyro;
         if let Some(imu) = imu.filter(|imu| imu.yaw_rate.is_finite()) {
             self.gyro = Some((imu.stamp, imu.yaw_rate));
         }
         let (stamp, rate) = self.gyro?;
-        if now.secs_since(stamp) > 2.5 / self.model.imu.rate_hz {
-            return None;
-        }
-        Some(before.map_or(rate, |(_, earlier)| 0.5 * (earlier + rate)))
+        (now.secs_since(stamp) <= 2.5 / self.model.imu.rate_hz).then_some(rate)
     }
 
     /// A gyro that turns while the wheels stand still shows its bias.
-    fn learn_bias_at_rest(&mut self, turns: [f64; 2], dt: f64) {
-        let resting = turns.iter().all(|turn| turn.abs() <= 2.0 * self.model.encoders.resolution);
-        self.still = if resting { self.still + dt } else { 0.0 };
+    fn learn_bias_at_rest(&mut self, wheels: [f64; 2], dt: f64) {
+        // Against where the wheels stood when they came to rest: a slow creep is no rest.
+        let flicker = 1.01 * self.model.encoders.resolution + 1e-9;
+        let resting = wheels
+            .iter()
+            .zip(self.stood_at)
+            .all(|(now, then)| (now - then).abs() <= flicker);
+        if !resting {
+            (self.still, self.stood_at) = (0.0, wheels);
+            return;
+        }
+        self.still += dt;
         if let Some((_, rate)) = self.gyro
-            && self.still > 0.5
-            && rate.abs() < 0.05
+            && self.still > STILL
         {
-            let noise = SMatrix::<f64, 1, 1>::new((2.0 * self.model.imu.gyro_noise).powi(2) + 1e-10);
+            let noise = SMatrix::<f64, 1, 1>::new((2.0 * self.model.imu.gyro_noise).powi(2) + 1e-6);
             let jacobian = RowVector4::new(0.0, 0.0, 0.0, 1.0);
-            self.update(SVector::<f64, 1>::new(rate - self.state[3]), jacobian, noise, f64::INFINITY);
+            self.update(SVector::<f64, 1>::new(rate - self.state[3]), jacobian, noise, GATE[0]);
         }
     }
 
     /// Encoder steps are coarse against one tick: average over about three.
     fn smoothed(&self, raw: Twist2, dt: f64) -> Twist2 {
         let share = (dt / 0.05).min(1.0);
-        Twist2::new(self.velocity.v + share * (raw.v - self.velocity.v), self.velocity.w + share * (raw.w - self.velocity.w))
+        Twist2::new(
+            self.velocity.v + share * (raw.v - self.velocity.v),
+            self.velocity.w + share * (raw.w - self.velocity.w),
+        )
     }
 
     /// How the base lay in its present frame at an earlier stamp.
@@ -213,7 +249,10 @@ impl Estimator {
     /// Change of a past position with the present yaw.
     fn lever(&self, base_now_from_then: &Pose2) -> Vector2<f64> {
         let (sin, cos) = self.state[2].sin_cos();
-        Vector2::new(-sin * base_now_from_then.x - cos * base_now_from_then.y, cos * base_now_from_then.x - sin * base_now_from_then.y)
+        Vector2::new(
+            -sin * base_now_from_then.x - cos * base_now_from_then.y,
+            cos * base_now_from_then.x - sin * base_now_from_then.y,
+        )
     }
 
     /// Takes a compass reading, if there is one in it.
@@ -221,7 +260,12 @@ impl Estimator {
         let (yaw, noise) = (imu.yaw?, self.model.imu.compass_noise?);
         let then = self.base_now_from_base_at(imu.stamp)?;
         let innovation = wrap_angle(yaw - (self.map_from_base() * then).yaw);
-        Some(self.gated(0, SVector::<f64, 1>::new(innovation), RowVector4::new(0.0, 0.0, 1.0, 0.0), SMatrix::<f64, 1, 1>::new(noise * noise + 1e-8)))
+        Some(self.gated(
+            0,
+            SVector::<f64, 1>::new(innovation),
+            RowVector4::new(0.0, 0.0, 1.0, 0.0),
+            SMatrix::<f64, 1, 1>::new(noise * noise + 1e-8),
+        ))
     }
 
     /// Takes a position measurement.
@@ -236,7 +280,12 @@ impl Estimator {
         let lever = self.lever(&then);
         let jacobian = SMatrix::<f64, 2, 4>::new(1.0, 0.0, lever.x, 0.0, 0.0, 1.0, lever.y, 0.0);
         let variance = gps.std_dev * gps.std_dev + 1e-8;
-        self.gated(1, Vector2::new(gps.x - predicted.x, gps.y - predicted.y), jacobian, SMatrix::<f64, 2, 2>::identity() * variance)
+        self.gated(
+            1,
+            Vector2::new(gps.x - predicted.x, gps.y - predicted.y),
+            jacobian,
+            SMatrix::<f64, 2, 2>::identity() * variance,
+        )
     }
 
     /// Takes a pose measurement made off board; the caller has checked that its boot is this one.
@@ -250,7 +299,11 @@ impl Estimator {
         }
         let predicted = self.map_from_base() * then;
         let measured = correction.map_from_base;
-        let innovation = Vector3::new(measured.x - predicted.x, measured.y - predicted.y, wrap_angle(measured.yaw - predicted.yaw));
+        let innovation = Vector3::new(
+            measured.x - predicted.x,
+            measured.y - predicted.y,
+            wrap_angle(measured.yaw - predicted.yaw),
+        );
         let lever = self.lever(&then);
         #[rustfmt::skip]
         let jacobian = SMatrix::<f64, 3, 4>::new(
@@ -262,7 +315,13 @@ impl Estimator {
     }
 
     /// Updates unless the measurement lies too far off; after many such in a row the estimate itself is doubted.
-    fn gated<const N: usize>(&mut self, sensor: usize, innovation: SVector<f64, N>, jacobian: SMatrix<f64, N, 4>, noise: SMatrix<f64, N, N>) -> Fusion {
+    fn gated<const N: usize>(
+        &mut self,
+        sensor: usize,
+        innovation: SVector<f64, N>,
+        jacobian: SMatrix<f64, N, 4>,
+        noise: SMatrix<f64, N, N>,
+    ) -> Fusion {
         let fusion = self.update(innovation, jacobian, noise, GATE[N - 1]);
         let rejected = &mut self.rejected[sensor];
         *rejected = if fusion == Fusion::Fused { 0 } else { *rejected + 1 };
@@ -273,7 +332,13 @@ impl Estimator {
         fusion
     }
 
-    fn update<const N: usize>(&mut self, innovation: SVector<f64, N>, jacobian: SMatrix<f64, N, 4>, noise: SMatrix<f64, N, N>, gate: f64) -> Fusion {
+    fn update<const N: usize>(
+        &mut self,
+        innovation: SVector<f64, N>,
+        jacobian: SMatrix<f64, N, 4>,
+        noise: SMatrix<f64, N, N>,
+        gate: f64,
+    ) -> Fusion {
         let spread = jacobian * self.covariance * jacobian.transpose() + noise;
         let Some(inverse) = spread.try_inverse() else {
             return Fusion::Rejected;

@@ -55,7 +55,14 @@ impl Guard {
     /// A guard for a robot, with its control period and the age at which a scan is too old, both in s.
     #[must_use]
     pub fn new(model: &RobotModel, tick: f64, scan_timeout: f64) -> Self {
-        Self { model: model.clone(), tick, scan_timeout, margin: model.controller.guard_margin, zone: GuardZone::Clear, since: Stamp::ZERO }
+        Self {
+            model: model.clone(),
+            tick,
+            scan_timeout,
+            margin: model.controller.guard_margin,
+            zone: GuardZone::Clear,
+            since: Stamp::ZERO,
+        }
     }
 
     /// The zone of the last verdict.
@@ -65,7 +72,14 @@ impl Guard {
     }
 
     /// Judges a wanted twist.
-    pub fn judge(&mut self, now: Stamp, wanted: Twist2, around: &Surroundings, odom_from_base: Pose2, bump: &Bump) -> Verdict {
+    pub fn judge(
+        &mut self,
+        now: Stamp,
+        wanted: Twist2,
+        around: &Surroundings,
+        odom_from_base: Pose2,
+        bump: &Bump,
+    ) -> Verdict {
         let (share, reason) = self.share(now, wanted, around, odom_from_base, bump);
         let moving = wheel_surface_speed(&self.model.drive, wanted) > 1e-3 || !wanted.is_finite();
         let zone = match share {
@@ -74,8 +88,16 @@ impl Guard {
             share if share < CLEAR => GuardZone::Slow,
             _ => GuardZone::Clear,
         };
-        let twist = if share <= 0.0 || !wanted.is_finite() { Twist2::ZERO } else { Twist2::new(share * wanted.v, share * wanted.w) };
-        Verdict { twist, zone, change: self.enter(now, zone, reason) }
+        let twist = if share <= 0.0 || !wanted.is_finite() {
+            Twist2::ZERO
+        } else {
+            Twist2::new(share * wanted.v, share * wanted.w)
+        };
+        Verdict {
+            twist,
+            zone,
+            change: self.enter(now, zone, reason),
+        }
     }
 
     /// How far the base could go along a twist's arc before contact, as a time at that twist, s; `None` for free way
@@ -84,12 +106,23 @@ impl Guard {
     pub fn free_time(&self, twist: Twist2, horizon: f64, around: &Surroundings, odom_from_base: Pose2) -> Option<f64> {
         let close = Sweeper::new(&self.model.footprint, LAST_CENTIMETRE, twist);
         let times = around.in_base(odom_from_base).filter_map(|point| {
-            if close.holds(point) { approaches(&self.model.footprint, twist, point).then_some(0.0) } else { close.contact(point) }
+            if close.holds(point) {
+                approaches(&self.model.footprint, twist, point).then_some(0.0)
+            } else {
+                close.contact(point)
+            }
         });
         times.filter(|time| *time < horizon).reduce(f64::min)
     }
 
-    fn share(&self, now: Stamp, wanted: Twist2, around: &Surroundings, odom_from_base: Pose2, bump: &Bump) -> (f64, &'static str) {
+    fn share(
+        &self,
+        now: Stamp,
+        wanted: Twist2,
+        around: &Surroundings,
+        odom_from_base: Pose2,
+        bump: &Bump,
+    ) -> (f64, &'static str) {
         if !wanted.is_finite() {
             return (0.0, "the command is not a number");
         }
@@ -130,7 +163,11 @@ impl Guard {
                 continue;
             }
             let creeping = if inner.holds(point) {
-                if approaches(&self.model.footprint, wanted, point) { 0.0 } else { 1.0 }
+                if approaches(&self.model.footprint, wanted, point) {
+                    0.0
+                } else {
+                    1.0
+                }
             } else {
                 inner.contact(point).map_or(1.0, |time| time / CREEP_TIME)
             };
@@ -161,7 +198,11 @@ impl Guard {
         if rank(zone) > rank(self.zone) || leaves {
             self.zone = zone;
             self.since = now;
-            return Some(if zone == GuardZone::Clear { "the way is free".to_owned() } else { reason.to_owned() });
+            return Some(if zone == GuardZone::Clear {
+                "the way is free".to_owned()
+            } else {
+                reason.to_owned()
+            });
         }
         None
     }
@@ -172,7 +213,11 @@ fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool 
     let motion = nalgebra::Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
     let (here, there) = (footprint.distance(point), footprint.distance(point + motion * 1e-3));
     // Inside the outline (noise, or the robot saw itself) distances are zero: go by the way to the base.
-    if here > 0.0 { there < here - 1e-9 } else { point.coords.dot(&motion) < -1e-6 }
+    if here > 0.0 {
+        there < here - 1e-9
+    } else {
+        point.coords.dot(&motion) < -1e-6
+    }
 }
 
 #[cfg(test)]
@@ -183,7 +228,11 @@ mod tests {
     use zenav_protocol::readings::Sweep;
     use zenav_protocol::robot::shipped;
 
-    const NO_BUMP: Bump = Bump { stamp: Stamp::ZERO, pressed: false, bearing: None };
+    const NO_BUMP: Bump = Bump {
+        stamp: Stamp::ZERO,
+        pressed: false,
+        bearing: None,
+    };
 
     fn tiago() -> RobotModel {
         RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
@@ -195,9 +244,19 @@ mod tests {
         let mut around = Surroundings::new(lidar);
         let range = |beam: usize| {
             let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
-            if cos > 0.05 { ((distance - lidar.mount.x) / cos) as f32 } else { f32::INFINITY }
+            if cos > 0.05 {
+                ((distance - lidar.mount.x) / cos) as f32
+            } else {
+                f32::INFINITY
+            }
         };
-        around.insert(&Sweep { stamp: Stamp::from_secs(1.0), ranges: (0..lidar.beams).map(range).collect() }, Pose2::IDENTITY);
+        around.insert(
+            &Sweep {
+                stamp: Stamp::from_secs(1.0),
+                ranges: (0..lidar.beams).map(range).collect(),
+            },
+            Pose2::IDENTITY,
+        );
         around
     }
 
@@ -231,9 +290,19 @@ mod tests {
         let mut around = Surroundings::new(lidar);
         let ranges = (0..lidar.beams).map(|beam| {
             let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
-            if sin > 0.05 { (0.365 / sin) as f32 } else { f32::INFINITY }
+            if sin > 0.05 {
+                (0.365 / sin) as f32
+            } else {
+                f32::INFINITY
+            }
         });
-        around.insert(&Sweep { stamp: Stamp::from_secs(1.0), ranges: ranges.collect() }, Pose2::IDENTITY);
+        around.insert(
+            &Sweep {
+                stamp: Stamp::from_secs(1.0),
+                ranges: ranges.collect(),
+            },
+            Pose2::IDENTITY,
+        );
         assert_eq!(judge(&model, &around, Twist2::new(0.6, 0.0)).twist.v, 0.6);
     }
 
@@ -241,10 +310,22 @@ mod tests {
     fn without_a_fresh_scan_nothing_moves() {
         let model = tiago();
         let mut guard = Guard::new(&model, 0.02, 0.5);
-        let stale = guard.judge(Stamp::from_secs(1.6), Twist2::new(0.1, 0.0), &wall(&model, 3.0), Pose2::IDENTITY, &NO_BUMP);
+        let stale = guard.judge(
+            Stamp::from_secs(1.6),
+            Twist2::new(0.1, 0.0),
+            &wall(&model, 3.0),
+            Pose2::IDENTITY,
+            &NO_BUMP,
+        );
         assert_eq!((stale.twist, stale.zone), (Twist2::ZERO, GuardZone::Stop));
         assert_eq!(stale.change.as_deref(), Some("the scan is too old"));
-        let none = guard.judge(Stamp::from_secs(1.6), Twist2::new(0.1, 0.0), &Surroundings::new(&model.lidar), Pose2::IDENTITY, &NO_BUMP);
+        let none = guard.judge(
+            Stamp::from_secs(1.6),
+            Twist2::new(0.1, 0.0),
+            &Surroundings::new(&model.lidar),
+            Pose2::IDENTITY,
+            &NO_BUMP,
+        );
         assert_eq!(none.twist, Twist2::ZERO);
     }
 
@@ -252,11 +333,26 @@ mod tests {
     fn contact_allows_only_the_way_back() {
         let model = tiago();
         let around = wall(&model, 3.0);
-        let bump = Bump { stamp: Stamp::ZERO, pressed: true, bearing: Some(0.3) };
+        let bump = Bump {
+            stamp: Stamp::ZERO,
+            pressed: true,
+            bearing: Some(0.3),
+        };
         let mut guard = Guard::new(&model, 0.02, 0.5);
         let now = Stamp::from_secs(1.05);
-        assert_eq!(guard.judge(now, Twist2::new(0.2, 0.0), &around, Pose2::IDENTITY, &bump).twist, Twist2::ZERO);
-        assert_eq!(guard.judge(now, Twist2::new(-0.2, 0.0), &around, Pose2::IDENTITY, &bump).twist.v, -0.2);
+        assert_eq!(
+            guard
+                .judge(now, Twist2::new(0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+                .twist,
+            Twist2::ZERO
+        );
+        assert_eq!(
+            guard
+                .judge(now, Twist2::new(-0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+                .twist
+                .v,
+            -0.2
+        );
     }
 
     proptest! {

@@ -39,7 +39,11 @@ impl PoseHistory {
         let (earlier_stamp, earlier) = self.poses.get(after.checked_sub(1)?)?;
         let share = stamp.secs_since(*earlier_stamp) / later_stamp.secs_since(*earlier_stamp);
         let between = |from: f64, to: f64| from + share * (to - from);
-        Some(Pose2::new(between(earlier.x, later.x), between(earlier.y, later.y), earlier.yaw + share * wrap_angle(later.yaw - earlier.yaw)))
+        Some(Pose2::new(
+            between(earlier.x, later.x),
+            between(earlier.y, later.y),
+            earlier.yaw + share * wrap_angle(later.yaw - earlier.yaw),
+        ))
     }
 }
 
@@ -55,7 +59,11 @@ mod tests {
         history.push(Stamp::from_secs(1.1), Pose2::new(0.1, 0.0, -3.1));
         let middle = history.at(Stamp::from_secs(1.05)).unwrap();
         assert!((middle.x - 0.05).abs() < 1e-9 && middle.yaw.abs() > 3.13, "{middle:?}");
-        assert_eq!(history.at(Stamp::from_secs(0.9)), None, "before the oldest nothing is known");
+        assert_eq!(
+            history.at(Stamp::from_secs(0.9)),
+            None,
+            "before the oldest nothing is known"
+        );
         assert_eq!(history.at(Stamp::from_secs(9.0)).unwrap().x, 0.1);
     }
 }

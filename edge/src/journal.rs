@@ -15,13 +15,22 @@ impl Journal {
     /// The first event will be number one.
     #[must_use]
     pub fn new(boot_id: String) -> Self {
-        Self { boot_id, sequence: 0, pending: Vec::new() }
+        Self {
+            boot_id,
+            sequence: 0,
+            pending: Vec::new(),
+        }
     }
 
     /// Notes what happened.
     pub fn tell(&mut self, now: Stamp, kind: EventKind) {
         self.sequence += 1;
-        self.pending.push(Event { stamp: now, boot_id: self.boot_id.clone(), sequence: self.sequence, kind });
+        self.pending.push(Event {
+            stamp: now,
+            boot_id: self.boot_id.clone(),
+            sequence: self.sequence,
+            kind,
+        });
     }
 
     /// This boot.

@@ -1,7 +1,7 @@
 //! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
 //!
-//! [`Pilot`] is the whole of it, pure: readings and mail in, wheel speeds and messages out. `service` feeds it from
-//! the bus and a [`Body`] on its own thread. In the order of the data way:
+//! [`Pilot`] is the whole of it, pure: readings and mail in, wheel speeds and messages out. [`service::run`] feeds it
+//! from the bus and a [`Body`] on its own thread. In the order of the data way:
 //!
 //! | module | answers |
 //! |---|---|
@@ -15,6 +15,9 @@
 //! | [`limiter`], [`guard`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
+//! | [`control`], [`exchange`] | when does the pilot step, and how does it meet the network? |
+//! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
+//! | `sim_body` (feature `sim`) | how is a simulated robot a body? |
 
 pub mod acceptance;
 pub mod authority;
@@ -22,9 +25,11 @@ pub mod behaviours;
 pub mod body;
 pub mod config;
 pub mod contact;
+pub mod control;
 pub mod course;
 pub mod desk;
 pub mod estimator;
+pub mod exchange;
 pub mod guard;
 pub mod history;
 pub mod journal;
@@ -34,6 +39,10 @@ pub mod mailbox;
 pub mod params;
 pub mod pilot;
 pub mod recoveries;
+pub mod service;
+#[cfg(feature = "sim")]
+pub mod sim_body;
+pub mod state_file;
 pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
@@ -43,3 +52,6 @@ pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
 pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
+pub use service::{EdgeError, ServiceConfig, run};
+#[cfg(feature = "sim")]
+pub use sim_body::{Referee, SimBody};

@@ -23,17 +23,28 @@ impl Limiter {
     /// At rest.
     #[must_use]
     pub fn new(drive: &Drive) -> Self {
-        Self { drive: drive.clone(), last: [0.0; 2] }
+        Self {
+            drive: drive.clone(),
+            last: [0.0; 2],
+        }
     }
 
     /// The wheel speeds (left, right; rad/s) to set after `dt` seconds on the way to a twist; a twist that is not
     /// finite counts as rest.
     #[must_use]
     pub fn limit(&self, target: Twist2, dt: f64, braking: Braking) -> [f64; 2] {
-        let target = if target.is_finite() { within_speed(&self.drive, target) } else { Twist2::ZERO };
+        let target = if target.is_finite() {
+            within_speed(&self.drive, target)
+        } else {
+            Twist2::ZERO
+        };
         let wheels = self.drive.wheels(target);
         let normal = self.drive.max_wheel_acceleration;
-        let rate = if braking == Braking::Hard { normal.max(self.drive.hard_braking / self.drive.wheel_radius) } else { normal };
+        let rate = if braking == Braking::Hard {
+            normal.max(self.drive.hard_braking / self.drive.wheel_radius)
+        } else {
+            normal
+        };
         let change = [wheels[0] - self.last[0], wheels[1] - self.last[1]];
         let largest = change[0].abs().max(change[1].abs());
         let share = if largest > rate * dt { rate * dt / largest } else { 1.0 };

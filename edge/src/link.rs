@@ -68,8 +68,17 @@ mod tests {
 
     #[test]
     fn the_link_ages() {
-        let at = |ms| link(Some(Duration::from_millis(ms)), Duration::from_millis(500), Duration::from_secs(3));
-        assert_eq!((at(0), at(499), at(500), at(2999), at(3000)), (Link::Connected, Link::Connected, Link::Stale, Link::Stale, Link::Lost));
+        let at = |ms| {
+            link(
+                Some(Duration::from_millis(ms)),
+                Duration::from_millis(500),
+                Duration::from_secs(3),
+            )
+        };
+        assert_eq!(
+            (at(0), at(499), at(500), at(2999), at(3000)),
+            (Link::Connected, Link::Connected, Link::Stale, Link::Stale, Link::Lost)
+        );
         assert_eq!(link(None, Duration::ZERO, Duration::ZERO), Link::Lost);
     }
 }

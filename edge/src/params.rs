@@ -24,9 +24,17 @@ const PARAMS: [Param; 7] = [
 /// [`Refusal::NotFound`] for an unknown name.
 pub fn read(gains: &ControllerGains, name: Option<&str>) -> Result<ParamReply, Refusal> {
     let mut gains = gains.clone();
-    let chosen = PARAMS.iter().filter(|(known, ..)| name.is_none_or(|name| name == *known));
-    let params: BTreeMap<_, _> = chosen.map(|(known, _, _, place)| ((*known).to_owned(), *place(&mut gains))).collect();
-    if params.is_empty() { Err(unknown(name.unwrap_or_default())) } else { Ok(ParamReply { params }) }
+    let chosen = PARAMS
+        .iter()
+        .filter(|(known, ..)| name.is_none_or(|name| name == *known));
+    let params: BTreeMap<_, _> = chosen
+        .map(|(known, _, _, place)| ((*known).to_owned(), *place(&mut gains)))
+        .collect();
+    if params.is_empty() {
+        Err(unknown(name.unwrap_or_default()))
+    } else {
+        Ok(ParamReply { params })
+    }
 }
 
 /// Sets one gain.
@@ -38,7 +46,9 @@ pub fn write(gains: &mut ControllerGains, name: &str, value: f64) -> Result<(), 
         return Err(unknown(name));
     };
     if !(*least..=*most).contains(&value) {
-        return Err(Refusal::rejected(format!("`{name}` must lie between {least} and {most}")));
+        return Err(Refusal::rejected(format!(
+            "`{name}` must lie between {least} and {most}"
+        )));
     }
     *place(gains) = value;
     Ok(())
@@ -46,7 +56,12 @@ pub fn write(gains: &mut ControllerGains, name: &str, value: f64) -> Result<(), 
 
 fn unknown(name: &str) -> Refusal {
     let name: String = name.chars().take(64).collect();
-    Refusal::NotFound { what: format!("parameter `{name}`; there are {}", PARAMS.map(|(known, ..)| known).join(", ")) }
+    Refusal::NotFound {
+        what: format!(
+            "parameter `{name}`; there are {}",
+            PARAMS.map(|(known, ..)| known).join(", ")
+        ),
+    }
 }
 
 #[cfg(test)]

@@ -105,7 +105,11 @@ impl Pilot {
         self.authority.watch(now, &mut self.journal);
         self.take_plans(now, inbox.plans);
 
-        let (wanted, braking) = if inbox.halt { (Twist2::ZERO, Braking::Hard) } else { self.choose(now, dt) };
+        let (wanted, braking) = if inbox.halt {
+            (Twist2::ZERO, Braking::Hard)
+        } else {
+            self.choose(now, dt)
+        };
         out.wheels = self.command(now, dt, wanted, braking, readings);
         self.notice(now);
         self.report(now, readings, &mut out.publications);
@@ -133,7 +137,10 @@ impl Pilot {
 
     fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
         self.estimator.step(readings);
-        for correction in corrections.iter().filter(|correction| correction.boot_id == self.journal.boot_id()) {
+        for correction in corrections
+            .iter()
+            .filter(|correction| correction.boot_id == self.journal.boot_id())
+        {
             self.estimator.correction(correction);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
@@ -152,7 +159,10 @@ impl Pilot {
     /// Of a burst, only the newest plan of the current grant counts.
     fn take_plans(&mut self, now: Stamp, plans: Vec<Plan>) {
         let epoch = self.authority.epoch();
-        let Some(plan) = plans.into_iter().max_by_key(|plan| (plan.epoch == epoch, plan.epoch, plan.revision)) else {
+        let Some(plan) = plans
+            .into_iter()
+            .max_by_key(|plan| (plan.epoch == epoch, plan.epoch, plan.revision))
+        else {
             return;
         };
         let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
@@ -160,11 +170,30 @@ impl Pilot {
             // The bus brings a kept sample again after every reconnection: nothing to tell.
             return;
         }
-        let (goal_id, revision, trajectory_id) = (plan.goal_id.chars().take(128).collect::<String>(), plan.revision, plan.trajectory_id);
+        let (goal_id, revision, trajectory_id) = (
+            plan.goal_id.chars().take(128).collect::<String>(),
+            plan.revision,
+            plan.trajectory_id,
+        );
         match self.take_plan(now, plan, newest) {
             Ok(Taken::Renewed) => {}
-            Ok(Taken::Begun) => self.journal.tell(now, EventKind::PlanAccepted { goal_id, revision, trajectory_id }),
-            Err(rejection) => self.journal.tell(now, EventKind::PlanRejected { goal_id, revision, trajectory_id, reason: rejection.to_string() }),
+            Ok(Taken::Begun) => self.journal.tell(
+                now,
+                EventKind::PlanAccepted {
+                    goal_id,
+                    revision,
+                    trajectory_id,
+                },
+            ),
+            Err(rejection) => self.journal.tell(
+                now,
+                EventKind::PlanRejected {
+                    goal_id,
+                    revision,
+                    trajectory_id,
+                    reason: rejection.to_string(),
+                },
+            ),
         }
     }
 
@@ -180,7 +209,10 @@ impl Pilot {
             max_validity: self.config.max_validity,
         };
         let head = judge_head(&plan, &grant);
-        if plan.epoch == grant.epoch && plan.based_on.boot_id == grant.boot_id && newest.is_none_or(|newest| plan.revision > newest) {
+        if plan.epoch == grant.epoch
+            && plan.based_on.boot_id == grant.boot_id
+            && newest.is_none_or(|newest| plan.revision > newest)
+        {
             // Also a plan that is refused now must not come back later, when it would fit by chance.
             self.newest = Some((plan.epoch, plan.revision));
         }
@@ -218,7 +250,13 @@ impl Pilot {
         }
         self.discarded.push_back(course.plan().trajectory_id);
         if !course.is_finished() {
-            self.journal.tell(now, EventKind::PlanDiscarded { goal_id: course.plan().goal_id.clone(), reason: reason.to_owned() });
+            self.journal.tell(
+                now,
+                EventKind::PlanDiscarded {
+                    goal_id: course.plan().goal_id.clone(),
+                    reason: reason.to_owned(),
+                },
+            );
         }
     }
 
@@ -237,14 +275,25 @@ impl Pilot {
             if live && motive != Motive::Brake {
                 self.mode = Mode::Behaviour;
                 let stopped = self.guard.zone() == GuardZone::Stop;
-                let wanted = self.behaviours.step(now, dt, self.estimator.odom_from_base(), self.estimator.velocity(), stopped, &mut self.journal);
+                let wanted = self.behaviours.step(
+                    now,
+                    dt,
+                    self.estimator.odom_from_base(),
+                    self.estimator.velocity(),
+                    stopped,
+                    &mut self.journal,
+                );
                 return (wanted, Braking::Normal);
             }
             self.behaviours.cancel(now, "the lease has expired", &mut self.journal);
         }
         match motive {
             Motive::Brake => {
-                self.mode = if self.authority.is_stopped() { Mode::Stopped } else { Mode::Idle };
+                self.mode = if self.authority.is_stopped() {
+                    Mode::Stopped
+                } else {
+                    Mode::Idle
+                };
                 (Twist2::ZERO, Braking::Hard)
             }
             Motive::Rest => {
@@ -257,7 +306,14 @@ impl Pilot {
             }
             Motive::Plan => match &mut self.course {
                 Some(course) => {
-                    let wanted = course.step(now, dt, self.estimator.map_from_base(), self.estimator.velocity(), &self.config.model.drive, &self.gains);
+                    let wanted = course.step(
+                        now,
+                        dt,
+                        self.estimator.map_from_base(),
+                        self.estimator.velocity(),
+                        &self.config.model.drive,
+                        &self.gains,
+                    );
                     self.mode = if course.is_finished() { Mode::Idle } else { Mode::Follow };
                     (wanted, Braking::Normal)
                 }
@@ -270,9 +326,21 @@ impl Pilot {
     fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
         let drive = &self.config.model.drive;
         let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
-        let verdict = self.guard.judge(now, limited, &self.around, self.estimator.odom_from_base(), &readings.bump);
+        let verdict = self.guard.judge(
+            now,
+            limited,
+            &self.around,
+            self.estimator.odom_from_base(),
+            &readings.bump,
+        );
         if let Some(reason) = verdict.change {
-            self.journal.tell(now, EventKind::Guard { zone: self.guard.zone(), reason });
+            self.journal.tell(
+                now,
+                EventKind::Guard {
+                    zone: self.guard.zone(),
+                    reason,
+                },
+            );
         }
         let wheels = drive.wheels(verdict.twist);
         self.limiter.set(wheels);
@@ -287,9 +355,20 @@ impl Pilot {
         };
         if course.ends(&pose) {
             let plan = course.plan();
-            self.journal.tell(now, EventKind::PlanFinished { goal_id: plan.goal_id.clone(), trajectory_id: plan.trajectory_id });
+            self.journal.tell(
+                now,
+                EventKind::PlanFinished {
+                    goal_id: plan.goal_id.clone(),
+                    trajectory_id: plan.trajectory_id,
+                },
+            );
         } else if course.expires(now) {
-            self.journal.tell(now, EventKind::PlanExpired { goal_id: course.plan().goal_id.clone() });
+            self.journal.tell(
+                now,
+                EventKind::PlanExpired {
+                    goal_id: course.plan().goal_id.clone(),
+                },
+            );
         } else if let Some(reason) = course.lost() {
             self.discard_plan(now, reason);
         }
@@ -299,7 +378,12 @@ impl Pilot {
         let events = self.journal.take();
         out.extend(events.into_iter().map(Publication::Event));
         if self.telemetry.marker_due(now) && self.mode == Mode::Follow {
-            out.extend(self.course.as_ref().and_then(|course| course.marker(now)).map(Publication::Marker));
+            out.extend(
+                self.course
+                    .as_ref()
+                    .and_then(|course| course.marker(now))
+                    .map(Publication::Marker),
+            );
         }
         if self.telemetry.state_due(now) {
             out.push(Publication::State(Box::new(self.state(now, readings))));

@@ -47,13 +47,25 @@ impl Behaviour {
     ///
     /// # Errors
     /// What is wrong with the request, for values that no robot does.
-    pub fn begin(id: &str, action: &BehaviourAction, now: Stamp, odom_from_base: Pose2, drive: &Drive) -> Result<Self, String> {
+    pub fn begin(
+        id: &str,
+        action: &BehaviourAction,
+        now: Stamp,
+        odom_from_base: Pose2,
+        drive: &Drive,
+    ) -> Result<Self, String> {
         let (motion, allowance) = match *action {
             BehaviourAction::Spin { angle } => {
                 if !(angle.abs() <= 4.0 * std::f64::consts::PI) {
                     return Err("expected an angle of at most 4 pi".into());
                 }
-                (Motion::Spin { left: angle, last_yaw: odom_from_base.yaw }, 5.0 + 4.0 * angle.abs() / drive.top_yaw_rate())
+                (
+                    Motion::Spin {
+                        left: angle,
+                        last_yaw: odom_from_base.yaw,
+                    },
+                    5.0 + 4.0 * angle.abs() / drive.top_yaw_rate(),
+                )
             }
             BehaviourAction::Drive { distance, speed } => {
                 if !(distance.abs() <= 10.0 && speed > 0.0 && speed.is_finite()) {
@@ -66,11 +78,23 @@ impl Behaviour {
                 if !(0.0..=3600.0).contains(&secs) {
                     return Err("expected 0 to 3600 s".into());
                 }
-                (Motion::Wait { until: now.plus_secs(secs) }, secs + 5.0)
+                (
+                    Motion::Wait {
+                        until: now.plus_secs(secs),
+                    },
+                    secs + 5.0,
+                )
             }
             BehaviourAction::Cancel | BehaviourAction::Report => return Err("nothing to begin".into()),
         };
-        Ok(Self { id: id.to_owned(), drive: drive.clone(), motion, deadline: now.plus_secs(allowance), blocked: 0.0, begun: odom_from_base })
+        Ok(Self {
+            id: id.to_owned(),
+            drive: drive.clone(),
+            motion,
+            deadline: now.plus_secs(allowance),
+            blocked: 0.0,
+            begun: odom_from_base,
+        })
     }
 
     /// The execution's id.
@@ -131,7 +155,11 @@ impl Behaviour {
     /// A report on this execution.
     #[must_use]
     pub fn report(&self, state: BehaviourState, reason: Option<&str>) -> BehaviourReport {
-        BehaviourReport { id: self.id.clone(), state, reason: reason.map(str::to_owned) }
+        BehaviourReport {
+            id: self.id.clone(),
+            state,
+            reason: reason.map(str::to_owned),
+        }
     }
 }
 
@@ -177,7 +205,13 @@ mod tests {
 
     #[test]
     fn backing_up_goes_straight_back() {
-        let (report, pose) = run(&BehaviourAction::Drive { distance: -0.3, speed: 0.15 }, false);
+        let (report, pose) = run(
+            &BehaviourAction::Drive {
+                distance: -0.3,
+                speed: 0.15,
+            },
+            false,
+        );
         assert_eq!(report.state, BehaviourState::Succeeded);
         let gone = Pose2::new(1.0, 2.0, 3.0).inverse() * pose;
         assert!((gone.x + 0.3).abs() < 0.01 && gone.y.abs() < 0.01, "{gone:?}");
@@ -185,15 +219,34 @@ mod tests {
 
     #[test]
     fn a_blocked_motion_fails_and_says_why() {
-        let (report, _) = run(&BehaviourAction::Drive { distance: 1.0, speed: 0.2 }, true);
-        assert_eq!((report.state, report.reason.as_deref()), (BehaviourState::Failed, Some("something is in the way")));
+        let (report, _) = run(
+            &BehaviourAction::Drive {
+                distance: 1.0,
+                speed: 0.2,
+            },
+            true,
+        );
+        assert_eq!(
+            (report.state, report.reason.as_deref()),
+            (BehaviourState::Failed, Some("something is in the way"))
+        );
     }
 
     #[test]
     fn nonsense_is_refused() {
         let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
-        for action in [BehaviourAction::Spin { angle: f64::NAN }, BehaviourAction::Drive { distance: 1.0, speed: 0.0 }, BehaviourAction::Wait { secs: f64::INFINITY }] {
-            assert!(Behaviour::begin("b", &action, Stamp::ZERO, Pose2::IDENTITY, &drive).is_err(), "{action:?}");
+        for action in [
+            BehaviourAction::Spin { angle: f64::NAN },
+            BehaviourAction::Drive {
+                distance: 1.0,
+                speed: 0.0,
+            },
+            BehaviourAction::Wait { secs: f64::INFINITY },
+        ] {
+            assert!(
+                Behaviour::begin("b", &action, Stamp::ZERO, Pose2::IDENTITY, &drive).is_err(),
+                "{action:?}"
+            );
         }
     }
 }

@@ -11,11 +11,13 @@ use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
 /// How long a point that left the field of view is remembered, s.
-const MEMORY: f64 = 10.0;
+const MEMORY: f64 = 30.0;
 /// Remembered points farther off than this are let go, m.
-const MEMORY_RANGE: f64 = 1.5;
+const MEMORY_RANGE: f64 = 3.0;
 /// Remembered points at most.
-const MEMORY_POINTS: usize = 1024;
+const MEMORY_POINTS: usize = 2048;
+/// Remembered points closer together than this say nothing more, m.
+const SPACING: f64 = 0.02;
 
 /// Obstacle points around the robot.
 #[derive(Clone, Debug)]
@@ -36,7 +38,13 @@ impl Surroundings {
             let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
             Vector2::new(angle.cos(), angle.sin())
         };
-        Self { beams: (0..lidar.beams).map(direction).collect(), lidar: lidar.clone(), stamp: None, seen: Vec::new(), remembered: VecDeque::new() }
+        Self {
+            beams: (0..lidar.beams).map(direction).collect(),
+            lidar: lidar.clone(),
+            stamp: None,
+            seen: Vec::new(),
+            remembered: VecDeque::new(),
+        }
     }
 
     /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
@@ -52,7 +60,9 @@ impl Surroundings {
             let range = f64::from(*range);
             // Written so that NaN is no return.
             if range >= self.lidar.range_min && range <= self.lidar.range_max {
-                self.seen.push(odom_from_base.transform_point(Point2::new(mount.x + range * beam.x, mount.y + range * beam.y)));
+                self.seen.push(
+                    odom_from_base.transform_point(Point2::new(mount.x + range * beam.x, mount.y + range * beam.y)),
+                );
             }
         }
         self.stamp = Some(sweep.stamp);
@@ -69,11 +79,17 @@ impl Surroundings {
             let bearing = wrap_angle(local.y.atan2(local.x));
             local.coords.norm() < MEMORY_RANGE && (bearing < first || bearing > last)
         };
-        self.remembered.retain(|(stamp, point)| now.secs_since(*stamp) < MEMORY && blind(point));
+        self.remembered
+            .retain(|(stamp, point)| now.secs_since(*stamp) < MEMORY && blind(point));
         let Some(seen_at) = self.stamp else {
             return;
         };
+        let mut last = Point2::new(f64::INFINITY, 0.0);
         for point in self.seen.iter().filter(|point| blind(point)) {
+            if (point - last).norm_squared() < SPACING * SPACING {
+                continue;
+            }
+            last = *point;
             if self.remembered.len() == MEMORY_POINTS {
                 self.remembered.pop_front();
             }
@@ -92,12 +108,19 @@ impl Surroundings {
         let base_from_odom = odom_from_base.inverse();
         let (sin, cos) = base_from_odom.yaw.sin_cos();
         let points = self.seen.iter().chain(self.remembered.iter().map(|(_, point)| point));
-        points.map(move |point| Point2::new(base_from_odom.x + cos * point.x - sin * point.y, base_from_odom.y + sin * point.x + cos * point.y))
+        points.map(move |point| {
+            Point2::new(
+                base_from_odom.x + cos * point.x - sin * point.y,
+                base_from_odom.y + sin * point.x + cos * point.y,
+            )
+        })
     }
 
     /// The newest sweep's points in another frame.
     pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        self.seen.iter().map(move |point| frame_from_odom.transform_point(*point))
+        self.seen
+            .iter()
+            .map(move |point| frame_from_odom.transform_point(*point))
     }
 }
 
@@ -116,7 +139,10 @@ mod tests {
         if let Some((beam, range)) = hit {
             ranges[beam] = range;
         }
-        Sweep { stamp: Stamp::from_secs(secs), ranges }
+        Sweep {
+            stamp: Stamp::from_secs(secs),
+            ranges,
+        }
     }
 
     #[test]
@@ -129,7 +155,7 @@ mod tests {
         let points: Vec<_> = around.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(around.insert(&sweep(&lidar, 12.0, None), behind));
+        assert!(around.insert(&sweep(&lidar, 32.0, None), behind));
         assert_eq!(around.in_base(behind).count(), 0);
     }
 
@@ -146,10 +172,19 @@ mod tests {
     fn a_broken_sweep_is_no_sweep() {
         let lidar = tiago();
         let mut around = Surroundings::new(&lidar);
-        assert!(!around.insert(&Sweep { stamp: Stamp(5), ranges: vec![1.0; 3] }, Pose2::IDENTITY));
+        assert!(!around.insert(
+            &Sweep {
+                stamp: Stamp(5),
+                ranges: vec![1.0; 3]
+            },
+            Pose2::IDENTITY
+        ));
         assert_eq!(around.age(Stamp(6)), None);
         assert!(around.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
-        assert!(!around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY), "the same stamp twice");
+        assert!(
+            !around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
+            "the same stamp twice"
+        );
     }
 }

@@ -45,8 +45,18 @@ impl Telemetry {
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
-        out.push(Publication::Odometry(Odometry { stamp: now, odom_from_base: estimator.odom_from_base(), velocity, wheels: readings.wheels }));
-        out.push(Publication::Pose(PoseEstimate { stamp: now, map_from_base: estimator.map_from_base(), covariance: estimator.covariance(), velocity }));
+        out.push(Publication::Odometry(Odometry {
+            stamp: now,
+            odom_from_base: estimator.odom_from_base(),
+            velocity,
+            wheels: readings.wheels,
+        }));
+        out.push(Publication::Pose(PoseEstimate {
+            stamp: now,
+            map_from_base: estimator.map_from_base(),
+            covariance: estimator.covariance(),
+            velocity,
+        }));
         out.extend(readings.imu.clone().map(Publication::Imu));
         out.extend(readings.gps.clone().map(Publication::Gps));
         let slow = self.slow.now(now, SLOW);
@@ -93,7 +103,9 @@ mod tests {
     #[test]
     fn ten_hertz_stay_ten_hertz_on_a_fifty_hertz_loop() {
         let mut due = Due::default();
-        let count = (0..500_u32).filter(|tick| due.now(Stamp(u64::from(*tick) * 20_000_000), 0.1)).count();
+        let count = (0..500_u32)
+            .filter(|tick| due.now(Stamp(u64::from(*tick) * 20_000_000), 0.1))
+            .count();
         assert_eq!(count, 100);
     }
 }

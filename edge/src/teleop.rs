@@ -16,14 +16,19 @@ impl Stick {
     /// Let go; a twist counts for `dead_man` seconds.
     #[must_use]
     pub fn new(dead_man: f64) -> Self {
-        Self { dead_man, held: None, newest_echo: Stamp::ZERO }
+        Self {
+            dead_man,
+            held: None,
+            newest_echo: Stamp::ZERO,
+        }
     }
 
     /// Takes a twist whose epoch is the operator's current one. Returns whether it counts: one that is not finite,
     /// echoes a stamp from the future or older than the dead-man's time, or came out of order, does not.
     pub fn take(&mut self, now: Stamp, teleop: &Teleop) -> bool {
         let age = now.secs_since(teleop.echo);
-        let counts = teleop.twist.is_finite() && (0.0..=self.dead_man).contains(&age) && teleop.echo >= self.newest_echo;
+        let counts =
+            teleop.twist.is_finite() && (0.0..=self.dead_man).contains(&age) && teleop.echo >= self.newest_echo;
         if counts {
             self.newest_echo = teleop.echo;
             self.held = Some((now, teleop.twist));
@@ -39,7 +44,9 @@ impl Stick {
     /// The twist wanted now.
     #[must_use]
     pub fn twist(&self, now: Stamp) -> Twist2 {
-        self.held.filter(|(taken, _)| now.secs_since(*taken) <= self.dead_man).map_or(Twist2::ZERO, |(_, twist)| twist)
+        self.held
+            .filter(|(taken, _)| now.secs_since(*taken) <= self.dead_man)
+            .map_or(Twist2::ZERO, |(_, twist)| twist)
     }
 }
 
@@ -48,7 +55,11 @@ mod tests {
     use super::*;
 
     fn teleop(echo: f64, v: f64) -> Teleop {
-        Teleop { epoch: 1, twist: Twist2::new(v, 0.0), echo: Stamp::from_secs(echo) }
+        Teleop {
+            epoch: 1,
+            twist: Twist2::new(v, 0.0),
+            echo: Stamp::from_secs(echo),
+        }
     }
 
     #[test]

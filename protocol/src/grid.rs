@@ -187,9 +187,8 @@ pub struct CellWalk {
     delta_x: f64,
     delta_y: f64,
     steps_left: i64,
-    /// Cells beside a corner, still to be given.
-    beside: [Option<(i64, i64)>; 2],
-    started: bool,
+    /// Cells still to be given: beside a corner, and the one reached.
+    waiting: [Option<(i64, i64)>; 3],
 }
 
 impl CellWalk {
@@ -209,8 +208,7 @@ impl CellWalk {
             delta_x: f64::INFINITY,
             delta_y: f64::INFINITY,
             steps_left: -1,
-            beside: [None, None],
-            started: true,
+            waiting: [None; 3],
         };
         // Clipped a cell beyond the border: bounded work whatever comes in, and the cells inside stay exact.
         let Some((from, to)) = clip(from, to, -1.0, -1.0, width as f64 + 1.0, height as f64 + 1.0) else {
@@ -230,7 +228,7 @@ impl CellWalk {
         };
         let (step_x, next_x, delta_x) = axis(from.x, x, dx);
         let (step_y, next_y, delta_y) = axis(from.y, y, dy);
-        Self { x, y, last_x, last_y, step_x, step_y, next_x, next_y, delta_x, delta_y, steps_left: (last_x - x).abs() + (last_y - y).abs(), started: false, ..empty }
+        Self { x, y, last_x, last_y, step_x, step_y, next_x, next_y, delta_x, delta_y, steps_left: (last_x - x).abs() + (last_y - y).abs(), waiting: [None, None, Some((x, y))], ..empty }
     }
 
     fn inside(&self, x: i64, y: i64) -> Option<Cell> {
@@ -243,54 +241,34 @@ impl Iterator for CellWalk {
 
     fn next(&mut self) -> Option<Cell> {
         loop {
-            if !self.started {
-                self.started = true;
-                if let Some(cell) = self.inside(self.x, self.y) {
+            if let Some((x, y)) = self.waiting.iter_mut().find_map(Option::take) {
+                if let Some(cell) = self.inside(x, y) {
                     return Some(cell);
                 }
-            }
-            for slot in 0..2 {
-                if let Some((x, y)) = self.beside[slot].take()
-                    && let Some(cell) = self.inside(x, y)
-                {
-                    return Some(cell);
-                }
+                continue;
             }
             if self.steps_left <= 0 {
                 return None;
             }
-            let x_left = self.x != self.last_x;
-            let y_left = self.y != self.last_y;
-            if x_left && y_left && (self.next_x - self.next_y).abs() < 1e-12 {
-                self.beside = [Some((self.x + self.step_x, self.y)), Some((self.x, self.y + self.step_y))];
-                self.x += self.step_x;
-                self.y += self.step_y;
-                self.next_x += self.delta_x;
-                self.next_y += self.delta_y;
-                self.steps_left -= 2;
-                // Give the corner's neighbours first, then the cell itself.
-                self.started = false;
-                for slot in 0..2 {
-                    if let Some((x, y)) = self.beside[slot].take()
-                        && let Some(cell) = self.inside(x, y)
-                    {
-                        return Some(cell);
-                    }
-                }
-                continue;
-            }
+            let (x_left, y_left) = (self.x != self.last_x, self.y != self.last_y);
+            let corner = x_left && y_left && (self.next_x - self.next_y).abs() < 1e-12;
             // Rounding may ask for a step past the last column or row: the end cell always wins.
-            if x_left && (self.next_x < self.next_y || !y_left) {
+            let along_x = x_left && (self.next_x < self.next_y || !y_left);
+            if corner {
+                self.waiting[0] = Some((self.x + self.step_x, self.y));
+                self.waiting[1] = Some((self.x, self.y + self.step_y));
+            }
+            if corner || along_x {
                 self.x += self.step_x;
                 self.next_x += self.delta_x;
-            } else {
+                self.steps_left -= 1;
+            }
+            if corner || !along_x {
                 self.y += self.step_y;
                 self.next_y += self.delta_y;
+                self.steps_left -= 1;
             }
-            self.steps_left -= 1;
-            if let Some(cell) = self.inside(self.x, self.y) {
-                return Some(cell);
-            }
+            self.waiting[2] = Some((self.x, self.y));
         }
     }
 }
@@ -318,8 +296,8 @@ fn clip(from: Point2<f64>, to: Point2<f64>, low_x: f64, low_y: f64, high_x: f64,
     }
     // Clamped: far away points lose all their digits on the way to the border.
     let inside = |p: Point2<f64>| Point2::new(p.x.clamp(low_x, high_x), p.y.clamp(low_y, high_y));
-    let start = if enter > 0.0 { inside(from + d * enter) } else { from };
-    let end = if leave < 1.0 { inside(from + d * leave) } else { to };
+    let start = inside(if enter > 0.0 { from + d * enter } else { from });
+    let end = inside(if leave < 1.0 { from + d * leave } else { to });
     Some((start, end))
 }
 

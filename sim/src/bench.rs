@@ -54,21 +54,34 @@ pub fn scatter(world: &World, model: &RobotModel, count: usize, margin: f64, see
     poses
 }
 
-/// Times sweeps at random free poses, then a whole simulation of `robots` robots that drive in circles. `clock` tells
+/// Times sweeps at random free poses, then a whole simulation of `robots` robots that turn in small circles. `clock` tells
 /// the time since any fixed moment.
 ///
 /// # Errors
 /// [`SimError`] when the robots cannot stand in the world.
-pub fn run(world: &World, model: &RobotModel, robots: usize, simulated: Duration, clock: &dyn Fn() -> Duration) -> Result<BenchReport, SimError> {
+pub fn run(
+    world: &World,
+    model: &RobotModel,
+    robots: usize,
+    simulated: Duration,
+    clock: &dyn Fn() -> Duration,
+) -> Result<BenchReport, SimError> {
     let rays_per_s = rays(world, model, clock);
-    let specs = scatter(world, model, robots, 0.02, 1).into_iter().enumerate().filter_map(|(i, start)| {
-        let id = Id::robot(format!("robot_{i}")).ok()?;
-        Some(RobotSpec { id, model: model.clone(), start })
-    });
+    let specs = scatter(world, model, robots, model.drive.wheel_separation, 1)
+        .into_iter()
+        .enumerate()
+        .filter_map(|(i, start)| {
+            let id = Id::robot(format!("robot_{i}")).ok()?;
+            Some(RobotSpec {
+                id,
+                model: model.clone(),
+                start,
+            })
+        });
     let mut simulation = Simulation::new(world, specs.collect(), 1)?;
     let top = model.drive.max_wheel_speed;
     for robot in 0..simulation.robots() {
-        simulation.drive(robot, [0.3 * top, 0.5 * top]);
+        simulation.drive(robot, [-0.1 * top, 0.5 * top]);
     }
     let steps = (simulated.as_secs_f64() / simulation.tick().as_secs_f64()).round() as u64;
     let begin = clock();
@@ -76,7 +89,13 @@ pub fn run(world: &World, model: &RobotModel, robots: usize, simulated: Duration
         simulation.step();
     }
     let took = clock().saturating_sub(begin).as_secs_f64();
-    Ok(BenchReport { robots: simulation.robots(), beams: model.lidar.beams, steps, rays_per_s, real_time_factor: simulation.now().as_secs() / took.max(1e-9) })
+    Ok(BenchReport {
+        robots: simulation.robots(),
+        beams: model.lidar.beams,
+        steps,
+        rays_per_s,
+        real_time_factor: simulation.now().as_secs() / took.max(1e-9),
+    })
 }
 
 /// Exact sweeps from random free poses, for about half a second; beams a second.
@@ -98,5 +117,9 @@ fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 
             break took;
         }
     };
-    if seen.is_nan() { 0.0 } else { (sweeps * model.lidar.beams as u64) as f64 / took.as_secs_f64().max(1e-9) }
+    if seen.is_nan() {
+        0.0
+    } else {
+        (sweeps * model.lidar.beams as u64) as f64 / took.as_secs_f64().max(1e-9)
+    }
 }

@@ -1,12 +1,12 @@
 //! What does one robot do in a tick? Its chassis moves, then its sensors measure.
 
 use rand_pcg::Pcg64Mcg;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{Battery, Bump, Gps, Imu};
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
-use zenav_protocol::geometry::Pose2;
 
 use crate::chassis::{Chassis, Moved, Surroundings};
 use crate::lidar::{AngularBuffer, measure};
@@ -39,7 +39,10 @@ impl Body {
             chassis: Chassis::new(&model, map_from_base),
             encoders: Encoders::new(model.encoders.clone(), stream(seed, id, Sensor::Encoders)),
             inertial: Inertial::new(model.imu.clone(), stream(seed, id, Sensor::Imu)),
-            positioning: model.gps.clone().map(|gps| Positioning::new(gps, stream(seed, id, Sensor::Gps))),
+            positioning: model
+                .gps
+                .clone()
+                .map(|gps| Positioning::new(gps, stream(seed, id, Sensor::Gps))),
             lidar: AngularBuffer::new(&model.lidar),
             lidar_rng: stream(seed, id, Sensor::Lidar),
             lidar_schedule: Schedule::new(model.lidar.rate_hz),
@@ -82,10 +85,13 @@ impl Body {
         if self.swept {
             self.lidar.begin(map_from_base * self.model.lidar.mount);
             self.lidar.scene(around.scene);
-            for (_, solid) in around.solids.iter().enumerate().filter(|(index, _)| *index != around.own) {
-                self.lidar.solid(solid);
-            }
-            measure(&self.model.lidar, self.lidar.ranges(), &mut self.lidar_rng, &mut self.ranges);
+            self.lidar.crowd(around.crowd, around.own);
+            measure(
+                &self.model.lidar,
+                self.lidar.ranges(),
+                &mut self.lidar_rng,
+                &mut self.ranges,
+            );
         }
     }
 
@@ -98,9 +104,20 @@ impl Body {
             wheels: self.encoders.angles(),
             imu: self.imu.clone(),
             gps: self.gps.clone(),
-            sweep: self.swept.then(|| Sweep { stamp: self.now, ranges: self.ranges.clone() }),
-            bump: Bump { stamp: self.now, pressed: bearing.is_some(), bearing },
-            battery: Battery { stamp: self.now, charge: self.chassis.charge(&self.model), drawn_j: self.chassis.truth().drawn_j },
+            sweep: self.swept.then(|| Sweep {
+                stamp: self.now,
+                ranges: self.ranges.clone(),
+            }),
+            bump: Bump {
+                stamp: self.now,
+                pressed: bearing.is_some(),
+                bearing,
+            },
+            battery: Battery {
+                stamp: self.now,
+                charge: self.chassis.charge(&self.model),
+                drawn_j: self.chassis.truth().drawn_j,
+            },
         }
     }
 }

@@ -14,6 +14,11 @@ pub(crate) fn aabb(low: Point2<f64>, high: Point2<f64>) -> Aabb {
     Aabb::new(vector(low), vector(high))
 }
 
+/// The box around a disc.
+pub(crate) fn around(center: Point2<f64>, radius: f64) -> Aabb {
+    Aabb::from_half_extents(vector(center), Vector::new(radius, radius))
+}
+
 /// Squared distance from a point to a box; zero inside.
 pub(crate) fn squared_distance(point: Point2<f64>, mins: Vector, maxs: Vector) -> f64 {
     let x = (mins.x - point.x).max(point.x - maxs.x).max(0.0);

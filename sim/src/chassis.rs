@@ -10,9 +10,9 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::clearance::{Nearest, Placed};
+use crate::crowd::Crowd;
 use crate::drive::{Motors, energy};
 use crate::scene::Scene;
-use crate::shape::Solid;
 
 /// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
 const SKIN: f64 = 1e-6;
@@ -63,8 +63,8 @@ pub struct Surroundings<'a> {
     /// What never moves.
     pub scene: &'a Scene,
     /// Movers and robots.
-    pub solids: &'a [Solid],
-    /// The robot's own place in `solids`.
+    pub crowd: &'a Crowd,
+    /// The robot's own place in the crowd.
     pub own: usize,
 }
 
@@ -72,15 +72,10 @@ impl Surroundings<'_> {
     /// The nearest solid to a footprint. Exact.
     #[must_use]
     pub fn nearest(&self, placed: &Placed<'_>) -> Nearest {
-        let mut nearest = Nearest::NONE;
-        for (index, solid) in self.solids.iter().enumerate() {
-            if index != self.own && placed.at_least_to(solid) < nearest.distance {
-                let found = placed.to_solid(solid);
-                if found.distance < nearest.distance {
-                    nearest = found;
-                }
-            }
-        }
+        let nearest = self
+            .crowd
+            .nearest(placed, self.own, f64::INFINITY)
+            .unwrap_or(Nearest::NONE);
         self.scene.nearest(placed, nearest.distance).unwrap_or(nearest)
     }
 }
@@ -123,8 +118,19 @@ impl Chassis {
             length: 0.0,
             drawn_j: 0.0,
         };
-        let (reach, inscribed) = (model.footprint.circumscribed_radius(), model.footprint.inscribed_radius());
-        Self { motors: Motors::at_rest(), reach, inscribed, clearance: 0.0, touching: false, bearing: None, truth }
+        let (reach, inscribed) = (
+            model.footprint.circumscribed_radius(),
+            model.footprint.inscribed_radius(),
+        );
+        Self {
+            motors: Motors::at_rest(),
+            reach,
+            inscribed,
+            clearance: 0.0,
+            touching: false,
+            bearing: None,
+            truth,
+        }
     }
 
     /// Commands the wheels (left, right; rad/s).
@@ -151,7 +157,14 @@ impl Chassis {
     }
 
     /// Drives for a time. `others` is how far anything else has moved since the last call of [`Self::settle`], m.
-    pub fn advance(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, others: f64, now: Stamp) -> Moved {
+    pub fn advance(
+        &mut self,
+        model: &RobotModel,
+        around: Surroundings<'_>,
+        secs: f64,
+        others: f64,
+        now: Stamp,
+    ) -> Moved {
         self.clearance -= others;
         if self.charge(model) <= 0.0 {
             self.motors.command(&model.drive, [0.0; 2]);
@@ -168,7 +181,11 @@ impl Chassis {
         let before = model.drive.twist(self.motors.speed()).v;
         let wheels = self.motors.step(&model.drive, secs);
         let twist = model.drive.twist(wheels);
-        let share = if wheels == [0.0; 2] { 1.0 } else { self.roll(model, around, twist, secs, now) };
+        let share = if wheels == [0.0; 2] {
+            1.0
+        } else {
+            self.roll(model, around, twist, secs, now)
+        };
         let secs_moving = secs * share;
         for (sum, speed) in moved.wheels.iter_mut().zip(wheels) {
             *sum += speed * secs_moving;
@@ -190,7 +207,9 @@ impl Chassis {
 
     /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move.
     fn roll(&mut self, model: &RobotModel, around: Surroundings<'_>, twist: Twist2, secs: f64, now: Stamp) -> f64 {
-        let pieces = (self.speed_of_outline(twist) * secs / self.inscribed).ceil().clamp(1.0, 1000.0);
+        let pieces = (self.speed_of_outline(twist) * secs / self.inscribed)
+            .ceil()
+            .clamp(1.0, 1000.0);
         let piece = secs / pieces;
         let reach = self.speed_of_outline(twist) * piece;
         for done in 0..pieces as u32 {
@@ -204,13 +223,16 @@ impl Chassis {
             let next = here.advance(twist, piece);
             let there = exact(next).distance;
             // Touching already, a robot may still turn on the spot or move away.
-            if there > SKIN || there >= exact(here).distance {
+            let before = exact(here).distance;
+            if there > SKIN || there >= before {
                 self.clearance = there;
                 self.truth.map_from_base = next;
                 continue;
             }
             let (mut free, mut taken) = (0.0, 1.0);
-            for _ in 0..HALVINGS {
+            // Pressing on against what it stands in front of: nothing left to halve.
+            let halvings = if before <= 2.0 * SKIN { 0 } else { HALVINGS };
+            for _ in 0..halvings {
                 let middle = 0.5 * (free + taken);
                 if exact(here.advance(twist, middle * piece)).distance > SKIN {
                     free = middle;
@@ -237,10 +259,18 @@ impl Chassis {
         self.touching = true;
         self.truth.collisions = self.truth.collisions.saturating_add(1);
         let gap = nearest.on_solid - nearest.on_body;
-        let normal = if gap.norm() > 0.0 { gap.normalize() } else { Vector2::new(bearing.cos(), bearing.sin()) };
+        let normal = if gap.norm() > 0.0 {
+            gap.normalize()
+        } else {
+            Vector2::new(bearing.cos(), bearing.sin())
+        };
         let at = nearest.on_body;
         let own_speed = Vector2::new(twist.v - twist.w * at.y, twist.w * at.x).dot(&normal);
-        self.truth.last_contact = Some(Contact { stamp: now, bearing, own_speed });
+        self.truth.last_contact = Some(Contact {
+            stamp: now,
+            bearing,
+            own_speed,
+        });
     }
 
     /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.

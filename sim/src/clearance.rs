@@ -21,7 +21,11 @@ pub struct Nearest {
 
 impl Nearest {
     /// Nothing anywhere.
-    pub const NONE: Self = Self { distance: f64::INFINITY, on_body: Point2::new(0.0, 0.0), on_solid: Point2::new(0.0, 0.0) };
+    pub const NONE: Self = Self {
+        distance: f64::INFINITY,
+        on_body: Point2::new(0.0, 0.0),
+        on_solid: Point2::new(0.0, 0.0),
+    };
 
     fn or(self, other: Self) -> Self {
         if other.distance < self.distance { other } else { self }
@@ -43,7 +47,13 @@ impl<'a> Placed<'a> {
     #[must_use]
     pub fn new(footprint: &'a Footprint, map_from_base: Pose2) -> Self {
         let (sin, cos) = map_from_base.yaw.sin_cos();
-        Self { footprint, center: map_from_base.position(), sin, cos, reach: footprint.circumscribed_radius() }
+        Self {
+            footprint,
+            center: map_from_base.position(),
+            sin,
+            cos,
+            reach: footprint.circumscribed_radius(),
+        }
     }
 
     /// Where the base is, m.
@@ -71,7 +81,13 @@ impl<'a> Placed<'a> {
                 let nearest = closest(edge, self.center);
                 from_disc(*radius, self.to_base(nearest))
             }
-            Footprint::Polygon(corners) => polygon_to_edge(corners, &Edge { a: self.to_base(edge.a), b: self.to_base(edge.b) }),
+            Footprint::Polygon(corners) => polygon_to_edge(
+                corners,
+                &Edge {
+                    a: self.to_base(edge.a),
+                    b: self.to_base(edge.b),
+                },
+            ),
         }
     }
 
@@ -85,8 +101,16 @@ impl<'a> Placed<'a> {
         };
         let toward = center - to_center.on_body;
         let length = toward.norm();
-        let on_solid = if length > 0.0 { center - toward * (disc.radius / length).min(1.0) } else { center };
-        Nearest { distance: (to_center.distance - disc.radius).max(0.0), on_body: to_center.on_body, on_solid }
+        let on_solid = if length > 0.0 {
+            center - toward * (disc.radius / length).min(1.0)
+        } else {
+            center
+        };
+        Nearest {
+            distance: (to_center.distance - disc.radius).max(0.0),
+            on_body: to_center.on_body,
+            on_solid,
+        }
     }
 
     /// Distance to a solid that can move; zero too when one holds the other.
@@ -96,9 +120,17 @@ impl<'a> Placed<'a> {
             return self.to_disc(&disc);
         }
         if solid.contains(self.center) {
-            return Nearest { distance: 0.0, on_body: Point2::origin(), on_solid: self.to_base(solid.center()) };
+            return Nearest {
+                distance: 0.0,
+                on_body: Point2::origin(),
+                on_solid: self.to_base(solid.center()),
+            };
         }
-        solid.edges().iter().map(|edge| self.to_edge(edge)).fold(Nearest::NONE, Nearest::or)
+        solid
+            .edges()
+            .iter()
+            .map(|edge| self.to_edge(edge))
+            .fold(Nearest::NONE, Nearest::or)
     }
 
     /// No nearer than this to a solid, m: cheap, from centres alone.
@@ -112,24 +144,40 @@ impl<'a> Placed<'a> {
 fn closest(edge: &Edge, point: Point2<f64>) -> Point2<f64> {
     let along = edge.b - edge.a;
     let squared = along.norm_squared();
-    let share = if squared > 0.0 { ((point - edge.a).dot(&along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    let share = if squared > 0.0 {
+        ((point - edge.a).dot(&along) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     edge.a + along * share
 }
 
 fn from_disc(radius: f64, point: Point2<f64>) -> Nearest {
     let norm = point.coords.norm();
     let on_body = if norm > radius { point * (radius / norm) } else { point };
-    Nearest { distance: (norm - radius).max(0.0), on_body, on_solid: point }
+    Nearest {
+        distance: (norm - radius).max(0.0),
+        on_body,
+        on_solid: point,
+    }
 }
 
 /// Convex polygon and point, both in the base frame.
 fn polygon_to_point(corners: &[Point2<f64>], point: Point2<f64>) -> Nearest {
     if edges(corners).all(|edge| cross(edge.b - edge.a, point - edge.a) >= 0.0) {
-        return Nearest { distance: 0.0, on_body: point, on_solid: point };
+        return Nearest {
+            distance: 0.0,
+            on_body: point,
+            on_solid: point,
+        };
     }
     let boundary = edges(corners).map(|edge| {
         let on_body = closest(&edge, point);
-        Nearest { distance: (point - on_body).norm(), on_body, on_solid: point }
+        Nearest {
+            distance: (point - on_body).norm(),
+            on_body,
+            on_solid: point,
+        }
     });
     boundary.fold(Nearest::NONE, Nearest::or)
 }
@@ -152,12 +200,20 @@ fn polygon_to_edge(corners: &[Point2<f64>], edge: &Edge) -> Nearest {
     }
     if enter <= leave {
         let inside = edge.a + along * (0.5 * (enter + leave));
-        return Nearest { distance: 0.0, on_body: inside, on_solid: inside };
+        return Nearest {
+            distance: 0.0,
+            on_body: inside,
+            on_solid: inside,
+        };
     }
     let ends = polygon_to_point(corners, edge.a).or(polygon_to_point(corners, edge.b));
     let from_corners = corners.iter().map(|corner| {
         let on_solid = closest(edge, *corner);
-        Nearest { distance: (on_solid - corner).norm(), on_body: *corner, on_solid }
+        Nearest {
+            distance: (on_solid - corner).norm(),
+            on_body: *corner,
+            on_solid,
+        }
     });
     from_corners.fold(ends, Nearest::or)
 }
@@ -177,13 +233,25 @@ mod tests {
     fn parry(footprint: &Footprint) -> Box<dyn ParryShape> {
         match footprint {
             Footprint::Radius(radius) => Box::new(Ball::new(*radius)),
-            Footprint::Polygon(corners) => Box::new(ConvexPolygon::from_convex_polyline(corners.iter().map(|p| bridge::vector(*p)).collect()).unwrap()),
+            Footprint::Polygon(corners) => Box::new(
+                ConvexPolygon::from_convex_polyline(corners.iter().map(|p| bridge::vector(*p)).collect()).unwrap(),
+            ),
         }
     }
 
     fn footprint() -> impl Strategy<Value = Footprint> {
         let rectangle = (0.05..0.5, 0.05..0.5, 0.05..0.4).prop_map(|(back, front, half): (f64, f64, f64)| {
-            Footprint::Polygon([[-back, -half], [front, -half], [front + 0.1, 0.0], [front, half], [-back, half]].map(|[x, y]: [f64; 2]| Point2::new(x, y)).to_vec())
+            Footprint::Polygon(
+                [
+                    [-back, -half],
+                    [front, -half],
+                    [front + 0.1, 0.0],
+                    [front, half],
+                    [-back, half],
+                ]
+                .map(|[x, y]: [f64; 2]| Point2::new(x, y))
+                .to_vec(),
+            )
         });
         prop_oneof![(0.05..0.5).prop_map(Footprint::Radius), rectangle]
     }
@@ -221,8 +289,27 @@ mod tests {
 
     #[test]
     fn a_robot_inside_a_larger_solid_has_no_clearance() {
-        let wagon = Solid::new(Shape::Polygon([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]].map(|[x, y]| Point2::new(x, y)).to_vec()), Pose2::IDENTITY);
-        assert_eq!(Placed::new(&Footprint::Radius(0.2), Pose2::IDENTITY).to_solid(&wagon).distance, 0.0);
-        assert!((Placed::new(&Footprint::Radius(0.2), Pose2::new(3.0, 0.0, 1.0)).to_solid(&wagon).distance - 0.8).abs() < 1e-12);
+        let wagon = Solid::new(
+            Shape::Polygon(
+                [[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]
+                    .map(|[x, y]| Point2::new(x, y))
+                    .to_vec(),
+            ),
+            Pose2::IDENTITY,
+        );
+        assert_eq!(
+            Placed::new(&Footprint::Radius(0.2), Pose2::IDENTITY)
+                .to_solid(&wagon)
+                .distance,
+            0.0
+        );
+        assert!(
+            (Placed::new(&Footprint::Radius(0.2), Pose2::new(3.0, 0.0, 1.0))
+                .to_solid(&wagon)
+                .distance
+                - 0.8)
+                .abs()
+                < 1e-12
+        );
     }
 }

@@ -17,7 +17,10 @@ impl Motors {
     /// At rest.
     #[must_use]
     pub fn at_rest() -> Self {
-        Self { command: [0.0; 2], speed: [0.0; 2] }
+        Self {
+            command: [0.0; 2],
+            speed: [0.0; 2],
+        }
     }
 
     /// Sets the commanded wheel speeds (left, right; rad/s), bounded by the limits of wheels and base. What is not a
@@ -30,7 +33,9 @@ impl Motors {
         let bounded = wheels.map(|speed| speed.clamp(-drive.max_wheel_speed, drive.max_wheel_speed));
         let twist = drive.twist(bounded);
         // Both wheels slow down alike: the curvature stays.
-        let excess = (twist.v.abs() / drive.max_speed).max(twist.w.abs() / drive.max_yaw_rate).max(1.0);
+        let excess = (twist.v.abs() / drive.max_speed)
+            .max(twist.w.abs() / drive.max_yaw_rate)
+            .max(1.0);
         self.command = bounded.map(|speed| speed / excess);
     }
 
@@ -42,7 +47,11 @@ impl Motors {
 
     /// Advances the motors; returns the mean wheel speeds over the time (left, right; rad/s).
     pub fn step(&mut self, drive: &Drive, secs: f64) -> [f64; 2] {
-        let share = if drive.motor_lag > 0.0 { 1.0 - (-secs / drive.motor_lag).exp() } else { 1.0 };
+        let share = if drive.motor_lag > 0.0 {
+            1.0 - (-secs / drive.motor_lag).exp()
+        } else {
+            1.0
+        };
         let braking = drive.hard_braking / drive.wheel_radius;
         let before = self.speed;
         for (speed, command) in self.speed.iter_mut().zip(self.command) {
@@ -91,7 +100,9 @@ mod tests {
     use zenav_protocol::robot::{self, RobotModel};
 
     fn tiago() -> Drive {
-        RobotModel::from_toml(robot::shipped("tiago").unwrap(), "tiago").unwrap().drive
+        RobotModel::from_toml(robot::shipped("tiago").unwrap(), "tiago")
+            .unwrap()
+            .drive
     }
 
     #[test]
@@ -105,14 +116,18 @@ mod tests {
         let top = drive.twist(motors.speed()).v;
         assert!((top - drive.top_speed()).abs() < 1e-6);
         motors.command(&drive, [0.0; 2]);
-        let distance: f64 = (0..1000).map(|_| drive.twist(motors.step(&drive, 0.005)).v * 0.005).sum();
+        let distance: f64 = (0..1000)
+            .map(|_| drive.twist(motors.step(&drive, 0.005)).v * 0.005)
+            .sum();
         let hard = top * top / (2.0 * drive.hard_braking);
         assert!(distance > hard && distance < hard + top * drive.motor_lag, "{distance}");
     }
 
     #[test]
     fn a_base_that_may_not_go_as_fast_as_its_wheels_keeps_the_curvature() {
-        let drive = RobotModel::from_toml(robot::shipped("jackal").unwrap(), "jackal").unwrap().drive;
+        let drive = RobotModel::from_toml(robot::shipped("jackal").unwrap(), "jackal")
+            .unwrap()
+            .drive;
         let mut motors = Motors::at_rest();
         motors.command(&drive, drive.wheels(Twist2::new(1.0, 5.0)));
         for _ in 0..1000 {

@@ -3,10 +3,12 @@
 //! | module | answers |
 //! |---|---|
 //! | [`world`] | what stands where? |
-//! | [`world_file`] | how is a world written down? (TOML) |
+//! | `world_file` | how is a world written down? (TOML) |
+//! | [`world_check`] | which values may a world hold? |
 //! | [`shape`] | what are solids made of? (edges and discs) |
 //! | [`outline`] | which edges bound the occupied cells of a map? |
 //! | [`scene`] | which edges and discs are near? (a tree of boxes) |
+//! | [`crowd`] | which movers and robots are near? |
 //! | [`clearance`] | how far is a footprint from a solid? |
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
 //! | [`drive`] | what do wheels and motors make of a command? |
@@ -15,7 +17,7 @@
 //! | [`chassis`] | how does one robot move among solids, and what does it touch? |
 //! | [`body`] | what does one robot do in a tick? |
 //! | [`simulation`] | how does everything advance together? |
-//! | [`bench`] | how much does this machine hold? |
+//! | [`mod@bench`] | how much does this machine hold? |
 //!
 //! The world frame is the map frame. Metres, radians, seconds.
 //!
@@ -42,6 +44,7 @@ pub mod body;
 mod bridge;
 pub mod chassis;
 pub mod clearance;
+pub mod crowd;
 pub mod drive;
 pub mod lidar;
 pub mod movers;
@@ -51,9 +54,10 @@ pub mod sensors;
 pub mod shape;
 pub mod simulation;
 pub mod world;
-pub mod world_file;
+pub mod world_check;
+mod world_file;
 
 pub use chassis::{Contact, Truth};
 pub use simulation::{RobotSpec, SimError, Simulation, TICK};
 pub use world::{Place, World};
-pub use world_file::WorldError;
+pub use world_check::WorldError;

@@ -15,8 +15,9 @@ use rand_distr::{Distribution, StandardNormal};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::LidarModel;
 
+use crate::crowd::Crowd;
 use crate::scene::Scene;
-use crate::shape::{Disc, Edge, Solid, cross};
+use crate::shape::{Disc, Edge, cross};
 
 /// Largest error of [`turn`], rad (Abramowitz and Stegun 4.4.49 promises 1e-5).
 const TURN_ERROR: f64 = 2e-5;
@@ -43,7 +44,9 @@ impl AngularBuffer {
     /// A buffer for a lidar.
     #[must_use]
     pub fn new(model: &LidarModel) -> Self {
-        let (laser_sin, laser_cos): (Vec<f64>, Vec<f64>) = (0..model.beams).map(|beam| (model.angle_min() + beam as f64 * model.angle_increment()).sin_cos()).unzip();
+        let (laser_sin, laser_cos): (Vec<f64>, Vec<f64>) = (0..model.beams)
+            .map(|beam| (model.angle_min() + beam as f64 * model.angle_increment()).sin_cos())
+            .unzip();
         Self {
             angle_min: model.angle_min(),
             increment: model.angle_increment(),
@@ -83,16 +86,17 @@ impl AngularBuffer {
         });
     }
 
-    /// Draws a solid that can move.
-    pub fn solid(&mut self, solid: &Solid) {
-        let reach = self.range_max + solid.reach();
-        if (solid.center() - self.origin).norm_squared() > reach * reach {
-            return;
-        }
-        match solid.disc() {
-            Some(disc) => self.disc(&disc),
-            None => solid.edges().iter().for_each(|edge| self.edge(edge)),
-        }
+    /// Draws what moves, but for the robot that carries the lidar.
+    pub fn crowd(&mut self, crowd: &Crowd, own: usize) {
+        crowd.near(self.origin, self.range_max, |index, solid| {
+            if index == own {
+                return;
+            }
+            match solid.disc() {
+                Some(disc) => self.disc(&disc),
+                None => solid.edges().iter().for_each(|edge| self.edge(edge)),
+            }
+        });
     }
 
     /// Draws an edge, where the lidar is on its open side.
@@ -124,7 +128,8 @@ impl AngularBuffer {
         }
         let half = turn(Vector2::new(power.sqrt(), disc.radius));
         let squared = disc.radius * disc.radius;
-        let covers = |direction: Vector2<f64>| cross(direction, center).abs() <= disc.radius && direction.dot(&center) > 0.0;
+        let covers =
+            |direction: Vector2<f64>| cross(direction, center).abs() <= disc.radius && direction.dot(&center) > 0.0;
         // The nearer root of |t d - c| = r is power / (c.d + sqrt(r² - (d x c)²)): its inverse needs no division.
         let over_power = 1.0 / power;
         self.draw(turn(center) - half, 2.0 * half, covers, |cos, sin| {
@@ -135,7 +140,13 @@ impl AngularBuffer {
     }
 
     /// Brings `inverse(cos, sin)` into every beam from direction `start` (rad, world) over `span` that `covers` admits.
-    fn draw(&mut self, start: f64, span: f64, covers: impl Fn(Vector2<f64>) -> bool, inverse: impl Fn(f64, f64) -> f64) {
+    fn draw(
+        &mut self,
+        start: f64,
+        span: f64,
+        covers: impl Fn(Vector2<f64>) -> bool,
+        inverse: impl Fn(f64, f64) -> f64,
+    ) {
         let mut first = start - self.yaw - self.angle_min;
         first -= (first / TAU).floor() * TAU;
         let count = self.inverse.len();
@@ -179,9 +190,17 @@ pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut i
         if range > model.range_max + 8.0 * model.noise {
             return f32::INFINITY;
         }
-        let noise: f64 = if model.noise > 0.0 { StandardNormal.sample(rng) } else { 0.0 };
+        let noise: f64 = if model.noise > 0.0 {
+            StandardNormal.sample(rng)
+        } else {
+            0.0
+        };
         let range = (((range + noise * model.noise) * 1000.0).round() / 1000.0) as f32;
-        if (model.range_min..=model.range_max).contains(&f64::from(range)) { range } else { f32::INFINITY }
+        if (model.range_min..=model.range_max).contains(&f64::from(range)) {
+            range
+        } else {
+            f32::INFINITY
+        }
     }));
 }
 
@@ -215,7 +234,15 @@ mod tests {
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 
     fn model(beams: usize, field_of_view: f64) -> LidarModel {
-        LidarModel { mount: Pose2::IDENTITY, rate_hz: 10.0, range_min: 0.0, range_max: 30.0, beams, field_of_view, noise: 0.0 }
+        LidarModel {
+            mount: Pose2::IDENTITY,
+            rate_hz: 10.0,
+            range_min: 0.0,
+            range_max: 30.0,
+            beams,
+            field_of_view,
+            noise: 0.0,
+        }
     }
 
     fn lidar() -> impl Strategy<Value = LidarModel> {
@@ -228,23 +255,43 @@ mod tests {
 
     /// A star-shaped, usually concave polygon, counter-clockwise.
     fn star() -> impl Strategy<Value = Vec<Point2<f64>>> {
-        (-5.0..5.0, -5.0..5.0, prop::collection::vec(0.05..1.5, 3..9)).prop_map(|(x, y, radii): (f64, f64, Vec<f64>)| {
-            let step = TAU / radii.len() as f64;
-            radii.iter().enumerate().map(|(i, r)| Point2::new(x + r * (i as f64 * step).cos(), y + r * (i as f64 * step).sin())).collect()
-        })
+        (-5.0..5.0, -5.0..5.0, prop::collection::vec(0.05..1.5, 3..9)).prop_map(
+            |(x, y, radii): (f64, f64, Vec<f64>)| {
+                let step = TAU / radii.len() as f64;
+                radii
+                    .iter()
+                    .enumerate()
+                    .map(|(i, r)| Point2::new(x + r * (i as f64 * step).cos(), y + r * (i as f64 * step).sin()))
+                    .collect()
+            },
+        )
     }
 
     /// Every beam equals the nearest of parry's ray casts against these shapes.
-    fn agree(model: &LidarModel, laser: Pose2, scene: &Scene, shapes: &[(Pose, Box<dyn Shape>)]) -> Result<(), TestCaseError> {
+    fn agree(
+        model: &LidarModel,
+        laser: Pose2,
+        scene: &Scene,
+        shapes: &[(Pose, Box<dyn Shape>)],
+    ) -> Result<(), TestCaseError> {
         let mut buffer = AngularBuffer::new(model);
         buffer.begin(laser);
         buffer.scene(scene);
         for (beam, range) in buffer.ranges().enumerate() {
             let direction = laser.yaw + model.angle_min() + beam as f64 * model.angle_increment();
-            let ray = Ray::new(bridge::vector(laser.position()), bridge::vector(Point2::new(direction.cos(), direction.sin())));
-            let cast = shapes.iter().filter_map(|(pose, shape)| shape.cast_ray(pose, &ray, model.range_max, false)).fold(f64::INFINITY, f64::min);
+            let ray = Ray::new(
+                bridge::vector(laser.position()),
+                bridge::vector(Point2::new(direction.cos(), direction.sin())),
+            );
+            let cast = shapes
+                .iter()
+                .filter_map(|(pose, shape)| shape.cast_ray(pose, &ray, model.range_max, false))
+                .fold(f64::INFINITY, f64::min);
             let range = if range <= model.range_max { range } else { f64::INFINITY };
-            prop_assert!(range == cast || (range - cast).abs() < 1e-6, "beam {beam}: {range} instead of {cast}");
+            prop_assert!(
+                range == cast || (range - cast).abs() < 1e-6,
+                "beam {beam}: {range} instead of {cast}"
+            );
         }
         Ok(())
     }
@@ -299,10 +346,19 @@ mod tests {
 
     #[test]
     fn a_reading_is_rounded_to_millimetres_and_bounded_by_the_limits() {
-        let model = LidarModel { range_min: 0.1, range_max: 5.0, ..model(1, 1.0) };
+        let model = LidarModel {
+            range_min: 0.1,
+            range_max: 5.0,
+            ..model(1, 1.0)
+        };
         let mut ranges = Vec::new();
         let mut rng = rand_pcg::Pcg64Mcg::new(1);
-        measure(&model, [1.234_56, 0.05, 5.01, f64::INFINITY].into_iter(), &mut rng, &mut ranges);
+        measure(
+            &model,
+            [1.234_56, 0.05, 5.01, f64::INFINITY].into_iter(),
+            &mut rng,
+            &mut ranges,
+        );
         assert_eq!(ranges, [1.235, f32::INFINITY, f32::INFINITY, f32::INFINITY]);
     }
 }

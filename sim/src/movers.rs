@@ -38,21 +38,35 @@ impl Mover {
     /// At the start of its path.
     #[must_use]
     pub fn new(model: &MoverModel) -> (Self, Solid) {
-        let mover = Self { path: model.path.clone(), speed: model.speed, leg: 0, along: 0.0 };
+        let mover = Self {
+            path: model.path.clone(),
+            speed: model.speed,
+            leg: 0,
+            along: 0.0,
+        };
         let solid = Solid::new(model.shape.clone(), mover.pose());
         (mover, solid)
     }
 
     fn leg(&self) -> (Point2<f64>, Point2<f64>) {
         let from = self.path.get(self.leg).copied().unwrap_or_else(Point2::origin);
-        let to = self.path.get(self.leg + 1).or(self.path.first()).copied().unwrap_or(from);
+        let to = self
+            .path
+            .get(self.leg + 1)
+            .or(self.path.first())
+            .copied()
+            .unwrap_or(from);
         (from, to)
     }
 
     fn pose(&self) -> Pose2 {
         let (from, to) = self.leg();
         let length = (to - from).norm();
-        let at = if length > 0.0 { from + (to - from) * (self.along / length) } else { from };
+        let at = if length > 0.0 {
+            from + (to - from) * (self.along / length)
+        } else {
+            from
+        };
         Pose2::new(at.x, at.y, 0.0)
     }
 
@@ -68,7 +82,11 @@ impl Mover {
                 return next;
             }
             next.along -= length;
-            next.leg = if next.leg + 1 < next.path.len() { next.leg + 1 } else { 0 };
+            next.leg = if next.leg + 1 < next.path.len() {
+                next.leg + 1
+            } else {
+                0
+            };
         }
         next.along = 0.0;
         next
@@ -116,7 +134,13 @@ mod tests {
     use super::*;
 
     fn square() -> MoverModel {
-        MoverModel { shape: Shape::Disc(0.2), path: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Point2::new(x, y)).to_vec(), speed: 0.5 }
+        MoverModel {
+            shape: Shape::Disc(0.2),
+            path: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+                .map(|[x, y]| Point2::new(x, y))
+                .to_vec(),
+            speed: 0.5,
+        }
     }
 
     #[test]
@@ -142,7 +166,10 @@ mod tests {
 
     #[test]
     fn a_path_without_length_stands_still() {
-        let (mut mover, mut solid) = Mover::new(&MoverModel { path: vec![Point2::new(1.0, 1.0); 3], ..square() });
+        let (mut mover, mut solid) = Mover::new(&MoverModel {
+            path: vec![Point2::new(1.0, 1.0); 3],
+            ..square()
+        });
         mover.step(0.02, &mut solid, |_| false);
         assert_eq!(solid.center(), Point2::new(1.0, 1.0));
     }

@@ -15,15 +15,31 @@ use crate::shape::Edge;
 pub fn outline(map: &OccupancyGrid) -> Vec<Edge> {
     let spec = *map.spec();
     let (width, height) = (spec.width as usize, spec.height as usize);
-    let occupied = |x: usize, y: usize| x < width && y < height && map.values().get(y * width + x).is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied);
-    let corner = |x: usize, y: usize| Point2::new(spec.origin.x + x as f64 * spec.resolution, spec.origin.y + y as f64 * spec.resolution);
+    let occupied = |x: usize, y: usize| {
+        x < width
+            && y < height
+            && map
+                .values()
+                .get(y * width + x)
+                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied)
+    };
+    let corner = |x: usize, y: usize| {
+        Point2::new(
+            spec.origin.x + x as f64 * spec.resolution,
+            spec.origin.y + y as f64 * spec.resolution,
+        )
+    };
     let mut edges = Vec::new();
     for y in 0..=height {
         // Solid above the line: the edge runs to +x; below: to -x.
         let side = |x: usize| (occupied(x, y), y > 0 && occupied(x, y - 1));
         runs(width, side, |from, to, above| {
             let (low, high) = (corner(from, y), corner(to, y));
-            edges.push(if above { Edge { a: low, b: high } } else { Edge { a: high, b: low } });
+            edges.push(if above {
+                Edge { a: low, b: high }
+            } else {
+                Edge { a: high, b: low }
+            });
         });
     }
     for x in 0..=width {
@@ -31,7 +47,11 @@ pub fn outline(map: &OccupancyGrid) -> Vec<Edge> {
         let side = |y: usize| (occupied(x, y), x > 0 && occupied(x - 1, y));
         runs(height, side, |from, to, right| {
             let (low, high) = (corner(x, from), corner(x, to));
-            edges.push(if right { Edge { a: high, b: low } } else { Edge { a: low, b: high } });
+            edges.push(if right {
+                Edge { a: high, b: low }
+            } else {
+                Edge { a: low, b: high }
+            });
         });
     }
     edges
@@ -68,8 +88,20 @@ mod tests {
     use zenav_protocol::grid::GridSpec;
 
     fn map(width: u32, height: u32, occupied: &[bool]) -> OccupancyGrid {
-        let spec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.5, width, height };
-        OccupancyGrid::from_values(spec, occupied.iter().map(|full| if *full { Occupancy::OCCUPIED } else { Occupancy::FREE }).collect()).unwrap()
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, 2.0),
+            resolution: 0.5,
+            width,
+            height,
+        };
+        OccupancyGrid::from_values(
+            spec,
+            occupied
+                .iter()
+                .map(|full| if *full { Occupancy::OCCUPIED } else { Occupancy::FREE })
+                .collect(),
+        )
+        .unwrap()
     }
 
     #[test]

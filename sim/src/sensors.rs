@@ -27,7 +27,9 @@ pub enum Sensor {
 #[must_use]
 pub fn stream(seed: u64, robot: &Id, sensor: Sensor) -> Pcg64Mcg {
     // FNV-1a over the name, then the finaliser of SplitMix64 (Steele et al. 2014) to spread every bit.
-    let name = robot.as_str().bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    let name = robot.as_str().bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
     let mix = |value: u64| {
         let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -53,7 +55,10 @@ impl Schedule {
     /// The first reading is at time zero.
     #[must_use]
     pub fn new(rate_hz: f64) -> Self {
-        Self { rate_hz, next: Stamp::ZERO }
+        Self {
+            rate_hz,
+            next: Stamp::ZERO,
+        }
     }
 
     /// Whether a reading is due.
@@ -80,7 +85,11 @@ impl Encoders {
     /// At zero.
     #[must_use]
     pub fn new(model: EncoderModel, rng: Pcg64Mcg) -> Self {
-        Self { model, rng, measured: [0.0; 2] }
+        Self {
+            model,
+            rng,
+            measured: [0.0; 2],
+        }
     }
 
     /// Adds a true turn of both wheels, rad.
@@ -94,7 +103,13 @@ impl Encoders {
     #[must_use]
     pub fn angles(&self) -> [f64; 2] {
         let step = self.model.resolution;
-        self.measured.map(|angle| if step > 0.0 { (angle / step).round() * step } else { angle })
+        self.measured.map(|angle| {
+            if step > 0.0 {
+                (angle / step).round() * step
+            } else {
+                angle
+            }
+        })
     }
 }
 
@@ -113,7 +128,13 @@ impl Inertial {
     #[must_use]
     pub fn new(model: ImuModel, rng: Pcg64Mcg) -> Self {
         let schedule = Schedule::new(model.rate_hz);
-        Self { model, rng, schedule, turned: 0.0, last: Stamp::ZERO }
+        Self {
+            model,
+            rng,
+            schedule,
+            turned: 0.0,
+            last: Stamp::ZERO,
+        }
     }
 
     /// Adds a true turn of the base, rad.
@@ -131,8 +152,15 @@ impl Inertial {
         self.turned = 0.0;
         self.last = now;
         let yaw_rate = rate + self.model.gyro_bias + gauss(&mut self.rng, self.model.gyro_noise);
-        let yaw = self.model.compass_noise.map(|noise| wrap_angle(truth.yaw + gauss(&mut self.rng, noise)));
-        Some(Imu { stamp: now, yaw_rate, yaw })
+        let yaw = self
+            .model
+            .compass_noise
+            .map(|noise| wrap_angle(truth.yaw + gauss(&mut self.rng, noise)));
+        Some(Imu {
+            stamp: now,
+            yaw_rate,
+            yaw,
+        })
     }
 }
 
@@ -159,7 +187,12 @@ impl Positioning {
         }
         let x = truth.x + gauss(&mut self.rng, self.model.noise);
         let y = truth.y + gauss(&mut self.rng, self.model.noise);
-        Some(Gps { stamp: now, x, y, std_dev: self.model.noise })
+        Some(Gps {
+            stamp: now,
+            x,
+            y,
+            std_dev: self.model.noise,
+        })
     }
 }
 
@@ -187,18 +220,35 @@ mod tests {
 
     #[test]
     fn encoders_keep_the_sum_within_their_noise_and_on_their_steps() {
-        let mut encoders = Encoders::new(EncoderModel { noise: 0.005, resolution: 0.001 }, rng());
+        let mut encoders = Encoders::new(
+            EncoderModel {
+                noise: 0.005,
+                resolution: 0.001,
+            },
+            rng(),
+        );
         for _ in 0..10_000 {
             encoders.turn([0.01, -0.02]);
         }
         let [left, right] = encoders.angles();
-        assert!((left - 100.0).abs() < 0.02 && (right + 200.0).abs() < 0.04, "{left} {right}");
+        assert!(
+            (left - 100.0).abs() < 0.02 && (right + 200.0).abs() < 0.04,
+            "{left} {right}"
+        );
         assert!((left / 0.001 - (left / 0.001).round()).abs() < 1e-6);
     }
 
     #[test]
     fn the_gyro_tells_the_mean_rate_with_bias_and_noise() {
-        let mut imu = Inertial::new(ImuModel { rate_hz: 10.0, gyro_noise: 0.01, gyro_bias: 0.1, compass_noise: None }, rng());
+        let mut imu = Inertial::new(
+            ImuModel {
+                rate_hz: 10.0,
+                gyro_noise: 0.01,
+                gyro_bias: 0.1,
+                compass_noise: None,
+            },
+            rng(),
+        );
         let mut readings = Vec::new();
         for tick in 0..10_000 {
             readings.extend(imu.read(Stamp(tick * 20_000_000), Pose2::IDENTITY));
@@ -208,7 +258,10 @@ mod tests {
         let rates: Vec<f64> = readings.iter().skip(1).map(|imu| imu.yaw_rate).collect();
         let mean = rates.iter().sum::<f64>() / rates.len() as f64;
         let spread = (rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / rates.len() as f64).sqrt();
-        assert!((mean - 0.6).abs() < 1e-3 && (spread - 0.01).abs() < 1e-3, "{mean} {spread}");
+        assert!(
+            (mean - 0.6).abs() < 1e-3 && (spread - 0.01).abs() < 1e-3,
+            "{mean} {spread}"
+        );
     }
 
     #[test]

@@ -50,7 +50,10 @@ impl From<&Footprint> for Shape {
 
 /// The edges of a polygon, the last corner joined to the first.
 pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
-    corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| Edge { a: *a, b: *b })
+    corners
+        .iter()
+        .zip(corners.iter().cycle().skip(1))
+        .map(|(a, b)| Edge { a: *a, b: *b })
 }
 
 /// Twice the area of a polygon, positive when its corners run counter-clockwise.
@@ -67,7 +70,8 @@ pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {
 
 fn crossings(edges: impl Iterator<Item = Edge>, point: Point2<f64>) -> bool {
     let crossed = edges.filter(|edge| {
-        (edge.a.y > point.y) != (edge.b.y > point.y) && point.x < edge.a.x + (point.y - edge.a.y) / (edge.b.y - edge.a.y) * (edge.b.x - edge.a.x)
+        (edge.a.y > point.y) != (edge.b.y > point.y)
+            && point.x < edge.a.x + (point.y - edge.a.y) / (edge.b.y - edge.a.y) * (edge.b.x - edge.a.x)
     });
     crossed.count() % 2 == 1
 }
@@ -81,7 +85,10 @@ pub fn touch(p: Edge, q: Edge) -> bool {
         return true;
     }
     let within = |edge: Edge, point: Point2<f64>| (edge.a - point).dot(&(edge.b - point)) <= 0.0;
-    (pa == 0.0 && within(q, p.a)) || (pb == 0.0 && within(q, p.b)) || (qa == 0.0 && within(p, q.a)) || (qb == 0.0 && within(p, q.b))
+    (pa == 0.0 && within(q, p.a))
+        || (pb == 0.0 && within(q, p.b))
+        || (qa == 0.0 && within(p, q.a))
+        || (qb == 0.0 && within(p, q.b))
 }
 
 /// A solid that can move: its form and where it is now, in world coordinates.
@@ -101,7 +108,12 @@ impl Solid {
             Shape::Disc(radius) => *radius,
             Shape::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
         };
-        let mut solid = Self { shape, center: pose.position(), reach, edges: Vec::new() };
+        let mut solid = Self {
+            shape,
+            center: pose.position(),
+            reach,
+            edges: Vec::new(),
+        };
         solid.place(pose);
         solid
     }
@@ -113,7 +125,10 @@ impl Solid {
         if let Shape::Polygon(corners) = &self.shape {
             let (sin, cos) = pose.yaw.sin_cos();
             let placed = |p: Point2<f64>| Point2::new(pose.x + cos * p.x - sin * p.y, pose.y + sin * p.x + cos * p.y);
-            self.edges.extend(edges(corners).map(|edge| Edge { a: placed(edge.a), b: placed(edge.b) }));
+            self.edges.extend(edges(corners).map(|edge| Edge {
+                a: placed(edge.a),
+                b: placed(edge.b),
+            }));
         }
     }
 
@@ -139,7 +154,10 @@ impl Solid {
     #[must_use]
     pub fn disc(&self) -> Option<Disc> {
         match self.shape {
-            Shape::Disc(radius) => Some(Disc { center: self.center, radius }),
+            Shape::Disc(radius) => Some(Disc {
+                center: self.center,
+                radius,
+            }),
             Shape::Polygon(_) => None,
         }
     }
@@ -159,7 +177,9 @@ mod tests {
     use super::*;
 
     fn l_shape() -> Vec<Point2<f64>> {
-        [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]].map(|[x, y]| Point2::new(x, y)).to_vec()
+        [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]]
+            .map(|[x, y]| Point2::new(x, y))
+            .to_vec()
     }
 
     #[test]
@@ -171,7 +191,10 @@ mod tests {
 
     #[test]
     fn edges_that_cross_or_meet_touch() {
-        let edge = |ax, ay, bx, by| Edge { a: Point2::new(ax, ay), b: Point2::new(bx, by) };
+        let edge = |ax, ay, bx, by| Edge {
+            a: Point2::new(ax, ay),
+            b: Point2::new(bx, by),
+        };
         assert!(touch(edge(0.0, 0.0, 2.0, 2.0), edge(0.0, 2.0, 2.0, 0.0)));
         assert!(touch(edge(0.0, 0.0, 2.0, 0.0), edge(1.0, 0.0, 1.0, 1.0)));
         assert!(!touch(edge(0.0, 0.0, 1.0, 0.0), edge(2.0, 0.0, 3.0, 0.0)));
@@ -180,7 +203,10 @@ mod tests {
 
     #[test]
     fn a_placed_solid_turns_with_its_pose() {
-        let solid = Solid::new(Shape::Polygon(l_shape()), Pose2::new(5.0, 5.0, std::f64::consts::FRAC_PI_2));
+        let solid = Solid::new(
+            Shape::Polygon(l_shape()),
+            Pose2::new(5.0, 5.0, std::f64::consts::FRAC_PI_2),
+        );
         assert!(solid.contains(Point2::new(4.5, 6.5)) && solid.contains(Point2::new(3.5, 5.5)));
         assert!(!solid.contains(Point2::new(3.5, 6.5)));
     }

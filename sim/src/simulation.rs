@@ -3,6 +3,7 @@
 //! A step moves the movers, then the robots in their order, each against what stands where it stands by then; when all
 //! have moved, clearances are computed and sensors measure. Robots see and hit one another.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,6 +18,7 @@ use zenav_protocol::time::Stamp;
 use crate::body::Body;
 use crate::chassis::{CONTACT, Surroundings, Truth};
 use crate::clearance::Placed;
+use crate::crowd::Crowd;
 use crate::movers::Mover;
 use crate::scene::Scene;
 use crate::shape::{Shape, Solid};
@@ -76,7 +78,7 @@ pub struct Simulation {
     movers: Vec<Mover>,
     bodies: Vec<Body>,
     /// Movers first, then robots.
-    solids: Vec<Solid>,
+    crowd: Crowd,
     ids: Vec<Id>,
     tick: Duration,
     now: Stamp,
@@ -102,27 +104,47 @@ impl Simulation {
         if robots.len() > MAX_ROBOTS {
             return Err(SimError::TooMany(robots.len()));
         }
-        let (movers, mut solids): (Vec<Mover>, Vec<Solid>) = world.movers().iter().map(Mover::new).unzip();
+        let (movers, solids): (Vec<Mover>, Vec<Solid>) = world.movers().iter().map(Mover::new).unzip();
+        let mut crowd = Crowd::new(solids);
         let mut ids: Vec<Id> = Vec::with_capacity(robots.len());
+        let mut names = BTreeSet::new();
         let mut bodies = Vec::with_capacity(robots.len());
         for RobotSpec { id, model, start } in robots {
             let model = model.checked(id.as_str())?;
-            if ids.contains(&id) {
+            if !names.insert(id.clone()) {
                 return Err(SimError::Duplicate(id));
             }
             if !start.is_finite() {
                 return Err(SimError::NotFinite(id));
             }
             let start = Pose2::new(start.x, start.y, start.yaw);
-            let around = Surroundings { scene: world.scene(), solids: &solids, own: usize::MAX };
-            if world.is_solid(start.position()) || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT {
-                return Err(SimError::Occupied { robot: id, x: start.x, y: start.y });
+            let around = Surroundings {
+                scene: world.scene(),
+                crowd: &crowd,
+                own: usize::MAX,
+            };
+            if world.is_solid(start.position())
+                || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT
+            {
+                return Err(SimError::Occupied {
+                    robot: id,
+                    x: start.x,
+                    y: start.y,
+                });
             }
-            solids.push(Solid::new(Shape::from(&model.footprint), start));
+            crowd.push(Solid::new(Shape::from(&model.footprint), start));
             bodies.push(Body::new(&id, model, start, seed));
             ids.push(id);
         }
-        let mut simulation = Self { scene: world.shared_scene(), movers, bodies, solids, ids, tick, now: Stamp::ZERO };
+        let mut simulation = Self {
+            scene: world.shared_scene(),
+            movers,
+            bodies,
+            crowd,
+            ids,
+            tick,
+            now: Stamp::ZERO,
+        };
         simulation.sense();
         Ok(simulation)
     }
@@ -165,25 +187,41 @@ impl Simulation {
         let secs = self.tick.as_secs_f64();
         self.now = self.now + self.tick;
         let mut farthest = self.move_movers(secs);
-        let Self { scene, movers, bodies, solids, .. } = self;
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
         for (index, body) in bodies.iter_mut().enumerate() {
             let own = movers.len() + index;
-            let moved = body.advance(Surroundings { scene, solids, own }, secs, farthest, self.now);
+            let moved = body.advance(Surroundings { scene, crowd, own }, secs, farthest, self.now);
             farthest = farthest.max(moved.reach);
-            solids[own].place(body.chassis.truth().map_from_base);
+            crowd.place(own, body.chassis.truth().map_from_base);
         }
         self.sense();
     }
 
     /// Moves all movers; returns how far the fastest went at most, m.
     fn move_movers(&mut self, secs: f64) -> f64 {
-        let Self { movers, bodies, solids, .. } = self;
+        let Self {
+            movers, bodies, crowd, ..
+        } = self;
         let mut farthest = 0.0_f64;
-        for (mover, solid) in movers.iter_mut().zip(solids.iter_mut()) {
+        for (index, mover) in movers.iter_mut().enumerate() {
             let stride = mover.stride(secs);
             farthest = farthest.max(stride);
-            let robots = bodies.iter().map(|body| Placed::new(&body.model().footprint, body.chassis.truth().map_from_base));
-            let near: Vec<(Placed<'_>, f64)> = robots.filter(|placed| placed.at_least_to(solid) <= stride + CONTACT).map(|placed| (placed, placed.to_solid(solid).distance)).collect();
+            let Some(solid) = crowd.solids().get(index) else {
+                continue;
+            };
+            let robots = bodies
+                .iter()
+                .map(|body| Placed::new(&body.model().footprint, body.chassis.truth().map_from_base));
+            let near: Vec<(Placed<'_>, f64)> = robots
+                .filter(|placed| placed.at_least_to(solid) <= stride + CONTACT)
+                .map(|placed| (placed, placed.to_solid(solid).distance))
+                .collect();
             // Half of what counts as contact: a robot that was run into knows it.
             let blocked = |solid: &Solid| {
                 near.iter().any(|(placed, before)| {
@@ -191,15 +229,29 @@ impl Simulation {
                     distance <= 0.5 * CONTACT && distance < *before
                 })
             };
-            mover.step(secs, solid, blocked);
+            crowd.change(index, |solid| mover.step(secs, solid, blocked));
         }
         farthest
     }
 
     fn sense(&mut self) {
-        let Self { scene, movers, bodies, solids, .. } = self;
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
+        crowd.refresh();
         for (index, body) in bodies.iter_mut().enumerate() {
-            body.sense(Surroundings { scene, solids, own: movers.len() + index }, self.now);
+            body.sense(
+                Surroundings {
+                    scene,
+                    crowd,
+                    own: movers.len() + index,
+                },
+                self.now,
+            );
         }
     }
 
@@ -232,13 +284,17 @@ impl Simulation {
 
     /// Where the movers are now, in the order of the world's file, m.
     pub fn movers(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
-        self.solids.iter().take(self.movers.len()).map(Solid::center)
+        self.crowd.solids().iter().take(self.movers.len()).map(Solid::center)
     }
 
     /// True clearance that a footprint would have at a pose now, among solids, movers and robots, m.
     #[must_use]
     pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
-        let around = Surroundings { scene: &self.scene, solids: &self.solids, own: usize::MAX };
+        let around = Surroundings {
+            scene: &self.scene,
+            crowd: &self.crowd,
+            own: usize::MAX,
+        };
         around.nearest(&Placed::new(footprint, map_from_base)).distance
     }
 }
@@ -250,10 +306,16 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     use proptest::prelude::*;
+    use zenav_protocol::geometry::wrap_angle;
     use zenav_protocol::robot;
 
     fn world(body: &str) -> World {
-        World::from_toml(&format!("size = [20, 20]\norigin = [-10, -10]\n{body}"), "test.toml", &|_| Err(String::new())).unwrap()
+        World::from_toml(
+            &format!("size = [20, 20]\norigin = [-10, -10]\n{body}"),
+            "test.toml",
+            &|_| Err(String::new()),
+        )
+        .unwrap()
     }
 
     fn model(name: &str) -> RobotModel {
@@ -261,7 +323,11 @@ mod tests {
     }
 
     fn robot(id: &str, model_name: &str, start: Pose2) -> RobotSpec {
-        RobotSpec { id: Id::robot(id).unwrap(), model: model(model_name), start }
+        RobotSpec {
+            id: Id::robot(id).unwrap(),
+            model: model(model_name),
+            start,
+        }
     }
 
     fn simulate(world: &World, robots: Vec<RobotSpec>) -> Simulation {
@@ -297,7 +363,11 @@ mod tests {
         let mut simulation = simulate(&world(WALL), vec![robot("a", "tiago", Pose2::IDENTITY)]);
         steps(&mut simulation, 0, [6.0, 6.0], 250);
         let truth = simulation.truth(0);
-        assert!((truth.map_from_base.x - (0.95 - 0.265)).abs() < 1e-4, "{}", truth.map_from_base.x);
+        assert!(
+            (truth.map_from_base.x - (0.95 - 0.265)).abs() < 1e-4,
+            "{}",
+            truth.map_from_base.x
+        );
         assert_eq!(truth.collisions, 1);
         let contact = truth.last_contact.unwrap();
         assert!(contact.bearing.abs() < 1e-6 && contact.own_speed > 0.4, "{contact:?}");
@@ -315,7 +385,13 @@ mod tests {
 
     #[test]
     fn robots_see_and_hit_one_another() {
-        let mut simulation = simulate(&world(""), vec![robot("a", "tiago", Pose2::IDENTITY), robot("b", "jackal", Pose2::new(2.0, 0.0, PI))]);
+        let mut simulation = simulate(
+            &world(""),
+            vec![
+                robot("a", "tiago", Pose2::IDENTITY),
+                robot("b", "jackal", Pose2::new(2.0, 0.0, PI)),
+            ],
+        );
         let sweep = simulation.readings(0).sweep.unwrap();
         let ahead = sweep.ranges[333];
         assert!((ahead - (2.0 - 0.21 - 0.2)).abs() < 0.03, "{ahead}");
@@ -358,10 +434,41 @@ mod tests {
         };
         assert_eq!(record(vec![first()], 1), record(vec![first()], 1));
         assert_ne!(record(vec![first()], 1), record(vec![first()], 2));
-        let wheels = |text: &str| text.lines().map(|line| line.split("sweep").next().unwrap().to_owned()).collect::<Vec<_>>();
+        let wheels = |text: &str| {
+            text.lines()
+                .map(|line| line.split("sweep").next().unwrap().to_owned())
+                .collect::<Vec<_>>()
+        };
         let alone = record(vec![first()], 1);
         let together = record(vec![first(), robot("b", "neato", Pose2::new(-1.46, -3.12, 0.0))], 1);
         assert_eq!(wheels(&alone), wheels(&together));
+    }
+
+    #[test]
+    fn a_tiago_drives_twice_around_the_kitchen_table_by_the_proportional_wheel_law() {
+        let world = World::shipped("kitchen").unwrap();
+        let mut simulation = simulate(&world, vec![robot("a", "tiago", world.start())]);
+        let gains = model("tiago").controller;
+        let places: Vec<_> = (1..=10).map(|i| world.place(&format!("table_{i}")).unwrap()).collect();
+        for place in places.iter().chain(&places) {
+            let mut steps_left = 1000;
+            loop {
+                let here = simulation.truth(0).map_from_base;
+                let (dx, dy) = (place.x - here.x, place.y - here.y);
+                if dx.hypot(dy) < gains.waypoint_threshold {
+                    break;
+                }
+                let turn = gains.heading_gain * wrap_angle(dy.atan2(dx) - here.yaw);
+                let on = gains.distance_gain * dx.hypot(dy);
+                steps(&mut simulation, 0, [on - turn, on + turn], 1);
+                steps_left -= 1;
+                assert!(steps_left > 0, "never reached {}", place.name);
+            }
+        }
+        let truth = simulation.truth(0);
+        assert_eq!(truth.collisions, 0);
+        assert!(truth.min_clearance > 0.15, "{truth:?}");
+        assert!((16.0..19.0).contains(&truth.length), "{truth:?}");
     }
 
     #[test]
@@ -384,9 +491,32 @@ mod tests {
         let world = world(WALL);
         let refuse = |robots: Vec<RobotSpec>| Simulation::new(&world, robots, 1).err().unwrap().to_string();
         assert!(refuse(vec![robot("a", "tiago", Pose2::new(1.0, 0.0, 0.0))]).contains("something stands there"));
-        assert!(refuse(vec![robot("a", "tiago", Pose2 { x: f64::NAN, y: 0.0, yaw: 0.0 })]).contains("not finite"));
-        assert!(refuse(vec![robot("a", "tiago", Pose2::IDENTITY), robot("b", "neato", Pose2::new(0.1, 0.0, 0.0))]).contains("`b` cannot start"));
-        assert!(refuse(vec![robot("a", "tiago", Pose2::IDENTITY), robot("a", "tiago", Pose2::new(-3.0, 0.0, 0.0))]).contains("two robots"));
+        assert!(
+            refuse(vec![robot(
+                "a",
+                "tiago",
+                Pose2 {
+                    x: f64::NAN,
+                    y: 0.0,
+                    yaw: 0.0
+                }
+            )])
+            .contains("not finite")
+        );
+        assert!(
+            refuse(vec![
+                robot("a", "tiago", Pose2::IDENTITY),
+                robot("b", "neato", Pose2::new(0.1, 0.0, 0.0))
+            ])
+            .contains("`b` cannot start")
+        );
+        assert!(
+            refuse(vec![
+                robot("a", "tiago", Pose2::IDENTITY),
+                robot("a", "tiago", Pose2::new(-3.0, 0.0, 0.0))
+            ])
+            .contains("two robots")
+        );
         assert!(Simulation::with_tick(&world, Vec::new(), 1, Duration::ZERO).is_err());
     }
 
@@ -418,8 +548,17 @@ mod tests {
         /// Clearance computed anew from everything else, one by one.
         fn clearance_without(&self, robot: usize) -> f64 {
             let placed = Placed::new(&self.model(robot).footprint, self.truth(robot).map_from_base);
-            let solids = self.solids.iter().enumerate().filter(|(index, _)| *index != self.movers.len() + robot).map(|(_, solid)| placed.to_solid(solid).distance);
-            let fixed = self.scene.nearest(&placed, f64::INFINITY).map(|nearest| nearest.distance);
+            let solids = self
+                .crowd
+                .solids()
+                .iter()
+                .enumerate()
+                .filter(|(index, _)| *index != self.movers.len() + robot)
+                .map(|(_, solid)| placed.to_solid(solid).distance);
+            let fixed = self
+                .scene
+                .nearest(&placed, f64::INFINITY)
+                .map(|nearest| nearest.distance);
             solids.chain(fixed).fold(f64::INFINITY, f64::min)
         }
     }

@@ -1,66 +1,16 @@
 //! How is a world written down? TOML in metres and radians; whatever is wrong is named with file, line and key.
 
-use std::ops::Range;
-
 use nalgebra::Point2;
 use serde::Deserialize;
-use thiserror::Error;
 use toml::Spanned;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
 
 use crate::movers::MoverModel;
-use crate::shape::{self, Disc, Shape};
+use crate::shape::{Disc, Shape};
 use crate::world::{Parts, Place};
-
-/// Most polygons, circles and walls, each.
-pub const MAX_SHAPES: usize = 20_000;
-/// Most corners of one polygon or path.
-pub const MAX_CORNERS: usize = 1_000;
-/// Most corners of all polygons together.
-pub const MAX_ALL_CORNERS: usize = 200_000;
-/// Most movers, and most places.
-pub const MAX_MOVERS: usize = 1_000;
-/// Coordinates lie within this, m.
-pub const MAX_COORDINATE: f64 = 100_000.0;
-/// Movers are not faster than this, m/s.
-pub const MAX_MOVER_SPEED: f64 = 20.0;
-
-/// Why a world was refused.
-#[derive(Debug, Error)]
-pub enum WorldError {
-    /// No world of this name is shipped.
-    #[error("no shipped world is named `{name}`: there are {known}")]
-    Unknown {
-        /// The name.
-        name: String,
-        /// The names that there are.
-        known: String,
-    },
-    /// The TOML does not fit: an unknown, missing or mistyped key.
-    #[error("{file}:{line}: {source}")]
-    Toml {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// What and where.
-        source: Box<toml::de::Error>,
-    },
-    /// A value that no world has.
-    #[error("{file}:{line}: `{key}`: {problem}")]
-    Value {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// The key.
-        key: &'static str,
-        /// What is wrong with it.
-        problem: String,
-    },
-}
+use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVER_SPEED, MAX_MOVERS, MAX_SHAPES, Source, WorldError};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -137,87 +87,20 @@ struct PlaceTable {
     yaw: Option<f64>,
 }
 
-/// The text, to turn places in it into lines.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    text: &'a str,
-    file: &'a str,
-}
-
-impl Source<'_> {
-    fn line(self, span: Range<usize>) -> usize {
-        1 + self.text.bytes().take(span.start).filter(|byte| *byte == b'\n').count()
-    }
-
-    fn fail<T>(self, span: Range<usize>, key: &'static str, problem: impl Into<String>) -> Result<T, WorldError> {
-        Err(WorldError::Value { file: self.file.to_owned(), line: self.line(span), key, problem: problem.into() })
-    }
-
-    fn positive(self, value: &Spanned<f64>, key: &'static str) -> Result<f64, WorldError> {
-        let number = *value.get_ref();
-        if number > 0.0 && number <= MAX_COORDINATE { Ok(number) } else { self.fail(value.span(), key, format!("{number}: expected a positive number up to {MAX_COORDINATE}")) }
-    }
-
-    fn coordinates(self, span: Range<usize>, key: &'static str, values: &[f64]) -> Result<(), WorldError> {
-        match values.iter().find(|value| !(value.abs() <= MAX_COORDINATE)) {
-            None => Ok(()),
-            Some(value) => self.fail(span, key, format!("{value}: expected a number within {MAX_COORDINATE}")),
-        }
-    }
-
-    fn points(self, points: &Spanned<Vec<[f64; 2]>>, key: &'static str, least: usize) -> Result<Vec<Point2<f64>>, WorldError> {
-        let count = points.get_ref().len();
-        if !(least..=MAX_CORNERS).contains(&count) {
-            return self.fail(points.span(), key, format!("{count} points: expected {least} to {MAX_CORNERS}"));
-        }
-        for point in points.get_ref() {
-            self.coordinates(points.span(), key, point)?;
-        }
-        Ok(points.get_ref().iter().map(|[x, y]| Point2::new(*x, *y)).collect())
-    }
-
-    /// A simple polygon, brought into counter-clockwise order.
-    fn polygon(self, points: &Spanned<Vec<[f64; 2]>>, key: &'static str) -> Result<Vec<Point2<f64>>, WorldError> {
-        let mut corners = self.points(points, key, 3)?;
-        let edges: Vec<_> = shape::edges(&corners).collect();
-        if let Some(edge) = edges.iter().find(|edge| edge.a == edge.b) {
-            return self.fail(points.span(), key, format!("the corner ({}, {}) stands twice in a row", edge.a.x, edge.a.y));
-        }
-        for (i, edge) in edges.iter().enumerate() {
-            // Neighbours share a corner: they may only not turn straight back.
-            let next = edges[(i + 1) % edges.len()];
-            let (along, on) = (edge.b - edge.a, next.b - next.a);
-            if shape::cross(along, on) == 0.0 && along.dot(&on) < 0.0 {
-                return self.fail(points.span(), key, format!("the outline turns straight back at ({}, {})", edge.b.x, edge.b.y));
-            }
-            let others = edges.iter().enumerate().skip(i + 2).filter(|(j, _)| i != 0 || j + 1 != edges.len());
-            for (_, other) in others {
-                if shape::touch(*edge, *other) {
-                    return self.fail(points.span(), key, format!("the outline meets itself between ({}, {}) and ({}, {})", edge.a.x, edge.a.y, edge.b.x, edge.b.y));
-                }
-            }
-        }
-        let area = shape::doubled_area(&corners);
-        if !(area.abs() > 1e-12) {
-            return self.fail(points.span(), key, "the outline encloses no area");
-        }
-        if area < 0.0 {
-            corners.reverse();
-        }
-        Ok(corners)
-    }
-
-    fn count(self, count: usize, limit: usize, key: &'static str) -> Result<(), WorldError> {
-        if count <= limit { Ok(()) } else { self.fail(0..0, key, format!("{count} of them: expected at most {limit}")) }
-    }
-}
-
 /// Reads and checks a world file's text.
-pub(crate) fn read(text: &str, file: &str, load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>) -> Result<Parts, WorldError> {
+pub(crate) fn read(
+    text: &str,
+    file: &str,
+    load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>,
+) -> Result<Parts, WorldError> {
     let source = Source { text, file };
     let world: WorldFile = toml::from_str(text).map_err(|error| {
         let line = source.line(error.span().unwrap_or(0..0));
-        WorldError::Toml { file: file.to_owned(), line, source: Box::new(error) }
+        WorldError::Toml {
+            file: file.to_owned(),
+            line,
+            source: Box::new(error),
+        }
     })?;
     for (count, limit, key) in [
         (world.polygon.len(), MAX_SHAPES, "polygon"),
@@ -225,20 +108,37 @@ pub(crate) fn read(text: &str, file: &str, load_map: &dyn Fn(&str) -> Result<Occ
         (world.wall.len(), MAX_SHAPES, "wall"),
         (world.mover.len(), MAX_MOVERS, "mover"),
         (world.place.len(), MAX_MOVERS, "place"),
-        (world.polygon.iter().map(|polygon| polygon.points.get_ref().len()).sum(), MAX_ALL_CORNERS, "polygon.points"),
+        (
+            world.polygon.iter().map(|polygon| polygon.points.get_ref().len()).sum(),
+            MAX_ALL_CORNERS,
+            "polygon.points",
+        ),
     ] {
         source.count(count, limit, key)?;
     }
     let name = match &world.name {
-        Some(name) if name.get_ref().is_empty() || name.get_ref().len() > 100 => return source.fail(name.span(), "name", "expected 1 to 100 characters"),
+        Some(name) if name.get_ref().is_empty() || name.get_ref().len() > 100 => {
+            return source.fail(name.span(), "name", "expected 1 to 100 characters");
+        }
         Some(name) => name.get_ref().clone(),
-        None => file.rsplit(['/', '\\']).next().unwrap_or(file).trim_end_matches(".toml").to_owned(),
+        None => file
+            .rsplit(['/', '\\'])
+            .next()
+            .unwrap_or(file)
+            .trim_end_matches(".toml")
+            .to_owned(),
     };
     let map = match &world.map {
         None => None,
         Some(table) => match load_map(table.yaml.get_ref()) {
             Ok(map) => Some(map),
-            Err(reason) => return source.fail(table.yaml.span(), "map.yaml", format!("{}: {reason}", table.yaml.get_ref())),
+            Err(reason) => {
+                return source.fail(
+                    table.yaml.span(),
+                    "map.yaml",
+                    format!("{}: {reason}", table.yaml.get_ref()),
+                );
+            }
         },
     };
     let (low, high) = bounds(source, &world, map.as_ref())?;
@@ -261,15 +161,36 @@ pub(crate) fn read(text: &str, file: &str, load_map: &dyn Fn(&str) -> Result<Occ
     for circle in &world.circle {
         let CircleTable { x, y, radius } = circle.get_ref();
         source.coordinates(circle.span(), "circle", &[*x, *y])?;
-        discs.push(Disc { center: Point2::new(*x, *y), radius: source.positive(radius, "circle.radius")? });
+        discs.push(Disc {
+            center: Point2::new(*x, *y),
+            radius: source.positive(radius, "circle.radius")?,
+        });
     }
-    let movers = world.mover.iter().map(|mover| self::mover(source, mover)).collect::<Result<_, _>>()?;
+    let movers = world
+        .mover
+        .iter()
+        .map(|mover| self::mover(source, mover))
+        .collect::<Result<_, _>>()?;
     let places = places(source, &world.place)?;
-    Ok(Parts { name, low, high, start, polygons, discs, map, movers, places })
+    Ok(Parts {
+        name,
+        low,
+        high,
+        start,
+        polygons,
+        discs,
+        map,
+        movers,
+        places,
+    })
 }
 
 /// The part to be driven in: as written, or the map's.
-fn bounds(source: Source<'_>, world: &WorldFile, map: Option<&OccupancyGrid>) -> Result<(Point2<f64>, Point2<f64>), WorldError> {
+fn bounds(
+    source: Source<'_>,
+    world: &WorldFile,
+    map: Option<&OccupancyGrid>,
+) -> Result<(Point2<f64>, Point2<f64>), WorldError> {
     let from_map = map.map(|map| (map.spec().origin, map.spec().upper()));
     let low = match (&world.origin, from_map) {
         (Some(origin), _) => {
@@ -284,7 +205,11 @@ fn bounds(source: Source<'_>, world: &WorldFile, map: Option<&OccupancyGrid>) ->
             let [width, height] = *size.get_ref();
             source.coordinates(size.span(), "size", size.get_ref())?;
             if !(width > 0.0 && height > 0.0) {
-                return source.fail(size.span(), "size", format!("{width} x {height}: expected positive numbers"));
+                return source.fail(
+                    size.span(),
+                    "size",
+                    format!("{width} x {height}: expected positive numbers"),
+                );
             }
             Point2::new(low.x + width, low.y + height)
         }
@@ -302,7 +227,7 @@ fn wall(source: Source<'_>, wall: &Spanned<WallTable>) -> Result<Vec<Point2<f64>
     let half = 0.5 * source.positive(thickness, "wall.thickness")?;
     let (from, to) = (Point2::from(*from), Point2::from(*to.get_ref()));
     let along = to - from;
-    if !(along.norm() > 1e-6) {
+    if along.norm() <= 1e-6 {
         return source.fail(wall.get_ref().to.span(), "wall.to", "the same point as `from`");
     }
     let aside = nalgebra::Vector2::new(-along.y, along.x) * (half / along.norm());
@@ -310,7 +235,12 @@ fn wall(source: Source<'_>, wall: &Spanned<WallTable>) -> Result<Vec<Point2<f64>
 }
 
 fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<MoverModel, WorldError> {
-    let MoverTable { radius, polygon, path, speed } = mover.get_ref();
+    let MoverTable {
+        radius,
+        polygon,
+        path,
+        speed,
+    } = mover.get_ref();
     let shape = match (radius, polygon) {
         (Some(radius), None) => Shape::Disc(source.positive(radius, "mover.radius")?),
         (None, Some(polygon)) => Shape::Polygon(source.polygon(polygon, "mover.polygon")?),
@@ -319,15 +249,28 @@ fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<MoverModel, 
     let path = source.points(path, "mover.path", 1)?;
     let metres_per_second = *speed.get_ref();
     if !(0.0..=MAX_MOVER_SPEED).contains(&metres_per_second) {
-        return source.fail(speed.span(), "mover.speed", format!("{metres_per_second}: expected 0 to {MAX_MOVER_SPEED}"));
+        return source.fail(
+            speed.span(),
+            "mover.speed",
+            format!("{metres_per_second}: expected 0 to {MAX_MOVER_SPEED}"),
+        );
     }
-    Ok(MoverModel { shape, path, speed: metres_per_second })
+    Ok(MoverModel {
+        shape,
+        path,
+        speed: metres_per_second,
+    })
 }
 
 fn places(source: Source<'_>, tables: &[Spanned<PlaceTable>]) -> Result<Vec<Place>, WorldError> {
     let mut places: Vec<Place> = Vec::with_capacity(tables.len());
     for table in tables {
-        let PlaceTable { name: written, x, y, yaw } = table.get_ref();
+        let PlaceTable {
+            name: written,
+            x,
+            y,
+            yaw,
+        } = table.get_ref();
         let name = match Id::new(written.get_ref().clone()) {
             Ok(name) => name,
             Err(error) => return source.fail(written.span(), "place.name", error.to_string()),
@@ -336,7 +279,12 @@ fn places(source: Source<'_>, tables: &[Spanned<PlaceTable>]) -> Result<Vec<Plac
             return source.fail(written.span(), "place.name", format!("`{name}` is taken"));
         }
         source.coordinates(table.span(), "place", &[*x, *y, yaw.unwrap_or(0.0)])?;
-        places.push(Place { name, x: *x, y: *y, yaw: *yaw });
+        places.push(Place {
+            name,
+            x: *x,
+            y: *y,
+            yaw: *yaw,
+        });
     }
     Ok(places)
 }
@@ -345,6 +293,7 @@ fn places(source: Source<'_>, tables: &[Spanned<PlaceTable>]) -> Result<Vec<Plac
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use crate::shape;
     use crate::world::World;
     use proptest::prelude::*;
     use zenav_protocol::grid::{GridSpec, Occupancy};
@@ -352,7 +301,12 @@ mod tests {
     const HEAD: &str = "name = \"w\"\nsize = [5, 6.0]\norigin = [-1.0, 0]\n";
 
     fn error(body: &str) -> String {
-        World::from_toml(&format!("{HEAD}{body}"), "w.toml", &|path| Err(format!("no file {path}"))).err().unwrap().to_string()
+        World::from_toml(&format!("{HEAD}{body}"), "w.toml", &|path| {
+            Err(format!("no file {path}"))
+        })
+        .err()
+        .unwrap()
+        .to_string()
     }
 
     #[test]
@@ -363,8 +317,16 @@ mod tests {
         );
         let world = World::from_toml(&text, "w.toml", &|_| Err(String::new())).unwrap();
         assert_eq!(world.bounds(), (Point2::new(-1.0, 0.0), Point2::new(4.0, 6.0)));
-        assert_eq!((world.polygons().len(), world.discs().len(), world.movers().len()), (2, 1, 2));
-        assert!(world.polygons().iter().all(|polygon| shape::doubled_area(polygon) > 0.0));
+        assert_eq!(
+            (world.polygons().len(), world.discs().len(), world.movers().len()),
+            (2, 1, 2)
+        );
+        assert!(
+            world
+                .polygons()
+                .iter()
+                .all(|polygon| shape::doubled_area(polygon) > 0.0)
+        );
         assert_eq!(world.place("sink").unwrap().yaw, Some(1.0));
     }
 
@@ -373,31 +335,66 @@ mod tests {
         for (body, expected) in [
             ("colour = 1\n", ["w.toml:4:", "colour"]),
             ("[start]\nx = 1\ny = 2\nz = 3\n", ["w.toml:7:", "`z`"]),
-            ("[[circle]]\nx = 1\ny = 2\nradius = -1\n", ["w.toml:7:", "circle.radius"]),
+            (
+                "[[circle]]\nx = 1\ny = 2\nradius = -1\n",
+                ["w.toml:7:", "circle.radius"],
+            ),
             ("[[circle]]\nx = nan\ny = 2\nradius = 1\n", ["w.toml:4:", "circle"]),
             ("[[polygon]]\npoints = [[0,0],[1,1]]\n", ["w.toml:5:", "polygon.points"]),
-            ("[[polygon]]\npoints = [[0,0],[1,1],[1,0],[0,1]]\n", ["w.toml:5:", "meets itself"]),
-            ("[[polygon]]\npoints = [[0,0],[1,0],[2,0]]\n", ["w.toml:5:", "polygon.points"]),
-            ("[[polygon]]\npoints = [[0,0],[1,0],[1,0],[0,1]]\n", ["w.toml:5:", "twice in a row"]),
-            ("[[wall]]\nfrom = [0,0]\nto = [0,0]\nthickness = 1\n", ["w.toml:6:", "wall.to"]),
-            ("[[mover]]\npath = [[0,0]]\nspeed = 1\n", ["w.toml:4:", "either `radius` or `polygon`"]),
-            ("[[mover]]\nradius = 1\npath = []\nspeed = 1\n", ["w.toml:6:", "mover.path"]),
-            ("[[mover]]\nradius = 1\npath = [[0,0]]\nspeed = inf\n", ["w.toml:7:", "mover.speed"]),
+            (
+                "[[polygon]]\npoints = [[0,0],[1,1],[1,0],[0,1]]\n",
+                ["w.toml:5:", "meets itself"],
+            ),
+            (
+                "[[polygon]]\npoints = [[0,0],[1,0],[2,0]]\n",
+                ["w.toml:5:", "polygon.points"],
+            ),
+            (
+                "[[polygon]]\npoints = [[0,0],[1,0],[1,0],[0,1]]\n",
+                ["w.toml:5:", "twice in a row"],
+            ),
+            (
+                "[[wall]]\nfrom = [0,0]\nto = [0,0]\nthickness = 1\n",
+                ["w.toml:6:", "wall.to"],
+            ),
+            (
+                "[[mover]]\npath = [[0,0]]\nspeed = 1\n",
+                ["w.toml:4:", "either `radius` or `polygon`"],
+            ),
+            (
+                "[[mover]]\nradius = 1\npath = []\nspeed = 1\n",
+                ["w.toml:6:", "mover.path"],
+            ),
+            (
+                "[[mover]]\nradius = 1\npath = [[0,0]]\nspeed = inf\n",
+                ["w.toml:7:", "mover.speed"],
+            ),
             ("[[place]]\nname = \"a/b\"\nx = 0\ny = 0\n", ["w.toml:5:", "place.name"]),
-            ("[[place]]\nname = \"a\"\nx = 0\ny = 0\n[[place]]\nname = \"a\"\nx = 0\ny = 0\n", ["w.toml:9:", "taken"]),
+            (
+                "[[place]]\nname = \"a\"\nx = 0\ny = 0\n[[place]]\nname = \"a\"\nx = 0\ny = 0\n",
+                ["w.toml:9:", "taken"],
+            ),
             ("[map]\nyaml = \"m.yaml\"\n", ["w.toml:5:", "m.yaml: no file m.yaml"]),
             ("size = 3\n", ["w.toml:4:", "size"]),
         ] {
             let error = error(body);
             assert!(expected.iter().all(|part| error.contains(part)), "{body}: {error}");
         }
-        let bare = World::from_toml("", "w.toml", &|_| Err(String::new())).err().unwrap().to_string();
+        let bare = World::from_toml("", "w.toml", &|_| Err(String::new()))
+            .err()
+            .unwrap()
+            .to_string();
         assert!(bare.contains("`size`"), "{bare}");
     }
 
     #[test]
     fn a_map_world_takes_its_bounds_from_the_map() {
-        let spec = GridSpec { origin: Point2::new(-3.0, 1.0), resolution: 0.5, width: 4, height: 6 };
+        let spec = GridSpec {
+            origin: Point2::new(-3.0, 1.0),
+            resolution: 0.5,
+            width: 4,
+            height: 6,
+        };
         let world = World::from_toml("[map]\nyaml = \"m.yaml\"\n", "dir/block.toml", &|path| {
             assert_eq!(path, "m.yaml");
             Ok(OccupancyGrid::filled(spec, Occupancy::OCCUPIED))

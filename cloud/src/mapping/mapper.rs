@@ -150,6 +150,17 @@ impl Mapper {
         Some(MapPatch { stamp: self.stamp, map: self.map.clone(), base_revision, spec: self.grid.spec(), tiles })
     }
 
+    /// Whether the next patch has anything to say.
+    #[must_use]
+    pub fn has_changes(&self) -> bool {
+        self.grid.is_dirty()
+    }
+
+    /// From now on the cells under this outline are cleared.
+    pub fn set_footprint(&mut self, footprint: Footprint) {
+        self.config.footprint = Some(footprint);
+    }
+
     /// The map's description, with the revision of the last patch.
     #[must_use]
     pub fn info(&self) -> MapInfo {

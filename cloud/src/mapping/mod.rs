@@ -7,12 +7,24 @@
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
 //! | [`mapper`] | how do a robot's scans become its map? |
 //! | [`mirror`] | how does another machine keep a copy? |
+//! | [`map_file`], [`map_yaml`], [`image`] | how are maps kept in `map_server` files? |
+//! | [`moving_ai`] | what do the Moving AI benchmarks say? |
+//! | [`store`] | what of a map outlives its service? |
+//! | [`service`] | how does mapping live on the network? |
+//! | [`carmen`] | what did a robot of the CARMEN days see? |
 
 pub mod beams;
+pub mod carmen;
 pub mod evidence;
+pub mod image;
+pub mod map_file;
+pub mod map_yaml;
 pub mod mapper;
 pub mod mirror;
+pub mod moving_ai;
 pub mod occupancy;
+pub mod service;
+pub mod store;
 mod window;
 
 pub use beams::BeamOptions;
@@ -20,3 +32,4 @@ pub use evidence::SensorModel;
 pub use mapper::{Insertion, Mapper, MapperConfig};
 pub use mirror::{MapMirror, Mirrored};
 pub use occupancy::{CellCounts, InsertMode, LogOddsGrid};
+pub use service::MappingConfig;

@@ -34,7 +34,12 @@ impl Asks {
     /// None yet.
     #[must_use]
     pub fn new(incarnation: u64) -> Self {
-        Self { incarnation, count: 0, new: Vec::new(), waiting: BTreeMap::new() }
+        Self {
+            incarnation,
+            count: 0,
+            new: Vec::new(),
+            waiting: BTreeMap::new(),
+        }
     }
 
     /// Asks.
@@ -184,9 +189,13 @@ impl Context {
 
     /// Publishes a new motion for the goal in hand.
     pub fn drive(&mut self, course: super::motion::Course) {
-        let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else { return };
+        let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
+            return;
+        };
         let replaces = self.motion.was_begun_for_leg;
-        let plan = self.motion.begin(course, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
+        let plan = self
+            .motion
+            .begin(course, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
         self.goal.feedback.plans += 1;
         self.goal.feedback.replans += u64::from(replaces);
         if let Some(leg) = self.goal.legs.last_mut() {
@@ -208,11 +217,16 @@ impl Context {
 
     /// Lets the plan in force run out as soon as the robot can brake: it comes to rest on the way that was checked.
     pub fn hold(&mut self) {
-        if let (Some(epoch), Some(based_on), Some(model)) = (self.lease.epoch(), self.robot.based_on(), self.robot.model()) {
+        if let (Some(epoch), Some(based_on), Some(model)) =
+            (self.lease.epoch(), self.robot.based_on(), self.robot.model())
+        {
             let twist = self.robot.velocity();
             let limits = crate::smoothing::timing::Limits::of(model);
             let valid_for = 0.5 + 1.4 * limits.braking_time(twist);
-            if let Some(plan) = self.motion.hold(epoch, based_on, valid_for.min(self.config.plan_valid), self.now) {
+            if let Some(plan) = self
+                .motion
+                .hold(epoch, based_on, valid_for.min(self.config.plan_valid), self.now)
+            {
                 self.plans.push(plan);
             }
         }

@@ -21,6 +21,8 @@ const DEFAULT_LIMIT: usize = 100;
 pub struct GoalBook {
     goals: BTreeMap<u64, StoredGoal>,
     by_id: BTreeMap<String, u64>,
+    /// Goals that have not ended.
+    open: BTreeSet<u64>,
     answers: VecDeque<(String, GoalReply)>,
     records: Vec<Record>,
     changed: BTreeSet<u64>,
@@ -31,9 +33,23 @@ impl GoalBook {
     #[must_use]
     pub fn new(goals: Vec<StoredGoal>, answers: Vec<(String, GoalReply)>) -> Self {
         let goals: BTreeMap<u64, StoredGoal> = goals.into_iter().map(|goal| (goal.sequence, goal)).collect();
-        let by_id = goals.iter().map(|(sequence, goal)| (goal.state.id.clone(), *sequence)).collect();
-        let changed = goals.iter().filter(|(_, goal)| !goal.state.state.is_end()).map(|(sequence, _)| *sequence).collect();
-        Self { goals, by_id, answers: answers.into(), records: Vec::new(), changed }
+        let by_id = goals
+            .iter()
+            .map(|(sequence, goal)| (goal.state.id.clone(), *sequence))
+            .collect();
+        let open: BTreeSet<u64> = goals
+            .values()
+            .filter(|goal| !goal.state.state.is_end())
+            .map(|goal| goal.sequence)
+            .collect();
+        Self {
+            goals,
+            by_id,
+            changed: open.clone(),
+            open,
+            answers: answers.into(),
+            records: Vec::new(),
+        }
     }
 
     /// A goal by its name.
@@ -45,8 +61,8 @@ impl GoalBook {
     /// The goal that runs or is held by a pause.
     #[must_use]
     pub fn active(&self) -> Option<&StoredGoal> {
-        // An active goal is newer than nearly all others.
-        self.goals.values().rev().find(|goal| matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused))
+        self.open()
+            .find(|goal| matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused))
     }
 
     /// The goal whose turn is next.
@@ -56,7 +72,12 @@ impl GoalBook {
     }
 
     fn waiting(&self) -> impl Iterator<Item = &StoredGoal> {
-        self.goals.values().filter(|goal| goal.state.state == GoalPhase::Accepted)
+        self.open().filter(|goal| goal.state.state == GoalPhase::Accepted)
+    }
+
+    /// Goals that have not ended, in the order of acceptance.
+    pub fn open(&self) -> impl Iterator<Item = &StoredGoal> {
+        self.open.iter().filter_map(|sequence| self.goals.get(sequence))
     }
 
     /// How many goals wait.
@@ -74,7 +95,9 @@ impl GoalBook {
     /// The order number of the next goal.
     #[must_use]
     pub fn next_sequence(&self) -> u64 {
-        self.goals.last_key_value().map_or(1, |(last, _)| last.saturating_add(1))
+        self.goals
+            .last_key_value()
+            .map_or(1, |(last, _)| last.saturating_add(1))
     }
 
     /// Takes a goal that has been checked.
@@ -93,14 +116,26 @@ impl GoalBook {
             request,
         };
         self.by_id.insert(id, sequence);
-        self.goals.insert(sequence, StoredGoal { sequence, urgent, paused_secs: 0.0, state });
+        self.open.insert(sequence);
+        self.goals.insert(
+            sequence,
+            StoredGoal {
+                sequence,
+                urgent,
+                paused_secs: 0.0,
+                paused_since: None,
+                state,
+            },
+        );
         self.store(sequence);
         self.forget_old();
     }
 
     /// Changes a goal that has not ended; stores and publishes it.
     pub fn change(&mut self, id: &str, change: impl FnOnce(&mut StoredGoal)) {
-        let Some(sequence) = self.by_id.get(id).copied() else { return };
+        let Some(sequence) = self.by_id.get(id).copied() else {
+            return;
+        };
         if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| !goal.state.state.is_end()) {
             change(goal);
             self.store(sequence);
@@ -109,7 +144,9 @@ impl GoalBook {
 
     /// Changes how a goal goes; published, not stored.
     pub fn feed_back(&mut self, id: &str, feedback: &GoalFeedback) {
-        let Some(sequence) = self.by_id.get(id).copied() else { return };
+        let Some(sequence) = self.by_id.get(id).copied() else {
+            return;
+        };
         if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| !goal.state.state.is_end()) {
             goal.state.feedback = feedback.clone();
             self.changed.insert(sequence);
@@ -125,6 +162,8 @@ impl GoalBook {
                 goal.state.reason = reason;
                 goal.state.ended = Some(now);
             });
+            self.open
+                .retain(|sequence| self.goals.get(sequence).is_some_and(|goal| goal.state.id != id));
         }
         ends
     }
@@ -137,7 +176,12 @@ impl GoalBook {
     }
 
     fn forget_old(&mut self) {
-        let ended: Vec<u64> = self.goals.values().filter(|goal| goal.state.state.is_end()).map(|goal| goal.sequence).collect();
+        let ended: Vec<u64> = self
+            .goals
+            .values()
+            .filter(|goal| goal.state.state.is_end())
+            .map(|goal| goal.sequence)
+            .collect();
         for sequence in ended.iter().take(ended.len().saturating_sub(MAX_ENDED)) {
             if let Some(goal) = self.goals.remove(sequence) {
                 self.by_id.remove(&goal.state.id);
@@ -149,7 +193,10 @@ impl GoalBook {
     /// The first answer to a request, if it was answered before.
     #[must_use]
     pub fn answered(&self, request_id: &str) -> Option<&GoalReply> {
-        self.answers.iter().find(|(known, _)| known == request_id).map(|(_, reply)| reply)
+        self.answers
+            .iter()
+            .find(|(known, _)| known == request_id)
+            .map(|(_, reply)| reply)
     }
 
     /// Keeps the first answer to a request.
@@ -171,7 +218,11 @@ impl GoalBook {
     /// The goals that are to be published, once.
     pub fn take_changed(&mut self) -> Vec<GoalState> {
         let changed = std::mem::take(&mut self.changed);
-        changed.iter().filter_map(|sequence| self.goals.get(sequence)).map(|goal| goal.state.clone()).collect()
+        changed
+            .iter()
+            .filter_map(|sequence| self.goals.get(sequence))
+            .map(|goal| goal.state.clone())
+            .collect()
     }
 
     /// Goals that a question asks for, newest first.
@@ -182,14 +233,23 @@ impl GoalBook {
         if let Some(id) = &request.id
             && self.get(id).is_none()
         {
-            return Err(Refusal::NotFound { what: format!("goal {id}") });
+            return Err(Refusal::NotFound {
+                what: format!("goal {id}"),
+            });
         }
         let wanted = |goal: &&StoredGoal| {
             request.id.as_ref().is_none_or(|id| *id == goal.state.id)
                 && (request.states.is_empty() || request.states.contains(&goal.state.state))
         };
         let limit = request.limit.unwrap_or(DEFAULT_LIMIT);
-        let goals = self.goals.values().rev().filter(wanted).take(limit).map(|goal| goal.state.clone()).collect();
+        let goals = self
+            .goals
+            .values()
+            .rev()
+            .filter(wanted)
+            .take(limit)
+            .map(|goal| goal.state.clone())
+            .collect();
         Ok(GoalsReply { goals })
     }
 }
@@ -197,7 +257,11 @@ impl GoalBook {
 /// Where a goal stands, as its asker is told.
 #[must_use]
 pub fn reply(goal: &GoalState) -> GoalReply {
-    GoalReply { id: goal.id.clone(), state: goal.state, reason: goal.reason.clone() }
+    GoalReply {
+        id: goal.id.clone(),
+        state: goal.state,
+        reason: goal.reason.clone(),
+    }
 }
 
 #[cfg(test)]
@@ -208,7 +272,11 @@ mod tests {
     fn book(ids: &[&str]) -> GoalBook {
         let mut book = GoalBook::default();
         for id in ids {
-            let request = GoalRequest { x: Some(1.0), y: Some(2.0), ..GoalRequest::default() };
+            let request = GoalRequest {
+                x: Some(1.0),
+                y: Some(2.0),
+                ..GoalRequest::default()
+            };
             book.accept("r", (*id).to_owned(), request, false, Stamp(1));
         }
         book
@@ -220,7 +288,10 @@ mod tests {
         assert!(book.end("a", GoalPhase::Succeeded, None, Stamp(2)));
         assert!(!book.end("a", GoalPhase::Aborted, Some("late".into()), Stamp(3)));
         assert_eq!(book.get("a").unwrap().state.state, GoalPhase::Succeeded);
-        let ends = book.take_records().into_iter().filter(|record| matches!(record, Record::Goal(goal) if goal.state.state.is_end()));
+        let ends = book
+            .take_records()
+            .into_iter()
+            .filter(|record| matches!(record, Record::Goal(goal) if goal.state.state.is_end()));
         assert_eq!(ends.count(), 1);
         assert!(!book.end("a", GoalPhase::Active, None, Stamp(3)));
     }
@@ -238,11 +309,36 @@ mod tests {
     fn lists_are_newest_first_filtered_and_bounded() {
         let mut book = book(&["a", "b", "c"]);
         book.end("b", GoalPhase::Canceled, None, Stamp(2));
-        let ids = |request: &GoalsRequest| book.list(request).unwrap().goals.into_iter().map(|goal| goal.id).collect::<Vec<_>>();
+        let ids = |request: &GoalsRequest| {
+            book.list(request)
+                .unwrap()
+                .goals
+                .into_iter()
+                .map(|goal| goal.id)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(ids(&GoalsRequest::default()), ["c", "b", "a"]);
-        assert_eq!(ids(&GoalsRequest { states: vec![GoalPhase::Canceled], ..GoalsRequest::default() }), ["b"]);
-        assert_eq!(ids(&GoalsRequest { limit: Some(1), ..GoalsRequest::default() }), ["c"]);
-        assert!(matches!(book.list(&GoalsRequest { id: Some("x".into()), ..GoalsRequest::default() }), Err(Refusal::NotFound { .. })));
+        assert_eq!(
+            ids(&GoalsRequest {
+                states: vec![GoalPhase::Canceled],
+                ..GoalsRequest::default()
+            }),
+            ["b"]
+        );
+        assert_eq!(
+            ids(&GoalsRequest {
+                limit: Some(1),
+                ..GoalsRequest::default()
+            }),
+            ["c"]
+        );
+        assert!(matches!(
+            book.list(&GoalsRequest {
+                id: Some("x".into()),
+                ..GoalsRequest::default()
+            }),
+            Err(Refusal::NotFound { .. })
+        ));
     }
 
     #[test]

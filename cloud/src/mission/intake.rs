@@ -43,7 +43,12 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
         return bad(format!("`id`: {error}"));
     }
     let point = request.x.is_some() || request.y.is_some();
-    let kinds = [point, request.place.is_some(), !request.waypoints.is_empty(), request.tree.is_some()];
+    let kinds = [
+        point,
+        request.place.is_some(),
+        !request.waypoints.is_empty(),
+        request.tree.is_some(),
+    ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
         return bad("expected exactly one of `x` and `y`, `place`, `waypoints`, `tree`".to_owned());
     }
@@ -51,26 +56,56 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
         return bad("`yaw` goes with `x` and `y` or with `place`".to_owned());
     }
     if let Some(tolerance) = request.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
-        return bad(format!("`tolerance` is {tolerance}: expected {} to {} m", TOLERANCE.start(), TOLERANCE.end()));
+        return bad(format!(
+            "`tolerance` is {tolerance}: expected {} to {} m",
+            TOLERANCE.start(),
+            TOLERANCE.end()
+        ));
     }
-    if let Some(secs) = request.deadline_secs.filter(|secs| !(*secs > 0.0 && *secs <= LONGEST_DEADLINE)) {
-        return bad(format!("`deadline_secs` is {secs}: expected more than 0 and at most {LONGEST_DEADLINE} s"));
+    if let Some(secs) = request
+        .deadline_secs
+        .filter(|secs| !(*secs > 0.0 && *secs <= LONGEST_DEADLINE))
+    {
+        return bad(format!(
+            "`deadline_secs` is {secs}: expected more than 0 and at most {LONGEST_DEADLINE} s"
+        ));
     }
-    if request.blackboard.len() > MAX_ENTRIES || request.blackboard.keys().any(|name| name.is_empty() || name.len() > MAX_NAME) {
-        return bad(format!("`blackboard`: expected at most {MAX_ENTRIES} entries with names of 1 to {MAX_NAME} bytes"));
+    if request.blackboard.len() > MAX_ENTRIES
+        || request
+            .blackboard
+            .keys()
+            .any(|name| name.is_empty() || name.len() > MAX_NAME)
+    {
+        return bad(format!(
+            "`blackboard`: expected at most {MAX_ENTRIES} entries with names of 1 to {MAX_NAME} bytes"
+        ));
     }
     if let Some(tree) = &request.tree {
-        trees::build(tree).map_err(|errors| Refusal::BadRequest { reason: errors.to_string() })?;
+        trees::build(tree).map_err(|errors| Refusal::BadRequest {
+            reason: errors.to_string(),
+        })?;
         return Ok(Target::Tree(tree.clone()));
     }
     if let Some(name) = &request.place {
         let Some(place) = ctx.config.places.get(name) else {
-            return Err(Refusal::NotFound { what: format!("place {}", name.chars().take(80).collect::<String>()) });
+            return Err(Refusal::NotFound {
+                what: format!("place {}", name.chars().take(80).collect::<String>()),
+            });
         };
-        return checked_point(GoalPoint { yaw: request.yaw.or(place.yaw), ..*place }, "place").map(Target::Pose);
+        return checked_point(
+            GoalPoint {
+                yaw: request.yaw.or(place.yaw),
+                ..*place
+            },
+            "place",
+        )
+        .map(Target::Pose);
     }
     if request.waypoints.len() > MAX_WAYPOINTS {
-        return bad(format!("`waypoints`: {} given, expected at most {MAX_WAYPOINTS}", request.waypoints.len()));
+        return bad(format!(
+            "`waypoints`: {} given, expected at most {MAX_WAYPOINTS}",
+            request.waypoints.len()
+        ));
     }
     if !request.waypoints.is_empty() {
         for (index, waypoint) in request.waypoints.iter().enumerate() {
@@ -87,11 +122,21 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
 fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
     let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
     if !(good(point.x) && good(point.y)) {
-        return Err(Refusal::BadRequest { reason: format!("{name} ({}, {}): expected finite coordinates within {FARTHEST} m", point.x, point.y) });
+        return Err(Refusal::BadRequest {
+            reason: format!(
+                "{name} ({}, {}): expected finite coordinates within {FARTHEST} m",
+                point.x, point.y
+            ),
+        });
     }
     match point.yaw {
-        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= 1e3) => Err(Refusal::BadRequest { reason: format!("{name}: yaw is {yaw}: expected radians") }),
-        yaw => Ok(GoalPoint { yaw: yaw.map(zenav_protocol::geometry::wrap_angle), ..point }),
+        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= 1e3) => Err(Refusal::BadRequest {
+            reason: format!("{name}: yaw is {yaw}: expected radians"),
+        }),
+        yaw => Ok(GoalPoint {
+            yaw: yaw.map(zenav_protocol::geometry::wrap_angle),
+            ..point
+        }),
     }
 }
 
@@ -105,17 +150,32 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         Target::Waypoints(points) => points.clone(),
         Target::Tree(_) => Vec::new(),
     };
-    let Some(model) = ctx.robot.model().cloned() else { return Ok(()) };
-    let Some(space) = ctx.map.space(&model.footprint) else { return Ok(()) };
+    let Some(model) = ctx.robot.model().cloned() else {
+        return Ok(());
+    };
+    let Some(space) = ctx.map.space(&model.footprint) else {
+        return Ok(());
+    };
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
         let outside = space.spec().cell_at(point).is_none();
         if !outside && space.clearance(point) > model.footprint.inscribed_radius() {
             continue;
         }
-        let what = if outside { "lies outside the map" } else { "is occupied: the robot does not fit there" };
-        let nearest_free = space.nearest_free(point).map(|free| GoalPoint { x: free.x, y: free.y, yaw: goal.yaw });
-        return Err(Refusal::Rejected { reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y), nearest_free });
+        let what = if outside {
+            "lies outside the map"
+        } else {
+            "is occupied: the robot does not fit there"
+        };
+        let nearest_free = space.nearest_free(point).map(|free| GoalPoint {
+            x: free.x,
+            y: free.y,
+            yaw: goal.yaw,
+        });
+        return Err(Refusal::Rejected {
+            reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y),
+            nearest_free,
+        });
     }
     Ok(())
 }

@@ -122,7 +122,11 @@ impl LeaseKeeper {
         }
         self.last_beat = Some(now);
         self.beats += 1;
-        Some(Heartbeat { holder: self.holder.clone(), epoch, counter: newer(self.incarnation, self.beats) })
+        Some(Heartbeat {
+            holder: self.holder.clone(),
+            epoch,
+            counter: newer(self.incarnation, self.beats),
+        })
     }
 
     fn take(&mut self, now: Stamp, answer: Result<Answer, NoAnswer>) {
@@ -157,14 +161,23 @@ mod tests {
         assert_eq!(keeper.step(Stamp::from_secs(now), &mut asks), None);
         let (ticket, ask) = asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::Lease(LeaseRequest { ref holder, .. }) if holder == "me"));
-        asks.answer(ticket, Ok(Answer::Lease(LeaseReply { epoch: 7, ttl_secs: 1.0, boot_id: "b".into() })));
+        asks.answer(
+            ticket,
+            Ok(Answer::Lease(LeaseReply {
+                epoch: 7,
+                ttl_secs: 1.0,
+                boot_id: "b".into(),
+            })),
+        );
         (keeper, asks)
     }
 
     #[test]
     fn signs_of_life_come_ten_times_a_second_and_grow_over_restarts() {
         let (mut keeper, mut asks) = granted(1.0);
-        let beats: Vec<_> = (0..21).filter_map(|i| keeper.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks)).collect();
+        let beats: Vec<_> = (0..21)
+            .filter_map(|i| keeper.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks))
+            .collect();
         assert_eq!(beats.len(), 11);
         assert!(beats.windows(2).all(|pair| pair[0].counter < pair[1].counter));
         assert!(beats[0].counter > newer(2, 1_000_000) && beats[0].epoch == 7);

@@ -59,7 +59,10 @@ impl MapBook {
         }
         let due = self.behind.is_some_and(|since| now.secs_since(since) >= PATIENCE);
         if due && self.asking.is_none() && now >= self.next_ask {
-            self.asking = Some(asks.ask(Ask::Map(MapRequest { action: MapAction::Get, ..MapRequest::default() })));
+            self.asking = Some(asks.ask(Ask::Map(MapRequest {
+                action: MapAction::Get,
+                ..MapRequest::default()
+            })));
         }
     }
 
@@ -80,7 +83,10 @@ impl MapBook {
         if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
             return None;
         }
-        let current = self.space.as_ref().is_some_and(|(map, space)| map == self.mirror.map() && space.footprint() == footprint);
+        let current = self
+            .space
+            .as_ref()
+            .is_some_and(|(map, space)| map == self.mirror.map() && space.footprint() == footprint);
         if !current {
             let space = ConfigurationSpace::new(self.mirror.grid(), footprint, UnknownPolicy::Free, 0.0);
             self.space = Some((self.mirror.map().clone(), space));

@@ -7,7 +7,7 @@
 //! | [`config`] | what can be set? |
 //! | [`exchange`] | what goes into a step, and what comes out? |
 //! | [`orchestrator`] | what happens in a step? |
-//! | [`goals`], [`intake`] | which goals are there, and which are taken? |
+//! | `desk`, [`intake`], [`goals`] | what are clients told, which goals are taken, which are there? |
 //! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
 //! | [`robot`], [`map`] | what is known of the robot and its map? |
@@ -18,11 +18,12 @@
 
 pub mod config;
 pub mod context;
+mod desk;
 pub mod exchange;
 pub mod goals;
 pub mod intake;
-pub mod leaves;
 pub mod lease;
+pub mod leaves;
 pub mod map;
 pub mod motion;
 pub mod orchestrator;
@@ -31,6 +32,8 @@ pub mod robot;
 pub mod route;
 pub mod service;
 pub mod store;
+#[cfg(test)]
+mod tests;
 pub mod trees;
 
 pub use config::MissionConfig;

@@ -86,13 +86,27 @@ impl MotionKeeper {
     /// Nothing in force.
     #[must_use]
     pub fn new(incarnation: u64) -> Self {
-        Self { incarnation, revisions: 0, motions: 0, current: None, changed: false, was_begun_for_leg: false }
+        Self {
+            incarnation,
+            revisions: 0,
+            motions: 0,
+            current: None,
+            changed: false,
+            was_begun_for_leg: false,
+        }
     }
 
     /// Takes up what was in force before a restart: it counts as taken until the robot says otherwise.
-    pub fn restore(&mut self, plan: Plan, now: Stamp) {
+    pub fn restore(&mut self, plan: Plan) {
         self.was_begun_for_leg = true;
-        self.current = Some(InForce { plan, standing: Standing::Taken, published: now, confirmed: now, held: true });
+        let long_ago = Stamp::ZERO;
+        self.current = Some(InForce {
+            plan,
+            standing: Standing::Taken,
+            published: long_ago,
+            confirmed: long_ago,
+            held: false,
+        });
     }
 
     /// Name of the motion in force.
@@ -122,7 +136,9 @@ impl MotionKeeper {
     /// Time since it was published or renewed, s.
     #[must_use]
     pub fn age(&self, now: Stamp) -> f64 {
-        self.current.as_ref().map_or(f64::INFINITY, |current| now.secs_since(current.published))
+        self.current
+            .as_ref()
+            .map_or(f64::INFINITY, |current| now.secs_since(current.published))
     }
 
     /// Whether what is to be stored has changed since it was asked last; and that.
@@ -131,7 +147,15 @@ impl MotionKeeper {
     }
 
     /// A new motion comes into force.
-    pub fn begin(&mut self, course: Course, goal_id: &str, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Plan {
+    pub fn begin(
+        &mut self,
+        course: Course,
+        goal_id: &str,
+        epoch: u64,
+        based_on: BasedOn,
+        valid_for: f64,
+        now: Stamp,
+    ) -> Plan {
         self.motions += 1;
         let plan = Plan {
             goal_id: goal_id.to_owned(),
@@ -147,7 +171,13 @@ impl MotionKeeper {
             splice: course.splice,
             statistics: course.statistics,
         };
-        self.current = Some(InForce { plan: plan.clone(), standing: Standing::Sent, published: now, confirmed: now, held: false });
+        self.current = Some(InForce {
+            plan: plan.clone(),
+            standing: Standing::Sent,
+            published: now,
+            confirmed: now,
+            held: false,
+        });
         self.changed = true;
         self.was_begun_for_leg = true;
         plan
@@ -160,13 +190,26 @@ impl MotionKeeper {
 
     /// The same motion, to run out soon. `None` when it is held already or nothing is in force.
     pub fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
-        if self.is_held() { None } else { self.publish(epoch, based_on, valid_for, now, true) }
+        if self.is_held() {
+            None
+        } else {
+            self.publish(epoch, based_on, valid_for, now, true)
+        }
     }
 
     fn publish(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp, held: bool) -> Option<Plan> {
         let revision = self.next_revision();
-        let current = self.current.as_mut().filter(|current| matches!(current.standing, Standing::Sent | Standing::Taken))?;
-        current.plan = Plan { epoch, revision, based_on, valid_for, ..current.plan.clone() };
+        let current = self
+            .current
+            .as_mut()
+            .filter(|current| matches!(current.standing, Standing::Sent | Standing::Taken))?;
+        current.plan = Plan {
+            epoch,
+            revision,
+            based_on,
+            valid_for,
+            ..current.plan.clone()
+        };
         current.published = now;
         current.held = held;
         Some(current.plan.clone())
@@ -179,7 +222,10 @@ impl MotionKeeper {
 
     fn next_revision(&mut self) -> Revision {
         self.revisions += 1;
-        Revision { incarnation: self.incarnation, counter: self.revisions }
+        Revision {
+            incarnation: self.incarnation,
+            counter: self.revisions,
+        }
     }
 
     /// Takes in what the robot says.
@@ -190,16 +236,18 @@ impl MotionKeeper {
         }
         let Some(state) = state else { return };
         if state.boot_id != current.plan.based_on.boot_id {
-            if matches!(current.standing, Standing::Taken) || state.stamp.0 > 0 && now.secs_since(current.published) > DROPPED {
-                current.standing = Standing::Void("the robot has started anew".to_owned());
-            }
+            current.standing = Standing::Void("the robot has started anew".to_owned());
             return;
         }
         match &state.plan {
             Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
                 current.confirmed = now;
                 if matches!(current.standing, Standing::Sent | Standing::Taken) {
-                    current.standing = if progress.finished { Standing::Finished } else { Standing::Taken };
+                    current.standing = if progress.finished {
+                        Standing::Finished
+                    } else {
+                        Standing::Taken
+                    };
                 }
             }
             _ if current.standing == Standing::Taken && now.secs_since(current.confirmed) > DROPPED => {
@@ -213,7 +261,10 @@ impl MotionKeeper {
     #[must_use]
     pub fn time(&self, state: &EdgeState, age: f64) -> Option<f64> {
         let current = self.current.as_ref()?;
-        let progress = state.plan.as_ref().filter(|progress| progress.trajectory_id == current.plan.trajectory_id)?;
+        let progress = state
+            .plan
+            .as_ref()
+            .filter(|progress| progress.trajectory_id == current.plan.trajectory_id)?;
         let moving = state.mode == Mode::Follow && !progress.finished && progress.valid_for > 0.0;
         Some(progress.time + if moving { age.clamp(0.0, 0.5) } else { 0.0 })
     }
@@ -221,7 +272,9 @@ impl MotionKeeper {
     /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
     #[must_use]
     pub fn recheck(&self, space: &ConfigurationSpace, from: f64) -> Recheck {
-        self.current.as_ref().map_or(Recheck::Free, |current| recheck(&current.plan.trajectory, space, from))
+        self.current
+            .as_ref()
+            .map_or(Recheck::Free, |current| recheck(&current.plan.trajectory, space, from))
     }
 }
 
@@ -238,14 +291,21 @@ impl InForce {
                     self.standing = Standing::Taken;
                 }
             }
-            EventKind::PlanRejected { trajectory_id, revision, reason, .. }
-                if *trajectory_id == ours && *revision == self.plan.revision && self.standing != Standing::Finished =>
-            {
+            EventKind::PlanRejected {
+                trajectory_id,
+                revision,
+                reason,
+                ..
+            } if *trajectory_id == ours && *revision == self.plan.revision && self.standing != Standing::Finished => {
                 self.standing = Standing::Refused(reason.clone());
             }
-            EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => self.standing = Standing::Finished,
+            EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {
+                self.standing = Standing::Finished
+            }
             // Before the motion was taken this is about the one before it.
-            EventKind::PlanDiscarded { goal_id, reason } if *goal_id == self.plan.goal_id && self.standing == Standing::Taken => {
+            EventKind::PlanDiscarded { goal_id, reason }
+                if *goal_id == self.plan.goal_id && self.standing == Standing::Taken =>
+            {
                 self.standing = Standing::Void(reason.clone());
             }
             _ => {}

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{GoalReply, GoalState, Plan};
+use zenav_protocol::time::Stamp;
 
 use crate::behaviour_tree::TreeSnapshot;
 
@@ -16,6 +17,9 @@ pub struct StoredGoal {
     /// Time it was held by pauses, s.
     #[serde(default)]
     pub paused_secs: f64,
+    /// Since when it is held by a pause.
+    #[serde(default)]
+    pub paused_since: Option<Stamp>,
     /// The goal.
     pub state: GoalState,
 }
@@ -65,6 +69,9 @@ impl Restored {
     /// The first life, with nothing before it.
     #[must_use]
     pub fn fresh() -> Self {
-        Self { incarnation: 1, ..Self::default() }
+        Self {
+            incarnation: 1,
+            ..Self::default()
+        }
     }
 }

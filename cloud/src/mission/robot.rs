@@ -66,7 +66,8 @@ impl RobotView {
             }
         }
         let boot = self.state.as_ref().map(|(_, state)| &state.boot_id);
-        let known = self.model.is_some() && (boot.is_none() || self.model_boot.is_none() || boot == self.model_boot.as_ref());
+        let known =
+            self.model.is_some() && (boot.is_none() || self.model_boot.is_none() || boot == self.model_boot.as_ref());
         if !known && self.asking.is_none() && now >= self.next_ask {
             self.asking = Some(asks.ask(Ask::EdgeInfo(InfoRequest {})));
         }
@@ -76,7 +77,9 @@ impl RobotView {
     /// Whether it has said something lately.
     #[must_use]
     pub fn is_heard(&self, now: Stamp) -> bool {
-        self.state.as_ref().is_some_and(|(came, _)| now.secs_since(*came) < SILENCE)
+        self.state
+            .as_ref()
+            .is_some_and(|(came, _)| now.secs_since(*came) < SILENCE)
     }
 
     /// Its newest state.
@@ -88,7 +91,9 @@ impl RobotView {
     /// Time since its newest state came, s.
     #[must_use]
     pub fn state_age(&self, now: Stamp) -> f64 {
-        self.state.as_ref().map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
+        self.state
+            .as_ref()
+            .map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
     }
 
     /// Where it is, map frame.
@@ -122,7 +127,14 @@ impl RobotView {
         let (_, state) = self.state.as_ref()?;
         let (_, pose) = self.pose.as_ref()?;
         // A pose from before a restart has a stamp of another clock.
-        let stamp = if pose.stamp > state.stamp.plus_secs(1.0) { state.stamp } else { pose.stamp.max(state.stamp) };
-        Some(BasedOn { stamp, boot_id: state.boot_id.clone() })
+        let stamp = if pose.stamp > state.stamp.plus_secs(1.0) {
+            state.stamp
+        } else {
+            pose.stamp.max(state.stamp)
+        };
+        Some(BasedOn {
+            stamp,
+            boot_id: state.boot_id.clone(),
+        })
     }
 }

@@ -128,7 +128,9 @@ impl Search {
     pub fn new(ctx: &Context, goal: GoalPoint, planner: Option<String>, from: Stamp) -> Self {
         Self {
             goal,
-            planner: planner.filter(|name| !name.is_empty()).unwrap_or_else(|| ctx.config.planner.clone()),
+            planner: planner
+                .filter(|name| !name.is_empty())
+                .unwrap_or_else(|| ctx.config.planner.clone()),
             unknown_is_free: ctx.config.unknown_is_free,
             stage: Stage::Idle(from),
             begun: from,
@@ -161,14 +163,20 @@ impl Search {
     }
 
     fn ask_plan(&mut self, ctx: &mut Context) -> Searching {
-        let Some(model) = ctx.robot.model().cloned() else { return Searching::Wait("waits for the robot's description") };
-        let Some(map) = ctx.map.newest() else { return Searching::Wait("waits for a map") };
+        let Some(model) = ctx.robot.model().cloned() else {
+            return Searching::Wait("waits for the robot's description");
+        };
+        let Some(map) = ctx.map.newest() else {
+            return Searching::Wait("waits for a map");
+        };
         let begin = match predicted(ctx) {
             Ok(begin) => begin,
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
-        let start = self.escape.map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
+        let start = self
+            .escape
+            .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
         let request = PlanRequest {
             robot: ctx.config.robot.to_string(),
             model,
@@ -186,15 +194,26 @@ impl Search {
     fn planned(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
         let reply = match answer {
             Ok(Answer::Plan(reply)) => reply,
-            Ok(_) => return self.failed(error_code::UNKNOWN, "the planner's answer was about something else".to_owned()),
-            Err(NoAnswer::Refused(refusal)) => return self.failed(error_code::UNKNOWN, format!("the planner refuses: {refusal}")),
+            Ok(_) => {
+                return self.failed(
+                    error_code::UNKNOWN,
+                    "the planner's answer was about something else".to_owned(),
+                );
+            }
+            Err(NoAnswer::Refused(refusal)) => {
+                return self.failed(error_code::UNKNOWN, format!("the planner refuses: {refusal}"));
+            }
             Err(NoAnswer::Silent(_)) => {
                 // The goal's own deadline bounds this.
                 self.again(ctx);
                 return Searching::Wait("waits for a planning worker");
             }
         };
-        let statistics = PlanStatistics { planner: self.planner.clone(), search_ms: reply.search_ms, ..PlanStatistics::default() };
+        let statistics = PlanStatistics {
+            planner: self.planner.clone(),
+            search_ms: reply.search_ms,
+            ..PlanStatistics::default()
+        };
         match reply.outcome {
             PlanOutcome::Found { mut path, .. } => {
                 if self.escape.is_some() {
@@ -203,7 +222,9 @@ impl Search {
                 if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
                     return self.failed(error_code::UNKNOWN, "the planner's way is not one".to_owned());
                 }
-                let Some(model) = ctx.robot.model().cloned() else { return Searching::Wait("waits for the robot's description") };
+                let Some(model) = ctx.robot.model().cloned() else {
+                    return Searching::Wait("waits for the robot's description");
+                };
                 let request = SmoothRequest {
                     robot: ctx.config.robot.to_string(),
                     model,
@@ -219,21 +240,28 @@ impl Search {
                 Searching::Wait("smooths")
             }
             PlanOutcome::GoalOccupied { nearest_free } => {
-                let near = nearest_free.map(|p| format!("; the nearest free place is {:.2}, {:.2}", p.x, p.y)).unwrap_or_default();
+                let near = nearest_free
+                    .map(|p| format!("; the nearest free place is {:.2}, {:.2}", p.x, p.y))
+                    .unwrap_or_default();
                 self.failed(error_code::GOAL_OCCUPIED, format!("the goal is occupied{near}"))
             }
-            PlanOutcome::StartOccupied { nearest_free: Some(free) }
-                if self.escape.is_none() && (free - begin.pose.position()).norm() < ESCAPE =>
-            {
+            PlanOutcome::StartOccupied {
+                nearest_free: Some(free),
+            } if self.escape.is_none() && (free - begin.pose.position()).norm() < ESCAPE => {
                 self.escape = Some(free);
                 self.stage = Stage::Idle(ctx.now);
                 Searching::Wait("plans from the nearest free place")
             }
-            PlanOutcome::StartOccupied { .. } => {
-                self.failed(error_code::START_OCCUPIED, "by the map the robot does not fit where it stands".to_owned())
+            PlanOutcome::StartOccupied { .. } => self.failed(
+                error_code::START_OCCUPIED,
+                "by the map the robot does not fit where it stands".to_owned(),
+            ),
+            PlanOutcome::NoPath => {
+                self.failed(error_code::NO_VALID_PATH, "start and goal are not connected".to_owned())
             }
-            PlanOutcome::NoPath => self.failed(error_code::NO_VALID_PATH, "start and goal are not connected".to_owned()),
-            PlanOutcome::OutOfMap => self.failed(error_code::OUTSIDE_MAP, "start or goal lie outside the map".to_owned()),
+            PlanOutcome::OutOfMap => {
+                self.failed(error_code::OUTSIDE_MAP, "start or goal lie outside the map".to_owned())
+            }
             PlanOutcome::TimedOut => self.failed(error_code::TIMEOUT, "the search took too long".to_owned()),
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < MAP_PATIENCE => {
                 self.again(ctx);
@@ -252,14 +280,24 @@ impl Search {
         planned: PlanStatistics,
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
-        let length = path.windows(2).map(|pair| pair.first().zip(pair.last()).map_or(0.0, |(a, b)| (b - a).norm())).sum();
+        let length = path
+            .windows(2)
+            .map(|pair| pair.first().zip(pair.last()).map_or(0.0, |(a, b)| (b - a).norm()))
+            .sum();
         let (map, trajectory, statistics) = match answer {
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
                 // The way itself is blocked by now.
-                return self.failed(error_code::NO_VALID_PATH, format!("the way cannot be driven: {}", reply.statistics.status));
+                return self.failed(
+                    error_code::NO_VALID_PATH,
+                    format!("the way cannot be driven: {}", reply.statistics.status),
+                );
             }
             Ok(Answer::Smooth(reply)) => {
-                let statistics = PlanStatistics { planner: planned.planner, search_ms: planned.search_ms, ..reply.statistics };
+                let statistics = PlanStatistics {
+                    planner: planned.planner,
+                    search_ms: planned.search_ms,
+                    ..reply.statistics
+                };
                 (reply.map, reply.trajectory, statistics)
             }
             other => {
@@ -267,14 +305,38 @@ impl Search {
                     Err(NoAnswer::Refused(_)) => "fallback:smoother_refused",
                     _ => "fallback:no_smoother",
                 };
-                let Some(model) = ctx.robot.model() else { return Searching::Wait("waits for the robot's description") };
+                let Some(model) = ctx.robot.model() else {
+                    return Searching::Wait("waits for the robot's description");
+                };
                 let trajectory = safe_trajectory(&path, begin.pose, begin.twist, self.goal.yaw, model);
                 let duration = trajectory.last().map_or(0.0, |point| point.t);
-                (map, trajectory, PlanStatistics { length, duration, status: why.to_owned(), ..planned })
+                (
+                    map,
+                    trajectory,
+                    PlanStatistics {
+                        length,
+                        duration,
+                        status: why.to_owned(),
+                        ..planned
+                    },
+                )
             }
         };
-        let course = Course { map, waypoints: path.iter().skip(1).copied().collect(), trajectory, splice: begin.splice, statistics };
-        Searching::Found(Box::new(Route { id: 0, goal: self.goal, path, length, begin: begin.pose, course }))
+        let course = Course {
+            map,
+            waypoints: path.iter().skip(1).copied().collect(),
+            trajectory,
+            splice: begin.splice,
+            statistics,
+        };
+        Searching::Found(Box::new(Route {
+            id: 0,
+            goal: self.goal,
+            path,
+            length,
+            begin: begin.pose,
+            course,
+        }))
     }
 
     fn again(&mut self, ctx: &Context) {
@@ -288,20 +350,36 @@ impl Search {
 
 /// The state that the robot will be in when a plan made now comes into force.
 fn predicted(ctx: &mut Context) -> Result<Begin, &'static str> {
-    let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else { return Err("waits for the robot") };
-    let ahead = ctx.motion.time(state, ctx.robot.state_age(ctx.now)).filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
+    let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
+        return Err("waits for the robot");
+    };
+    let ahead = ctx
+        .motion
+        .time(state, ctx.robot.state_age(ctx.now))
+        .filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
     let follows = state.mode == Mode::Follow && !ctx.motion.is_held();
     if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
         let time = (time + ctx.config.latency_budget).max(0.0);
         let end = plan.trajectory.last().map_or(0.0, |point| point.t);
         if time + SHORT_REST < end {
             let point = sample(&plan.trajectory, time);
-            let splice = Splice { trajectory_id: plan.trajectory_id, time };
-            return Ok(Begin { pose: point.pose(), twist: point.twist(), splice: Some(splice) });
+            let splice = Splice {
+                trajectory_id: plan.trajectory_id,
+                time,
+            };
+            return Ok(Begin {
+                pose: point.pose(),
+                twist: point.twist(),
+                splice: Some(splice),
+            });
         }
     }
     if ctx.robot.is_at_rest() {
-        return Ok(Begin { pose, twist: Twist2::ZERO, splice: None });
+        return Ok(Begin {
+            pose,
+            twist: Twist2::ZERO,
+            splice: None,
+        });
     }
     Err("waits for the robot to stand")
 }
@@ -313,7 +391,9 @@ pub fn sample(trajectory: &[TrajectoryPoint], t: f64) -> TrajectoryPoint {
     let (Some(from), to) = (trajectory.get(after.saturating_sub(1)), trajectory.get(after)) else {
         return TrajectoryPoint::default();
     };
-    let Some(to) = to.filter(|to| after > 0 && to.t > from.t) else { return *from };
+    let Some(to) = to.filter(|to| after > 0 && to.t > from.t) else {
+        return *from;
+    };
     let share = (t - from.t) / (to.t - from.t);
     let between = |a: f64, b: f64| a + share * (b - a);
     let turn = zenav_protocol::geometry::wrap_angle(to.yaw - from.yaw);

@@ -67,13 +67,22 @@ impl Store {
     pub fn open(path: &Path) -> Result<(Self, Restored), StoreError> {
         let name = path.display().to_string();
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|error| StoreError::Io { path: name.clone(), reason: error.to_string() })?;
+            std::fs::create_dir_all(folder).map_err(|error| StoreError::Io {
+                path: name.clone(),
+                reason: error.to_string(),
+            })?;
         }
         let database = Database::create(path).map_err(|error| match error {
             DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path: name.clone() },
-            other => StoreError::Io { path: name.clone(), reason: other.to_string() },
+            other => StoreError::Io {
+                path: name.clone(),
+                reason: other.to_string(),
+            },
         })?;
-        let store = Self { database, path: path.to_owned() };
+        let store = Self {
+            database,
+            path: path.to_owned(),
+        };
         let restored = store.begin_life()?;
         Ok((store, restored))
     }
@@ -92,14 +101,18 @@ impl Store {
                 match record {
                     Record::Goal(goal) => {
                         let bytes = self.encode("goal", goal)?;
-                        goals.insert(goal.state.id.as_str(), bytes.as_slice()).map_err(|error| self.io(error))?;
+                        goals
+                            .insert(goal.state.id.as_str(), bytes.as_slice())
+                            .map_err(|error| self.io(error))?;
                     }
                     Record::ForgetGoal(id) => {
                         goals.remove(id.as_str()).map_err(|error| self.io(error))?;
                     }
                     Record::Answer(id, reply) => {
                         let bytes = self.encode("answer", reply)?;
-                        answers.insert(id.as_str(), bytes.as_slice()).map_err(|error| self.io(error))?;
+                        answers
+                            .insert(id.as_str(), bytes.as_slice())
+                            .map_err(|error| self.io(error))?;
                     }
                     Record::ForgetAnswer(id) => {
                         answers.remove(id.as_str()).map_err(|error| self.io(error))?;
@@ -110,7 +123,9 @@ impl Store {
                     }
                     Record::Motion(motion) => {
                         let bytes = self.encode(MOTION, motion)?;
-                        singles.insert(MOTION, bytes.as_slice()).map_err(|error| self.io(error))?;
+                        singles
+                            .insert(MOTION, bytes.as_slice())
+                            .map_err(|error| self.io(error))?;
                     }
                 }
             }
@@ -127,17 +142,23 @@ impl Store {
             let mut restored = Restored::default();
             for row in goals.iter().map_err(|error| self.io(error))? {
                 let (id, bytes) = row.map_err(|error| self.io(error))?;
-                restored.goals.push(self.decode(&format!("goal {}", id.value()), bytes.value())?);
+                restored
+                    .goals
+                    .push(self.decode(&format!("goal {}", id.value()), bytes.value())?);
             }
             for row in answers.iter().map_err(|error| self.io(error))? {
                 let (id, bytes) = row.map_err(|error| self.io(error))?;
-                restored.answers.push((id.value().to_owned(), self.decode("answer", bytes.value())?));
+                restored
+                    .answers
+                    .push((id.value().to_owned(), self.decode("answer", bytes.value())?));
             }
             restored.tree = self.single(&singles, TREE)?.flatten();
             restored.motion = self.single(&singles, MOTION)?.flatten();
             restored.incarnation = self.single::<u64>(&singles, INCARNATION)?.unwrap_or(0) + 1;
             let bytes = self.encode(INCARNATION, &restored.incarnation)?;
-            singles.insert(INCARNATION, bytes.as_slice()).map_err(|error| self.io(error))?;
+            singles
+                .insert(INCARNATION, bytes.as_slice())
+                .map_err(|error| self.io(error))?;
             restored
         };
         write.commit().map_err(|error| self.io(error))?;
@@ -164,7 +185,9 @@ impl Store {
         singles: &impl ReadableTable<&'static str, &'static [u8]>,
         name: &str,
     ) -> Result<Option<T>, StoreError> {
-        let Some(bytes) = singles.get(name).map_err(|error| self.io(error))? else { return Ok(None) };
+        let Some(bytes) = singles.get(name).map_err(|error| self.io(error))? else {
+            return Ok(None);
+        };
         self.decode(name, bytes.value()).map(Some)
     }
 
@@ -177,11 +200,18 @@ impl Store {
     }
 
     fn record(&self, record: &str, error: &serde_json::Error) -> StoreError {
-        StoreError::Record { path: self.path.display().to_string(), record: record.to_owned(), reason: error.to_string() }
+        StoreError::Record {
+            path: self.path.display().to_string(),
+            record: record.to_owned(),
+            reason: error.to_string(),
+        }
     }
 
     fn io(&self, error: impl std::fmt::Display) -> StoreError {
-        StoreError::Io { path: self.path.display().to_string(), reason: error.to_string() }
+        StoreError::Io {
+            path: self.path.display().to_string(),
+            reason: error.to_string(),
+        }
     }
 }
 
@@ -203,9 +233,19 @@ mod tests {
             ended: None,
             feedback: GoalFeedback::default(),
             legs: Vec::new(),
-            request: GoalRequest { x: Some(0.1), y: Some(0.2), ..GoalRequest::default() },
+            request: GoalRequest {
+                x: Some(0.1),
+                y: Some(0.2),
+                ..GoalRequest::default()
+            },
         };
-        Record::Goal(Box::new(super::super::records::StoredGoal { sequence, urgent: false, paused_secs: 0.0, state }))
+        Record::Goal(Box::new(super::super::records::StoredGoal {
+            sequence,
+            urgent: false,
+            paused_secs: 0.0,
+            paused_since: None,
+            state,
+        }))
     }
 
     #[test]
@@ -214,13 +254,31 @@ mod tests {
         let path = folder.path().join("deep/mission.redb");
         let (store, first) = Store::open(&path).unwrap();
         assert_eq!(first.incarnation, 1);
-        let reply = GoalReply { id: "a".into(), state: GoalPhase::Canceled, reason: None };
-        store.write(&[goal("a", 1), goal("b", 2), Record::Answer("r1".into(), reply.clone()), Record::Tree(None)]).unwrap();
+        let reply = GoalReply {
+            id: "a".into(),
+            state: GoalPhase::Canceled,
+            reason: None,
+        };
+        store
+            .write(&[
+                goal("a", 1),
+                goal("b", 2),
+                Record::Answer("r1".into(), reply.clone()),
+                Record::Tree(None),
+            ])
+            .unwrap();
         store.write(&[Record::ForgetGoal("a".into())]).unwrap();
         drop(store);
         let (_store, second) = Store::open(&path).unwrap();
         assert_eq!(second.incarnation, 2);
-        assert_eq!(second.goals.iter().map(|goal| goal.state.id.as_str()).collect::<Vec<_>>(), ["b"]);
+        assert_eq!(
+            second
+                .goals
+                .iter()
+                .map(|goal| goal.state.id.as_str())
+                .collect::<Vec<_>>(),
+            ["b"]
+        );
         assert_eq!(second.answers, [("r1".to_owned(), reply)]);
         assert_eq!((second.tree, second.motion), (None, None));
     }

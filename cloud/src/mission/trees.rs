@@ -53,8 +53,8 @@ pub fn registry() -> &'static Registry<Context> {
     &REGISTRY
 }
 
-/// Builds a tree from XML, or from the name of a shipped one. Files that it includes are not looked for: the text may
-/// come from another machine.
+/// Builds a tree from XML, or from the name of a shipped one. Of files it can include the shipped trees alone: the
+/// text may come from another machine.
 ///
 /// # Errors
 /// [`NoTree`].
@@ -64,8 +64,13 @@ pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
         None if tree.trim_start().starts_with('<') => ("tree".to_owned(), tree),
         None => return Err(NoTree::Unknown(tree.chars().take(80).collect())),
     };
-    let mut no_includes = |_: &str, _: &str| Err("a tree sent as text cannot include files".to_owned());
-    build_tree(&name, text.as_bytes(), registry(), None, &mut no_includes).map_err(|errors: TreeErrors| NoTree::Bad(errors.to_string()))
+    let mut include = |_: &str, path: &str| {
+        let text = path.strip_suffix(".xml").and_then(shipped);
+        let text = text.ok_or_else(|| "a tree sent as text can include shipped trees alone".to_owned())?;
+        Ok((path.to_owned(), text.as_bytes().to_vec()))
+    };
+    build_tree(&name, text.as_bytes(), registry(), None, &mut include)
+        .map_err(|errors: TreeErrors| NoTree::Bad(errors.to_string()))
 }
 
 #[cfg(test)]
@@ -83,7 +88,8 @@ mod tests {
     #[test]
     fn what_is_no_tree_is_told_apart() {
         assert!(build("kitchn").unwrap_err().to_string().contains("kitchen"));
-        let error = build("<root BTCPP_format=\"4\"><BehaviorTree ID=\"A\"><Folow/></BehaviorTree></root>").unwrap_err();
+        let error =
+            build("<root BTCPP_format=\"4\"><BehaviorTree ID=\"A\"><Folow/></BehaviorTree></root>").unwrap_err();
         assert!(error.to_string().contains("Folow"), "{error}");
     }
 }

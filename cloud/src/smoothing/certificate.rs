@@ -2,6 +2,7 @@
 
 use zenav_protocol::geometry::Pose2;
 
+use super::shortcut::is_permitted_along;
 use super::timing::{Limits, Motion};
 use crate::space::ConfigurationSpace;
 
@@ -31,12 +32,39 @@ pub fn clearance(space: &ConfigurationSpace, motion: &Motion, limits: &Limits, e
         let left = poses.iter().position(|pose| pose.distance(&start) > exempt).unwrap_or(poses.len());
         poses.drain(..left);
     }
-    if poses.iter().any(|pose| !space.is_permitted(pose.position())) {
+    if poses.windows(2).any(|pair| !is_permitted_along(space, pair[0].position(), pair[1].position())) {
         return Err(Collision);
     }
-    let least = space.sweep_min_clearance(&poses);
+    let least = sweep(space, &poses);
     if least <= bulge && !poses.is_empty() {
         return Err(Collision);
     }
     Ok((least < space.reach()).then_some(least))
+}
+
+/// Poses that are measured together.
+const CHUNK: usize = 16;
+
+/// As [`ConfigurationSpace::sweep_min_clearance`], but the distance field tells first where it is worth looking.
+fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
+    let radius = space.footprint().circumscribed_radius();
+    let bound = |pose: &Pose2| {
+        let Some(cell) = space.spec().cell_at(pose.position()) else { return 0.0 };
+        space.field().distance(cell) - (space.spec().center(cell) - pose.position()).norm() - radius
+    };
+    // Between two poses that both count, no place is farther from the nearer one than half a step.
+    let bounds = (0..poses.len()).step_by(CHUNK).map(|begin| {
+        let chunk = &poses[begin..(begin + CHUNK + 1).min(poses.len())];
+        (chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * STEP - radius * 0.5 * TURN, chunk)
+    });
+    let mut chunks: Vec<_> = bounds.collect();
+    chunks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut least = space.reach();
+    for (bound, chunk) in chunks {
+        if bound >= least {
+            break;
+        }
+        least = least.min(space.sweep_min_clearance(chunk));
+    }
+    least
 }

@@ -2,7 +2,7 @@
 //!
 //! Around a straight piece of the way every obstacle nearby is cut off by a line at right angles to the shortest connection between the
 //! two, the nearest obstacle first; obstacles that a line has cut off already need none of their own. A line keeps the robot's radius, and
-//! a comfortable distance on top of it as far as the piece itself has it. A polygon is convex, so that a curve whose control points lie
+//! on top of it a comfortable distance, but no more than half of what the piece itself has: the other half is for the curve. A polygon is convex, so that a curve whose control points lie
 //! inside does not leave it: free between samples too.
 //!
 //! Source: Liu, Watterson, Mohta, Sun, Bhattacharya, Taylor and Kumar, "Planning Dynamically Feasible Trajectories for Quadrotors Using
@@ -51,6 +51,9 @@ impl Room {
         self.sides.iter().all(|side| side.depth(point) >= -tolerance)
     }
 }
+
+/// Share of what a piece has beyond the radius that is kept clear.
+const SHARE: f64 = 0.5;
 
 /// How large a room may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,21 +109,22 @@ fn room_around(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, s
     }
     let side = |x: f64, y: f64, offset: f64| HalfPlane { normal: Vector2::new(x, y), offset };
     let mut sides = vec![side(1.0, 0.0, high.x), side(0.0, 1.0, high.y), side(-1.0, 0.0, -low.x), side(0.0, -1.0, -low.y)];
-    let wanted = space.radius() + HAIR + size.comfort.max(0.0);
+    let radius = space.radius() + HAIR;
     let mut squares = Vec::new();
-    gather(space, space.obstacles(), (from, to), (low, high), wanted, &mut squares);
+    gather(space, space.obstacles(), (from, to), (low, high), [radius, radius + size.comfort.max(0.0)], &mut squares);
     if space.unknown_policy() == UnknownPolicy::Blocked {
         // The centre alone stays off these.
-        gather(space, space.forbidden(), (from, to), (low, high), HAIR, &mut squares);
+        gather(space, space.forbidden(), (from, to), (low, high), [HAIR, HAIR], &mut squares);
     }
     let half = 0.5 * spec.resolution;
     while let Some(closest) = (0..squares.len()).min_by(|a, b| squares[*a].slack().total_cmp(&squares[*b].slack())) {
-        let Square { nearest, outwards, distance, wanted, .. } = squares.swap_remove(closest);
+        let Square { nearest, outwards, distance, least, wanted, .. } = squares.swap_remove(closest);
         // The piece itself stays inside, however close it is.
-        let side = HalfPlane { normal: outwards, offset: outwards.dot(&nearest.coords) - wanted.min(distance) };
+        let kept = wanted.min(least + (distance - least) * SHARE).min(distance);
+        let side = HalfPlane { normal: outwards, offset: outwards.dot(&nearest.coords) - kept };
         squares.retain(|other| {
             let nearest_corner = outwards.dot(&other.center.coords) - half * (outwards.x.abs() + outwards.y.abs());
-            nearest_corner < side.offset + other.wanted - 1e-9
+            nearest_corner < side.offset + other.least - 1e-9
         });
         sides.push(side);
     }
@@ -130,7 +134,8 @@ fn room_around(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, s
 /// An obstacle's square near a piece of the way, m.
 struct Square {
     center: Point2<f64>,
-    /// What is to be kept clear around it.
+    /// What is to be kept clear around it: at least, and better.
+    least: f64,
     wanted: f64,
     /// Its point nearest to the piece, the direction from the piece to it, and their distance.
     nearest: Point2<f64>,
@@ -151,7 +156,7 @@ fn gather(
     bits: &BitGrid,
     piece: (Point2<f64>, Point2<f64>),
     (low, high): (Point2<f64>, Point2<f64>),
-    wanted: f64,
+    [least, wanted]: [f64; 2],
     squares: &mut Vec<Square>,
 ) {
     let spec = space.spec();
@@ -177,7 +182,7 @@ fn gather(
                 let distance = apart.norm();
                 // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
                 if distance > 1e-9 {
-                    squares.push(Square { center, wanted, nearest, outwards: apart / distance, distance });
+                    squares.push(Square { center, least, wanted, nearest, outwards: apart / distance, distance });
                 }
             }
         }

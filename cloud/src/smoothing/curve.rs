@@ -233,7 +233,7 @@ impl Rows {
 }
 
 /// Largest turn from one sample to the next, rad.
-const FINE_TURN: f64 = 0.1;
+const FINE_TURN: f64 = 0.04;
 /// A turn from one sample to the next that halving does not make finer is a cusp, rad.
 const CUSP: f64 = 0.5;
 /// Curvature of a turn on the spot in all but name, 1/m.

@@ -20,7 +20,8 @@ pub fn is_clear(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, radi
     space.segment_is_free(a, b, radius) && is_permitted_along(space, a, b)
 }
 
-fn is_permitted_along(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bool {
+/// Whether the policy for unknown cells lets the robot's centre go from `a` to `b`.
+pub(super) fn is_permitted_along(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bool {
     let spec = space.spec();
     space.unknown_policy() != UnknownPolicy::Blocked
         || (space.is_permitted(a) && space.is_permitted(b) && spec.walk(a, b).all(|cell| space.is_permitted(spec.center(cell))))
@@ -45,8 +46,8 @@ fn pass(space: &ConfigurationSpace, way: &[Point2<f64>], comfort: f64) -> Vec<Po
         cut.push(*from);
         // Twice as far each time while it can be seen, then halving: whatever is seen is a cut, the farthest found is taken.
         let sees = |to: usize| {
-            let required = clearances[at..to].iter().copied().fold(wanted, f64::min);
-            is_clear(space, *from, points[to], required - 1e-9)
+            let kept = clearances[at..to].iter().copied().fold(wanted, f64::min) - 1e-9;
+            is_clear(space, *from, points[to], kept.max(space.radius()))
         };
         let last = points.len() - 1;
         let (mut seen, mut step) = (at + 1, 1);

@@ -10,10 +10,11 @@ use zenav_protocol::robot::RobotModel;
 
 use super::certificate::{Collision, clearance};
 use super::corridor::{RoomSize, corridor};
-use super::curve::{EndTangent, Ends, fit};
+use super::curve::{CurveError, EndTangent, Ends, fit};
 use super::shortcut::{is_clear, shortcut};
 use super::timing::legs::{corners_from, rejoined, safe_motion};
-use super::timing::{Limits, Motion};
+use super::timing::sweep::SweepError;
+use super::timing::{GeometricPath, Limits, Motion};
 use crate::space::ConfigurationSpace;
 
 /// What is asked of a smoother.
@@ -44,7 +45,7 @@ pub struct SmoothSettings {
 
 impl Default for SmoothSettings {
     fn default() -> Self {
-        Self { rooms: RoomSize { length: 2.0, reach: 1.0, comfort: 0.3 }, turning_length: 0.5, step: 0.02, max_iterations: 60 }
+        Self { rooms: RoomSize { length: 1.5, reach: 1.0, comfort: 0.3 }, turning_length: 0.25, step: 0.02, max_iterations: 60 }
     }
 }
 
@@ -82,6 +83,8 @@ const ALIGNED: f64 = 0.3;
 const AHEAD: f64 = 1.2;
 /// Sharpest arc that is gone on with, 1/m.
 const SHARPEST_ARC: f64 = 3.0;
+/// Sharper corners are turned on the spot, rad.
+const SHARP: f64 = 2.0;
 /// A wanted heading at the end this close to the way's is arrived with, rad; else it is turned to on the spot.
 const ARRIVING: f64 = 0.8;
 
@@ -153,9 +156,11 @@ fn smoothed_or_safe(space: &ConfigurationSpace, query: &SmoothQuery<'_>, limits:
             None => Err(("collision".to_owned(), None)),
         };
     }
-    match job.curve(&short, times) {
+    let legs = times.measure(|t| &mut t.timing, || job.legs(&short).duration());
+    match job.curve(&short, legs, times) {
+        Ok(curve) if curve.motion.duration() <= legs => Ok(curve),
         Ok(curve) => match safe(times) {
-            Some((motion, least)) if motion.duration() < curve.motion.duration() => Err(("slower".to_owned(), Some((motion, least)))),
+            Some(safe) if safe.0.duration() < curve.motion.duration() => Err(("slower".to_owned(), Some(safe))),
             _ => Ok(curve),
         },
         Err(reason) => Err((reason, safe(times))),
@@ -189,6 +194,31 @@ enum Beginning {
     Turned,
 }
 
+/// A motion in the making: where it has come to, and what the solver said last.
+struct Drive {
+    motion: Motion,
+    at: Pose2,
+    solver: String,
+}
+
+impl Drive {
+    /// Turns into a path's direction, where it is not in it, and follows the path.
+    fn follow(&mut self, path: GeometricPath, speed: f64, limits: &Limits) -> Result<(), String> {
+        let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
+        if speed == 0.0 {
+            self.motion.spin(self.at, wrap_angle(first.yaw - self.at.yaw), limits);
+        }
+        self.motion.follow(path, speed, limits).map_err(|_: SweepError| "too_fast".to_owned())?;
+        self.at = Pose2::new(last.x, last.y, last.yaw);
+        Ok(())
+    }
+}
+
+/// Whether a corner is so sharp that a robot is better off stopping there, and turning.
+fn is_sharp(before: Point2<f64>, corner: Point2<f64>, after: Point2<f64>) -> bool {
+    (corner - before).angle(&(after - corner)) > SHARP
+}
+
 struct Job<'a> {
     space: &'a ConfigurationSpace,
     query: &'a SmoothQuery<'a>,
@@ -198,29 +228,39 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
+    /// Stop, turn, go.
+    fn legs(&self, way: &[Point2<f64>]) -> Motion {
+        let SmoothQuery { start, start_velocity, goal_yaw, .. } = *self.query;
+        safe_motion(way, start, start_velocity, goal_yaw, self.limits)
+    }
+
     /// Stop, turn, go: checked.
     fn safe(&self, way: &[Point2<f64>]) -> Option<(Motion, Option<f64>)> {
-        let SmoothQuery { start, start_velocity, goal_yaw, .. } = *self.query;
-        let motion = safe_motion(way, start, start_velocity, goal_yaw, self.limits);
+        let motion = self.legs(way);
         let least = clearance(self.space, &motion, self.limits, self.exempt).ok()?;
         Some((motion, least))
     }
 
-    /// The first beginning and end that give a free curve; the last reason when none does.
-    fn curve(&self, way: &[Point2<f64>], times: &mut Times<'_>) -> Result<Checked, String> {
-        let mut reason = String::new();
+    /// The first beginning and end that give a free curve in less than `enough` seconds, else the fastest one; the last reason when none does.
+    fn curve(&self, way: &[Point2<f64>], enough: f64, times: &mut Times<'_>) -> Result<Checked, String> {
+        let mut best: Result<Checked, String> = Err(String::new());
         for beginning in self.beginnings(way) {
             for arrives in [true, false] {
                 if arrives && !self.can_arrive(way) {
                     continue;
                 }
-                match self.attempt(way, &beginning, arrives, times) {
-                    Ok(checked) => return Ok(checked),
-                    Err(error) => reason = error,
+                match (self.attempt(way, &beginning, arrives, times), &best) {
+                    (Ok(found), Ok(known)) if found.motion.duration() >= known.motion.duration() => {}
+                    (Ok(found), _) => best = Ok(found),
+                    (Err(_), Ok(_)) => {}
+                    (Err(reason), Err(_)) => best = Err(reason),
+                }
+                if best.as_ref().is_ok_and(|found| found.motion.duration() <= enough) {
+                    return best;
                 }
             }
         }
-        Err(reason)
+        best
     }
 
     fn beginnings(&self, way: &[Point2<f64>]) -> Vec<Beginning> {
@@ -229,7 +269,9 @@ impl Job<'_> {
         let turn = wrap_angle(leg.y.atan2(leg.x) - start.yaw).abs();
         let wheels = v.abs() + w.abs() * self.limits.half_separation;
         let mut beginnings = Vec::new();
-        if wheels > AT_REST {
+        if self.exempt > 0.0 {
+            // A place that has to be left is left straight.
+        } else if wheels > AT_REST {
             if v > AT_REST && turn < AHEAD && w.abs() <= SHARPEST_ARC * v {
                 beginnings.push(Beginning::Moving);
             }
@@ -249,53 +291,66 @@ impl Job<'_> {
 
     fn attempt(&self, way: &[Point2<f64>], beginning: &Beginning, arrives: bool, times: &mut Times<'_>) -> Result<Checked, String> {
         let SmoothQuery { start, start_velocity, goal_yaw, .. } = *self.query;
-        let mut motion = Motion::new();
-        let mut at = start;
-        let mut ends = Ends::default();
-        let (way, speed) = match beginning {
+        let goal_yaw = goal_yaw.filter(|yaw| yaw.is_finite());
+        let mut drive = Drive { motion: Motion::new(), at: start, solver: "none".to_owned() };
+        let (way, mut enter) = match beginning {
             Beginning::Moving => {
-                ends.start = Some(EndTangent { direction: start.heading(), curvature: Some(start_velocity.w / start_velocity.v) });
-                (self.led_in(way, start_velocity.v), start_velocity.v)
+                let tangent = EndTangent { direction: start.heading(), curvature: Some(start_velocity.w / start_velocity.v) };
+                (self.led_in(way, start_velocity.v), Some((tangent, start_velocity.v)))
             }
-            Beginning::Aligned => {
-                ends.start = Some(EndTangent { direction: start.heading(), curvature: None });
-                (way.to_vec(), 0.0)
-            }
+            Beginning::Aligned => (way.to_vec(), Some((EndTangent { direction: start.heading(), curvature: None }, 0.0))),
             Beginning::Turned => {
-                at = motion.brake(start, start_velocity, self.limits);
-                (if motion.is_empty() { way.to_vec() } else { self.joined(at.position(), way) }, 0.0)
+                drive.at = drive.motion.brake(start, start_velocity, self.limits);
+                (if drive.motion.is_empty() { way.to_vec() } else { self.joined(drive.at.position(), way) }, None)
             }
         };
-        if let Some(yaw) = goal_yaw.filter(|yaw| arrives && yaw.is_finite()) {
-            ends.end = Some(EndTangent { direction: Pose2::new(0.0, 0.0, yaw).heading(), curvature: None });
+        let mut rest = &way[..];
+        if self.exempt > 0.0
+            && let [from, to, ..] = way[..]
+        {
+            self.straight(from, to, &mut drive, times)?;
+            rest = &way[1..];
         }
-        let rooms = times.measure(|t| &mut t.corridor, || corridor(self.space, &way, &self.settings.rooms));
-        if rooms.is_empty() {
-            return Err("no_corridor".to_owned());
+        while rest.len() > 1 {
+            let end = (1..rest.len() - 1).find(|i| is_sharp(rest[i - 1], rest[*i], rest[i + 1])).unwrap_or(rest.len() - 1);
+            let leave = goal_yaw.filter(|_| arrives && end + 1 == rest.len());
+            let leave = leave.map(|yaw| EndTangent { direction: Pose2::new(0.0, 0.0, yaw).heading(), curvature: None });
+            self.curved(&rest[..=end], enter.take(), leave, &mut drive, times)?;
+            rest = &rest[end..];
         }
-        let (solver, path) = times
-            .measure(|t| &mut t.geometry, || {
-                let curve = fit(&rooms, &ends, self.settings.turning_length, self.settings.max_iterations)?;
-                let path = curve.sampled(self.settings.step)?;
-                Ok((curve.solver, path))
-            })
-            .map_err(|error: super::curve::CurveError| error.to_string())?;
-        times
-            .measure(|t| &mut t.timing, || {
-                let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
-                if matches!(beginning, Beginning::Turned) {
-                    motion.spin(at, wrap_angle(first.yaw - at.yaw), self.limits);
-                }
-                motion.follow(path, speed, self.limits)?;
-                if let Some(yaw) = goal_yaw.filter(|yaw| yaw.is_finite()) {
-                    motion.spin(Pose2::new(last.x, last.y, last.yaw), wrap_angle(yaw - last.yaw), self.limits);
-                }
-                Ok(())
-            })
-            .map_err(|_: super::timing::sweep::SweepError| "too_fast".to_owned())?;
-        let least = times.measure(|t| &mut t.geometry, || clearance(self.space, &motion, self.limits, self.exempt));
+        if let Some(yaw) = goal_yaw {
+            drive.motion.spin(drive.at, wrap_angle(yaw - drive.at.yaw), self.limits);
+        }
+        let least = times.measure(|t| &mut t.geometry, || clearance(self.space, &drive.motion, self.limits, self.exempt));
         let least = least.map_err(|Collision| "collision".to_owned())?;
-        Ok(Checked { motion, solver, least })
+        Ok(Checked { motion: drive.motion, solver: drive.solver, least })
+    }
+
+    /// Turns towards a place and goes there straight.
+    fn straight(&self, from: Point2<f64>, to: Point2<f64>, drive: &mut Drive, times: &mut Times<'_>) -> Result<(), String> {
+        let Some(path) = GeometricPath::straight(from, to, self.settings.step) else { return Ok(()) };
+        times.measure(|t| &mut t.timing, || drive.follow(path, 0.0, self.limits))
+    }
+
+    /// Goes along a way without stopping. It begins with a tangent and a speed (m/s), or after a turn on the spot.
+    fn curved(
+        &self,
+        way: &[Point2<f64>],
+        enter: Option<(EndTangent, f64)>,
+        leave: Option<EndTangent>,
+        drive: &mut Drive,
+        times: &mut Times<'_>,
+    ) -> Result<(), String> {
+        let rooms = times.measure(|t| &mut t.corridor, || corridor(self.space, way, &self.settings.rooms));
+        let ends = Ends { start: enter.map(|(tangent, _)| tangent), end: leave };
+        let path = times.measure(|t| &mut t.geometry, || {
+            let curve = fit(&rooms, &ends, self.settings.turning_length, self.settings.max_iterations)?;
+            let path = curve.sampled(self.settings.step)?;
+            drive.solver = curve.solver;
+            Ok(path)
+        });
+        let path = path.map_err(|error: CurveError| error.to_string())?;
+        times.measure(|t| &mut t.timing, || drive.follow(path, enter.map_or(0.0, |(_, speed)| speed), self.limits))
     }
 
     /// The way of a moving robot: a little on along its heading, then to the farthest corner in sight.

@@ -147,10 +147,15 @@ pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2
         return 0.0;
     }
     let height = i64::from(obstacles.height());
+    let beyond = |at: f64, end: u32| (-at).max(at - f64::from(end)).max(0.0);
+    if beyond(p.x, obstacles.width()).hypot(beyond(p.y, obstacles.height())) * spec.resolution >= limit {
+        // Nothing of the grid is near; below, numbers are of a grid's size.
+        return limit;
+    }
     // A hair more than the limit, so that an obstacle exactly at a bound is still found.
     let mut least = limit / spec.resolution * (1.0 + 1e-12) + 1e-12;
-    let (column, row) = (p.x.floor(), p.y.floor());
-    let (mut below, mut above) = ((row as i64).min(height - 1), (row as i64).saturating_add(1).max(0));
+    let (column, row) = (column(p.x), column(p.y));
+    let (mut below, mut above) = (row.min(height - 1), (row + 1).max(0));
     let scan = |y: i64, least: &mut f64| -> bool {
         let dy = (y as f64 - p.y).max(p.y - (y + 1) as f64).max(0.0);
         if y < 0 || y >= height || dy >= *least {
@@ -158,9 +163,9 @@ pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2
         }
         // Columns that could still be nearer.
         let half = (*least * *least - dy * dy).sqrt();
-        let (low, high) = ((p.x - half).floor() as i64 - 1, (p.x + half).floor() as i64);
-        let left = obstacles.previous_set(y as u32, low, column as i64).map(|x| (p.x - f64::from(x + 1)).max(0.0));
-        let right = obstacles.next_set(y as u32, column as i64, high).map(|x| (f64::from(x) - p.x).max(0.0));
+        let (low, high) = (self::column(p.x - half) - 1, self::column(p.x + half));
+        let left = obstacles.previous_set(y as u32, low, column).map(|x| (p.x - f64::from(x + 1)).max(0.0));
+        let right = obstacles.next_set(y as u32, column, high).map(|x| (f64::from(x) - p.x).max(0.0));
         for dx in [left, right].into_iter().flatten() {
             *least = least.min(dx.hypot(dy));
         }
@@ -205,7 +210,7 @@ fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit:
             }
         }
         let (x0, x1) = (a.x + d.x * enter, a.x + d.x * leave);
-        let (from, to) = ((x0.min(x1) - reach).floor() as i64 - 1, (x0.max(x1) + reach).floor() as i64 + 1);
+        let (from, to) = (column(x0.min(x1) - reach) - 1, column(x0.max(x1) + reach) + 1);
         for x in obstacles.set_in_row(y, from, to) {
             least = least.min(segment_to_square(a, b, x, y));
             if any && least <= limit {
@@ -214,6 +219,11 @@ fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit:
         }
     }
     least
+}
+
+/// The column or row that a coordinate in cells lies in; far outside any grid it is just far outside.
+fn column(at: f64) -> i64 {
+    at.floor().clamp(-1e12, 1e12) as i64
 }
 
 /// Rows of the grid whose closed squares meet a range of y, cells.
@@ -269,7 +279,7 @@ fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], limit: f64) -
         if f64::from(y) - high > least || low - f64::from(y) - 1.0 > least {
             continue;
         }
-        let (from, to) = ((left - least).floor() as i64 - 1, (right + least).floor() as i64 + 1);
+        let (from, to) = (column(left - least) - 1, column(right + least) + 1);
         for x in obstacles.set_in_row(y, from, to) {
             least = least.min(polygon_to_square(outline, x, y));
             if least <= 0.0 {

@@ -65,7 +65,10 @@ impl Rig {
     pub fn tick(&mut self) -> Outbox {
         let share = TICK / (self.model.drive.motor_lag + TICK);
         let wanted = self.model.drive.twist(self.commanded);
-        self.velocity = Twist2::new(self.velocity.v + share * (wanted.v - self.velocity.v), self.velocity.w + share * (wanted.w - self.velocity.w));
+        self.velocity = Twist2::new(
+            self.velocity.v + share * (wanted.v - self.velocity.v),
+            self.velocity.w + share * (wanted.w - self.velocity.w),
+        );
         self.pose = self.pose.advance(self.velocity, TICK);
         let turned = self.model.drive.wheels(self.velocity);
         self.wheels = [self.wheels[0] + turned[0] * TICK, self.wheels[1] + turned[1] * TICK];
@@ -73,7 +76,11 @@ impl Rig {
         self.ticks += 1;
         if let Some(epoch) = self.heartbeat.filter(|_| self.ticks % 5 == 0) {
             self.counter += 1;
-            self.inbox.heartbeats.push(Heartbeat { holder: "m".into(), epoch, counter: self.counter });
+            self.inbox.heartbeats.push(Heartbeat {
+                holder: "m".into(),
+                epoch,
+                counter: self.counter,
+            });
         }
         let readings = self.readings();
         let out = self.pilot.step(self.now, &readings, std::mem::take(&mut self.inbox));
@@ -97,18 +104,37 @@ impl Rig {
                 let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
                 let to = |position: f64, direction: f64| (ROOM * direction.signum() - position) / direction;
                 let range = to(laser.x, angle.cos()).min(to(laser.y, angle.sin()));
-                if range <= lidar.range_max { range as f32 } else { f32::INFINITY }
+                if range <= lidar.range_max {
+                    range as f32
+                } else {
+                    f32::INFINITY
+                }
             };
-            Sweep { stamp: self.now, ranges: (0..lidar.beams).map(range).collect() }
+            Sweep {
+                stamp: self.now,
+                ranges: (0..lidar.beams).map(range).collect(),
+            }
         });
         Readings {
             stamp: self.now,
             wheels: self.wheels,
-            imu: Some(Imu { stamp: self.now, yaw_rate: self.velocity.w, yaw: Some(self.pose.yaw) }),
+            imu: Some(Imu {
+                stamp: self.now,
+                yaw_rate: self.velocity.w,
+                yaw: Some(self.pose.yaw),
+            }),
             gps: None,
             sweep,
-            bump: Bump { stamp: self.now, pressed: false, bearing: None },
-            battery: Battery { stamp: self.now, charge: 1.0, drawn_j: 0.0 },
+            bump: Bump {
+                stamp: self.now,
+                pressed: false,
+                bearing: None,
+            },
+            battery: Battery {
+                stamp: self.now,
+                charge: 1.0,
+                drawn_j: 0.0,
+            },
         }
     }
 
@@ -124,7 +150,12 @@ impl Rig {
     }
 
     pub fn lease(&mut self, holder: &str, role: LeaseRole, request_id: &str) -> Result<u64, Refusal> {
-        let request = LeaseRequest { holder: holder.into(), role, action: LeaseAction::Acquire, request_id: request_id.into() };
+        let request = LeaseRequest {
+            holder: holder.into(),
+            role,
+            action: LeaseAction::Acquire,
+            request_id: request_id.into(),
+        };
         match self.ask(Question::Lease(request))? {
             Answer::Lease(reply) => Ok(reply.epoch),
             other => panic!("{other:?}"),
@@ -133,7 +164,9 @@ impl Rig {
 
     /// The mission `m` takes the lease and keeps it alive.
     pub fn mission(&mut self) -> u64 {
-        let epoch = self.lease("m", LeaseRole::Mission, &format!("take-{}", self.ticks)).unwrap();
+        let epoch = self
+            .lease("m", LeaseRole::Mission, &format!("take-{}", self.ticks))
+            .unwrap();
         self.heartbeat = Some(epoch);
         epoch
     }
@@ -150,25 +183,44 @@ impl Rig {
             } else if t < duration - ramp {
                 (top, 0.5 * top * ramp + top * (t - ramp))
             } else {
-                (acceleration * (duration - t), length - 0.5 * acceleration * (duration - t).powi(2))
+                (
+                    acceleration * (duration - t),
+                    length - 0.5 * acceleration * (duration - t).powi(2),
+                )
             };
             let pose = self.pose * Pose2::new(s, 0.0, 0.0);
-            TrajectoryPoint { t, x: pose.x, y: pose.y, yaw: pose.yaw, v, w: 0.0 }
+            TrajectoryPoint {
+                t,
+                x: pose.x,
+                y: pose.y,
+                yaw: pose.yaw,
+                v,
+                w: 0.0,
+            }
         });
         let mut trajectory: Vec<_> = points.collect();
         trajectory.dedup_by(|a, b| a.t - b.t < 1e-6);
-        Plan { trajectory, ..self.waypoints(epoch, counter, trajectory_id, &[]) }
+        Plan {
+            trajectory,
+            ..self.waypoints(epoch, counter, trajectory_id, &[])
+        }
     }
 
     pub fn waypoints(&self, epoch: u64, counter: u64, trajectory_id: u64, points: &[(f64, f64)]) -> Plan {
         Plan {
             goal_id: "g".into(),
             epoch,
-            revision: Revision { incarnation: 1, counter },
+            revision: Revision {
+                incarnation: 1,
+                counter,
+            },
             trajectory_id,
             map: MapRef::default(),
             frame: "map".into(),
-            based_on: BasedOn { stamp: self.now, boot_id: "boot-1".into() },
+            based_on: BasedOn {
+                stamp: self.now,
+                boot_id: "boot-1".into(),
+            },
             valid_for: 5.0,
             waypoints: points.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
             trajectory: Vec::new(),

@@ -36,7 +36,13 @@ fn a_renewed_plan_is_driven_to_its_end() {
     }
     assert!((rig.pose.x - 4.0).abs() < 0.03 && rig.at_rest(), "{:?}", rig.pose);
     assert!(rig.state.unwrap().plan.unwrap().finished);
-    assert_eq!(rig.events.iter().filter(|event| matches!(event, EventKind::PlanAccepted { .. })).count(), 1);
+    assert_eq!(
+        rig.events
+            .iter()
+            .filter(|event| matches!(event, EventKind::PlanAccepted { .. }))
+            .count(),
+        1
+    );
 }
 
 #[test]
@@ -60,7 +66,11 @@ fn with_the_heartbeats_gone_the_robot_is_at_rest_by_the_expiry() {
 #[test]
 fn the_policy_stop_brakes_as_soon_as_the_lease_is_lost() {
     let (mut rig, epoch, _) = driving();
-    rig.ask(Question::Mode(ModeRequest { on_lost: Some(LostPolicy::Stop), epoch: Some(epoch) })).unwrap();
+    rig.ask(Question::Mode(ModeRequest {
+        on_lost: Some(LostPolicy::Stop),
+        epoch: Some(epoch),
+    }))
+    .unwrap();
     rig.heartbeat = None;
     rig.run(1.7);
     assert!(rig.at_rest(), "{:?}", rig.velocity);
@@ -82,7 +92,11 @@ fn a_mission_that_comes_back_renews_and_the_robot_goes_on_where_it_is() {
         assert_eq!(rig.rejection(), None);
         rig.run(1.0);
     }
-    assert!(waited.x < 3.0 && (rig.pose.x - 4.0).abs() < 0.03, "{waited:?} {:?}", rig.pose);
+    assert!(
+        waited.x < 3.0 && (rig.pose.x - 4.0).abs() < 0.03,
+        "{waited:?} {:?}",
+        rig.pose
+    );
 }
 
 #[test]
@@ -92,10 +106,24 @@ fn a_plan_of_an_old_epoch_moves_nothing() {
     rig.run(6.0);
     rig.lease("other", LeaseRole::Mission, "x").unwrap();
     let before = rig.pose;
-    rig.send(Plan { based_on: BasedOn { stamp: rig.now, ..plan.based_on.clone() }, revision: Revision { incarnation: 9, counter: 9 }, ..plan });
+    rig.send(Plan {
+        based_on: BasedOn {
+            stamp: rig.now,
+            ..plan.based_on.clone()
+        },
+        revision: Revision {
+            incarnation: 9,
+            counter: 9,
+        },
+        ..plan
+    });
     rig.run(2.0);
     assert!(before.distance(&rig.pose) < 0.01);
-    assert!(rig.rejection().unwrap().contains(&format!("epoch {epoch}")), "{:?}", rig.rejection());
+    assert!(
+        rig.rejection().unwrap().contains(&format!("epoch {epoch}")),
+        "{:?}",
+        rig.rejection()
+    );
 }
 
 #[test]
@@ -113,7 +141,10 @@ fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
 #[test]
 fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     let (mut rig, epoch, mut plan) = driving();
-    assert_eq!(rig.ask(Question::Stop(StopRequest::default())), Ok(Answer::Stop(StopReply { stopped: true })));
+    assert_eq!(
+        rig.ask(Question::Stop(StopRequest::default())),
+        Ok(Answer::Stop(StopReply { stopped: true }))
+    );
     rig.run(1.0);
     assert!(rig.at_rest());
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
@@ -153,11 +184,23 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
     let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
     rig.run(1.2);
     assert!(rig.at_rest());
-    assert!(rig.events.iter().any(|event| matches!(event, EventKind::PlanDiscarded { .. })));
+    assert!(
+        rig.events
+            .iter()
+            .any(|event| matches!(event, EventKind::PlanDiscarded { .. }))
+    );
     let before = rig.pose;
-    let epoch = if rig.state.as_ref().unwrap().lease.live { epoch } else { rig.lease("me", LeaseRole::Operator, "o2").unwrap() };
+    let epoch = if rig.state.as_ref().unwrap().lease.live {
+        epoch
+    } else {
+        rig.lease("me", LeaseRole::Operator, "o2").unwrap()
+    };
     for _ in 0..20 {
-        rig.inbox.teleops.push(Teleop { epoch, twist: Twist2::new(-0.3, 0.0), echo: rig.now });
+        rig.inbox.teleops.push(Teleop {
+            epoch,
+            twist: Twist2::new(-0.3, 0.0),
+            echo: rig.now,
+        });
         rig.run(0.1);
     }
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
@@ -180,7 +223,14 @@ fn a_repeated_request_gets_the_first_answer() {
 fn a_plan_into_a_wall_that_the_scan_sees_is_refused() {
     let mut rig = fresh();
     rig.pose = Pose2::new(2.0, 0.0, 0.0);
-    let config = crate::config::EdgeConfig { start: rig.pose, ..crate::config::EdgeConfig::new(zenav_protocol::id::Id::robot("r").unwrap(), rig.model.clone(), Pose2::IDENTITY) };
+    let config = crate::config::EdgeConfig {
+        start: rig.pose,
+        ..crate::config::EdgeConfig::new(
+            zenav_protocol::id::Id::robot("r").unwrap(),
+            rig.model.clone(),
+            Pose2::IDENTITY,
+        )
+    };
     rig.pilot = crate::pilot::Pilot::new(config, "boot-1".into(), Persisted::default());
     rig.run(0.2);
     let epoch = rig.mission();
@@ -189,19 +239,43 @@ fn a_plan_into_a_wall_that_the_scan_sees_is_refused() {
     assert!(rig.rejection().unwrap().contains("blocked"), "{:?}", rig.rejection());
     let plan = rig.ahead(epoch, 2, 2, ROOM - 2.0 - 0.265 - 0.05);
     rig.send(plan);
-    assert_eq!(rig.state.as_ref().map(|_| rig.events.iter().filter(|e| matches!(e, EventKind::PlanAccepted { .. })).count()), Some(1));
+    assert_eq!(
+        rig.state.as_ref().map(|_| rig
+            .events
+            .iter()
+            .filter(|e| matches!(e, EventKind::PlanAccepted { .. }))
+            .count()),
+        Some(1)
+    );
 }
 
 #[test]
 fn a_replan_is_joined_at_speed() {
     let (mut rig, epoch, plan) = driving();
     let time = rig.state.as_ref().unwrap().plan.as_ref().unwrap().time + 0.3;
-    let rest: Vec<_> = plan.trajectory.iter().filter(|point| point.t >= time).copied().collect();
+    let rest: Vec<_> = plan
+        .trajectory
+        .iter()
+        .filter(|point| point.t >= time)
+        .copied()
+        .collect();
     let start = rest[0].t;
     let next = Plan {
-        trajectory: rest.iter().map(|point| TrajectoryPoint { t: point.t - start, ..*point }).collect(),
-        splice: Some(Splice { trajectory_id: 7, time: start }),
-        based_on: BasedOn { stamp: rig.now, ..plan.based_on.clone() },
+        trajectory: rest
+            .iter()
+            .map(|point| TrajectoryPoint {
+                t: point.t - start,
+                ..*point
+            })
+            .collect(),
+        splice: Some(Splice {
+            trajectory_id: 7,
+            time: start,
+        }),
+        based_on: BasedOn {
+            stamp: rig.now,
+            ..plan.based_on.clone()
+        },
         ..rig.waypoints(epoch, 2, 8, &[])
     };
     rig.send(next);
@@ -232,11 +306,19 @@ fn waypoints_are_driven_while_renewed() {
 fn a_behaviour_runs_once_for_its_id() {
     let mut rig = fresh();
     let epoch = rig.mission();
-    let spin = |id: &str| Question::Behaviour(BehaviourRequest { id: id.into(), action: BehaviourAction::Spin { angle: 1.0 }, epoch: Some(epoch) });
+    let spin = |id: &str| {
+        Question::Behaviour(BehaviourRequest {
+            id: id.into(),
+            action: BehaviourAction::Spin { angle: 1.0 },
+            epoch: Some(epoch),
+        })
+    };
     rig.ask(spin("s1")).unwrap();
     rig.run(4.0);
     assert!((rig.pose.yaw - 1.0).abs() < 0.05, "{:?}", rig.pose);
-    let Ok(Answer::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else { panic!() };
+    let Ok(Answer::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
+        panic!()
+    };
     assert_eq!(report.state, BehaviourState::Succeeded);
     rig.run(2.0);
     assert!((rig.pose.yaw - 1.0).abs() < 0.05, "nothing starts again");
@@ -248,7 +330,11 @@ fn a_blind_robot_stops() {
     rig.scanning = false;
     rig.run(1.5);
     assert!(rig.at_rest());
-    assert!(rig.events.iter().any(|event| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains("scan"))));
+    assert!(
+        rig.events.iter().any(
+            |event| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains("scan"))
+        )
+    );
 }
 
 /// Everything that may be wrong with a plan.
@@ -257,7 +343,12 @@ fn spoil(plan: &mut Plan, how: usize, index: usize) {
     let last = plan.trajectory.len() - 1;
     match how {
         0 => plan.epoch += 1,
-        1 => plan.revision = Revision { incarnation: 0, counter: 99 },
+        1 => {
+            plan.revision = Revision {
+                incarnation: 0,
+                counter: 99,
+            }
+        }
         2 => plan.based_on.boot_id = "boot-0".into(),
         3 => plan.based_on.stamp = zenav_protocol::time::Stamp::from_secs(1e6),
         4 => plan.valid_for = -1.0,

@@ -60,7 +60,10 @@ impl Timeline {
         if now < until {
             let first = self.sample(now);
             let rest = self.points.iter().filter(|point| point.t > now && point.t < until);
-            points.extend(std::iter::once(&first).chain(rest).map(|point| TrajectoryPoint { t: point.t - until, ..*point }));
+            points.extend(std::iter::once(&first).chain(rest).map(|point| TrajectoryPoint {
+                t: point.t - until,
+                ..*point
+            }));
         }
         points.extend_from_slice(next);
         Self::new(points)
@@ -133,7 +136,14 @@ impl TrajectoryTracker {
     #[must_use]
     pub fn new(drive: &Drive, timeline: Timeline, time: f64) -> Self {
         let time = time.clamp(timeline.start(), timeline.end().max(timeline.start()));
-        Self { drive: drive.clone(), timeline, time, settling: 0.0, finished: false, off: 0.0 }
+        Self {
+            drive: drive.clone(),
+            timeline,
+            time,
+            settling: 0.0,
+            finished: false,
+            off: 0.0,
+        }
     }
 
     /// The motion.
@@ -164,7 +174,13 @@ impl TrajectoryTracker {
     #[must_use]
     pub fn progress(&self) -> Progress {
         let end = self.timeline.end();
-        Progress { time: self.time, waypoint: 0, distance_left: self.timeline.length_left(self.time), time_left: (end - self.time).max(0.0), finished: self.finished }
+        Progress {
+            time: self.time,
+            waypoint: 0,
+            distance_left: self.timeline.length_left(self.time),
+            time_left: (end - self.time).max(0.0),
+            finished: self.finished,
+        }
     }
 
     /// One tick: the wanted twist.
@@ -185,9 +201,16 @@ impl TrajectoryTracker {
         // The motors answer late: ask for the speed of the moment at which they will have it.
         let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
         let (v, w) = (rate * ahead.v, rate * ahead.w);
-        let sinc = if error.yaw.abs() < 1e-3 { 1.0 } else { error.yaw.sin() / error.yaw };
+        let sinc = if error.yaw.abs() < 1e-3 {
+            1.0
+        } else {
+            error.yaw.sin() / error.yaw
+        };
         let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
-        let wanted = Twist2::new(v * error.yaw.cos() + gains.along_gain * error.x, w + gains.cross_gain * v * sinc * error.y + spin * error.yaw);
+        let wanted = Twist2::new(
+            v * error.yaw.cos() + gains.along_gain * error.x,
+            w + gains.cross_gain * v * sinc * error.y + spin * error.yaw,
+        );
         capped(&self.drive, wanted, view.speed_cap)
     }
 
@@ -195,21 +218,33 @@ impl TrajectoryTracker {
     /// drives back.
     fn run_ahead(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
         let lead = -goal.v.signum() * error.x - LEAD;
-        if lead > 0.0 && goal.v.abs() > 0.05 { (lead / goal.v.abs()).min(4.0 * view.dt) } else { 0.0 }
+        if lead > 0.0 && goal.v.abs() > 0.05 {
+            (lead / goal.v.abs()).min(4.0 * view.dt)
+        } else {
+            0.0
+        }
     }
 
     /// How fast plan time runs, 0 to 1.
     fn rate(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
         let falling = |value: f64, (full, none): (f64, f64)| ((none - value) / (none - full)).clamp(0.0, 1.0);
         let direction = if goal.v < 0.0 { -1.0 } else { 1.0 };
-        let turn_lag = if goal.v.abs() < 0.05 { error.yaw * goal.w.signum() } else { error.yaw.abs() };
-        let lagging = falling(direction * error.x, LAG).min(falling(error.y.abs(), OFF_TRACK)).min(falling(turn_lag, TURN_LAG));
+        let turn_lag = if goal.v.abs() < 0.05 {
+            error.yaw * goal.w.signum()
+        } else {
+            error.yaw.abs()
+        };
+        let lagging = falling(direction * error.x, LAG)
+            .min(falling(error.y.abs(), OFF_TRACK))
+            .min(falling(turn_lag, TURN_LAG));
         let planned = wheel_surface_speed(&self.drive, goal.twist());
         if planned < 1e-6 {
             return lagging;
         }
         // From rest, or after a slowdown, the reference speeds up as the robot can, not at once.
-        let reachable = wheel_surface_speed(&self.drive, view.velocity) + self.drive.acceleration() * (self.drive.motor_lag + 4.0 * view.dt) + 0.02;
+        let reachable = wheel_surface_speed(&self.drive, view.velocity)
+            + self.drive.acceleration() * (self.drive.motor_lag + 4.0 * view.dt)
+            + 0.02;
         lagging.min(view.speed_cap / planned).min(reachable / planned)
     }
 
@@ -222,7 +257,10 @@ impl TrajectoryTracker {
             self.finished = at_rest;
             return Twist2::ZERO;
         }
-        let wanted = Twist2::new((gains.along_gain * error.x).clamp(-SETTLE_SPEED, SETTLE_SPEED), SPIN_GAIN * error.yaw);
+        let wanted = Twist2::new(
+            (gains.along_gain * error.x).clamp(-SETTLE_SPEED, SETTLE_SPEED),
+            SPIN_GAIN * error.yaw,
+        );
         capped(&self.drive, wanted, view.speed_cap)
     }
 }
@@ -251,24 +289,44 @@ mod tests {
         for i in 0..=400 {
             let t = f64::from(i) * 0.02;
             let v = (0.5 * t).min(0.5).min(0.5 * (8.0 - t)).max(0.0);
-            points.push(TrajectoryPoint { t, x: pose.x, y: pose.y, yaw: pose.yaw, v, w: v });
+            points.push(TrajectoryPoint {
+                t,
+                x: pose.x,
+                y: pose.y,
+                yaw: pose.yaw,
+                v,
+                w: v,
+            });
             pose = pose.advance(Twist2::new(v, v), 0.02);
         }
         Timeline::new(points)
     }
 
     /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
-    fn drive(tracker: &mut TrajectoryTracker, mut pose: Pose2, ticks: usize, cap: impl Fn(usize) -> f64) -> (f64, Pose2) {
+    fn drive(
+        tracker: &mut TrajectoryTracker,
+        mut pose: Pose2,
+        ticks: usize,
+        cap: impl Fn(usize) -> f64,
+    ) -> (f64, Pose2) {
         let model = model();
         let mut limiter = Limiter::new(&model.drive);
         let mut velocity = Twist2::ZERO;
         let mut worst: f64 = 0.0;
         for tick in 0..ticks {
-            let view = View { dt: 0.02, map_from_base: pose, velocity, speed_cap: cap(tick) };
+            let view = View {
+                dt: 0.02,
+                map_from_base: pose,
+                velocity,
+                speed_cap: cap(tick),
+            };
             let wheels = limiter.limit(tracker.step(&view, &model.controller), 0.02, Braking::Normal);
             limiter.set(wheels);
             let (wanted, share) = (limiter.twist(), 0.02 / (model.drive.motor_lag + 0.02));
-            velocity = Twist2::new(velocity.v + share * (wanted.v - velocity.v), velocity.w + share * (wanted.w - velocity.w));
+            velocity = Twist2::new(
+                velocity.v + share * (wanted.v - velocity.v),
+                velocity.w + share * (wanted.w - velocity.w),
+            );
             pose = pose.advance(velocity, 0.02);
             worst = worst.max(tracker.off_track());
         }
@@ -282,7 +340,10 @@ mod tests {
         let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 600, |_| f64::INFINITY);
         assert!(worst < 0.02, "{worst}");
-        assert!(tracker.progress().finished && pose.distance(&end) < 0.02 && wrap_angle(pose.yaw - end.yaw).abs() < 0.04, "{pose:?} {end:?}");
+        assert!(
+            tracker.progress().finished && pose.distance(&end) < 0.02 && wrap_angle(pose.yaw - end.yaw).abs() < 0.04,
+            "{pose:?} {end:?}"
+        );
     }
 
     #[test]
@@ -310,18 +371,36 @@ mod tests {
             (t, w)
         });
         let mut yaw = 0.0;
-        let points = points.map(|(t, w)| { yaw += 0.01 * w; TrajectoryPoint { t, yaw, w, ..Default::default() } }).collect();
+        let points = points
+            .map(|(t, w)| {
+                yaw += 0.01 * w;
+                TrajectoryPoint {
+                    t,
+                    yaw,
+                    w,
+                    ..Default::default()
+                }
+            })
+            .collect();
         let timeline = Timeline::new(points);
         let end = timeline.sample(2.0).yaw;
         let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
         let (_, pose) = drive(&mut tracker, Pose2::IDENTITY, 300, |_| f64::INFINITY);
-        assert!(tracker.progress().finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01, "{pose:?} {end}");
+        assert!(
+            tracker.progress().finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01,
+            "{pose:?} {end}"
+        );
     }
 
     #[test]
     fn a_splice_keeps_the_old_motion_until_the_new_one_begins() {
         let old = curve();
-        let next: Vec<_> = old.points().iter().filter(|p| p.t >= 3.0).map(|p| TrajectoryPoint { t: p.t - 3.0, ..*p }).collect();
+        let next: Vec<_> = old
+            .points()
+            .iter()
+            .filter(|p| p.t >= 3.0)
+            .map(|p| TrajectoryPoint { t: p.t - 3.0, ..*p })
+            .collect();
         let merged = old.spliced(2.5, 3.0, &next);
         assert!((merged.start() + 0.5).abs() < 1e-12 && (merged.end() - 5.0).abs() < 1e-9);
         let before = merged.sample(-0.25);

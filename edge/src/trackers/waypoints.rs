@@ -35,7 +35,12 @@ impl WaypointTracker {
     /// From the first waypoint on.
     #[must_use]
     pub fn new(drive: &Drive, waypoints: Vec<Point2<f64>>) -> Self {
-        Self { drive: drive.clone(), waypoints, next: 0, finished: false }
+        Self {
+            drive: drive.clone(),
+            waypoints,
+            next: 0,
+            finished: false,
+        }
     }
 
     /// The waypoint being driven to, map frame.
@@ -49,7 +54,11 @@ impl WaypointTracker {
         let here = view.map_from_base.position();
         while let Some(target) = self.target() {
             let last = self.next + 1 == self.waypoints.len();
-            let threshold = if last { gains.waypoint_threshold.min(FINAL_THRESHOLD) } else { gains.waypoint_threshold };
+            let threshold = if last {
+                gains.waypoint_threshold.min(FINAL_THRESHOLD)
+            } else {
+                gains.waypoint_threshold
+            };
             if (target - here).norm() >= threshold {
                 break;
             }
@@ -64,7 +73,9 @@ impl WaypointTracker {
         let rho = self.effective_distance(here).max(LEAST_RHO);
         let turn = (gains.heading_gain * alpha).clamp(-limit, limit);
         let fade = (1.0 - alpha.abs() / TURN_FIRST).max(0.0);
-        let forward = (gains.distance_gain * rho * fade).min(limit * fade).min(limit - turn.abs());
+        let forward = (gains.distance_gain * rho * fade)
+            .min(limit * fade)
+            .min(limit - turn.abs());
         self.drive.twist([forward - turn, forward + turn])
     }
 
@@ -79,7 +90,7 @@ impl WaypointTracker {
             let leg = target - from;
             if let Some(before) = direction {
                 let cos = before.dot(&leg) / (before.norm() * leg.norm()).max(1e-9);
-                weight *= cos.clamp(0.0, 1.0);
+                weight *= 0.5 * (1.0 + cos.clamp(-1.0, 1.0));
             }
             rho += weight * leg.norm();
             (direction, from) = (Some(leg), *target);
@@ -91,8 +102,16 @@ impl WaypointTracker {
     #[must_use]
     pub fn progress(&self, map_from_base: &Pose2) -> Progress {
         let ahead = self.waypoints.iter().skip(self.next);
-        let (distance_left, _) = ahead.fold((0.0, map_from_base.position()), |(sum, from), to| (sum + (to - from).norm(), *to));
-        Progress { time: 0.0, waypoint: self.next, distance_left, time_left: distance_left / self.drive.top_speed(), finished: self.finished }
+        let (distance_left, _) = ahead.fold((0.0, map_from_base.position()), |(sum, from), to| {
+            (sum + (to - from).norm(), *to)
+        });
+        Progress {
+            time: 0.0,
+            waypoint: self.next,
+            distance_left,
+            time_left: distance_left / self.drive.top_speed(),
+            finished: self.finished,
+        }
     }
 }
 
@@ -112,22 +131,44 @@ mod tests {
     fn the_wheels_get_what_the_law_says() {
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
         let mut tracker = WaypointTracker::new(&model.drive, vec![Point2::new(1.0, 0.0)]);
-        let view = View { dt: 0.02, map_from_base: Pose2::IDENTITY, velocity: Twist2::ZERO, speed_cap: f64::INFINITY };
+        let view = View {
+            dt: 0.02,
+            map_from_base: Pose2::IDENTITY,
+            velocity: Twist2::ZERO,
+            speed_cap: f64::INFINITY,
+        };
         let wheels = model.drive.wheels(tracker.step(&view, &model.controller));
-        assert!((wheels[0] - 2.0).abs() < 1e-9 && (wheels[1] - 2.0).abs() < 1e-9, "2 rad/s for a metre ahead: {wheels:?}");
-        let aside = View { map_from_base: Pose2::new(0.0, 0.0, -1.2), ..view };
+        assert!(
+            (wheels[0] - 2.0).abs() < 1e-9 && (wheels[1] - 2.0).abs() < 1e-9,
+            "2 rad/s for a metre ahead: {wheels:?}"
+        );
+        let aside = View {
+            map_from_base: Pose2::new(0.0, 0.0, -1.2),
+            ..view
+        };
         let wheels = model.drive.wheels(tracker.step(&aside, &model.controller));
-        assert!((wheels[1] - 4.8).abs() < 1e-9 && (wheels[0] + 4.8).abs() < 1e-9, "turns first: {wheels:?}");
+        assert!(
+            (wheels[1] - 4.8).abs() < 1e-9 && (wheels[0] + 4.8).abs() < 1e-9,
+            "turns first: {wheels:?}"
+        );
     }
 
     #[test]
     fn waypoints_are_passed_within_the_threshold_and_the_last_one_is_reached() {
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
-        let mut tracker = WaypointTracker::new(&model.drive, vec![Point2::new(1.0, 0.0), Point2::new(1.5, 1.0), Point2::new(0.0, 1.0)]);
+        let mut tracker = WaypointTracker::new(
+            &model.drive,
+            vec![Point2::new(1.0, 0.0), Point2::new(1.5, 1.0), Point2::new(0.0, 1.0)],
+        );
         let mut pose = Pose2::IDENTITY;
         let mut limiter = crate::limiter::Limiter::new(&model.drive);
         for _ in 0..3000 {
-            let view = View { dt: 0.02, map_from_base: pose, velocity: limiter.twist(), speed_cap: f64::INFINITY };
+            let view = View {
+                dt: 0.02,
+                map_from_base: pose,
+                velocity: limiter.twist(),
+                speed_cap: f64::INFINITY,
+            };
             let wanted = tracker.step(&view, &model.controller);
             let wheels = limiter.limit(wanted, 0.02, crate::limiter::Braking::Normal);
             limiter.set(wheels);

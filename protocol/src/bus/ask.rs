@@ -90,12 +90,8 @@ pub struct Answer<R> {
     pub result: Result<R, Refusal>,
 }
 
-/// What comes back from a question that was sent.
-enum Event {
-    Reply(Reply),
-    /// No more replies to one of the questions.
-    End,
-}
+/// What comes back from a question that was sent: a reply, or `None` when no more come.
+type Event = Option<Reply>;
 
 /// Sends the end when Zenoh lets go of the callback.
 struct Replies(mpsc::Sender<Event>);
@@ -103,7 +99,7 @@ struct Replies(mpsc::Sender<Event>);
 impl Drop for Replies {
     fn drop(&mut self) {
         // A full queue is being read, and its reader gives up on its own.
-        let _ = self.0.try_send(Event::End);
+        let _ = self.0.try_send(None);
     }
 }
 
@@ -153,7 +149,7 @@ impl Bus {
                 () = sleep_until(again) => continue,
             };
             match event {
-                Some(Event::Reply(reply)) => match read(ask, reply) {
+                Some(Some(reply)) => match read(ask, reply) {
                     Verdict::Answer(Answer { result: Ok(answer), .. }) => return Ok(answer),
                     Verdict::Answer(Answer {
                         result: Err(no @ (Refusal::NotLeader | Refusal::Busy { .. })),
@@ -163,7 +159,7 @@ impl Bus {
                     Verdict::Unreadable(error) => unreadable = Some(error),
                     Verdict::Nothing => {}
                 },
-                Some(Event::End) => {
+                Some(None) => {
                     if self.session.is_closed() {
                         return Err(AskError::Closed);
                     }
@@ -212,7 +208,7 @@ impl Bus {
         drop(sender);
         let mut answers = Vec::new();
         let gather = async {
-            while let Some(Event::Reply(reply)) = events.recv().await {
+            while let Some(Some(reply)) = events.recv().await {
                 match read(ask, reply) {
                     Verdict::Answer(answer) => answers.push(answer),
                     Verdict::Unreadable(error) => {
@@ -264,7 +260,7 @@ impl Bus {
             .timeout(timeout.max(Duration::from_millis(1)))
             .callback(move |reply| {
                 // Beyond what waits there a flood of replies is dropped.
-                let _ = replies.0.try_send(Event::Reply(reply));
+                let _ = replies.0.try_send(Some(reply));
             })
             .wait()
             .map_err(|error| {

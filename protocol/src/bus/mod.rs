@@ -2,7 +2,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `session` | how a part joins: a client of the router, or (with an endpoint of its own) a peer that outlives the router |
+//! | `session` | how a part joins: a client of the router, or (with an endpoint of its own) a router of its own that outlives the others |
 //! | `router` | the router itself |
 //! | `publish`, `subscribe` | topics: publishers, the newest value, all values in order |
 //! | `ask`, `serve` | questions with a deadline, and those who answer |

@@ -76,26 +76,30 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     pub async fn next(&mut self) -> Option<Request<Q, R>> {
         loop {
             let query = self.inbox.next().await?;
-            match self.read(query) {
-                Ok(request) => return Some(request),
-                Err((query, refusal)) => refuse(&query, &refusal),
+            match self.read(&query) {
+                Ok((key, body)) => return Some(self.request(key, body, query)),
+                Err(refusal) => refuse(&query, &refusal),
             }
         }
     }
 
-    fn read(&self, query: Query) -> Result<Request<Q, R>, (Query, Refusal)> {
+    /// The key to answer on, and the question.
+    fn read(&self, query: &Query) -> Result<(KeyExpr<'static>, Q), Refusal> {
         let key = if !self.key.is_wild() {
             self.key.clone()
         } else if !query.key_expr().is_wild() {
             query.key_expr().clone()
         } else {
-            return Err((query, Refusal::bad_request("this server needs a key without wildcards")));
+            return Err(Refusal::bad_request("this server needs a key without wildcards"));
         };
-        let body = match read_body(&query, self.ask.max_bytes) {
-            Ok(body) => body,
-            Err(CodecError::TooLarge { limit, .. }) => return Err((query, Refusal::TooLarge { limit })),
-            Err(error) => return Err((query, Refusal::bad_request(error.to_string()))),
-        };
+        match read_body(query, self.ask.max_bytes) {
+            Ok(body) => Ok((key, body)),
+            Err(CodecError::TooLarge { limit, .. }) => Err(Refusal::TooLarge { limit }),
+            Err(error) => Err(Refusal::bad_request(error.to_string())),
+        }
+    }
+
+    fn request(&self, key: KeyExpr<'static>, body: Q, query: Query) -> Request<Q, R> {
         let chunks = self
             .ask
             .chunks(key.as_str())
@@ -108,14 +112,14 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
             .iter()
             .map(|(name, value)| (name.to_owned(), value.to_owned()))
             .collect();
-        Ok(Request {
+        Request {
             body,
             chunks,
             parameters,
             key,
             query,
             reply: PhantomData,
-        })
+        }
     }
 }
 

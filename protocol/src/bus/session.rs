@@ -1,9 +1,9 @@
 //! How does a part join the others, and what becomes of it when the router is away?
 //!
-//! Without an endpoint of its own a part is a Zenoh **client** of the router. With `listen` it is a **peer**: it starts without
-//! a router, keeps looking for it in the background, and clients that connect straight to it reach its topics and asks
-//! while the router is gone. (A Zenoh client cannot do that: it refuses other clients, and opens only once connected.
-//! A router does not carry data between two peers; that is why only the robot is one.)
+//! Without an endpoint of its own a part is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
+//! others: it starts without them, keeps looking for them in the background, and whoever connects straight to it reaches its
+//! topics and asks while they are gone. (A Zenoh client refuses other clients, and opens only once connected; to a peer a
+//! router would carry nothing from other peers, which is what Zenoh's own tools and bindings are by default.)
 //! Multicast and gossip are off: nobody is found that was not named. The lease and retry times make a cut link
 //! resume about one second after it heals.
 
@@ -146,7 +146,7 @@ impl Bus {
                 });
             }
             (true, false) => WhatAmI::Client,
-            (false, _) => WhatAmI::Peer,
+            (false, _) => WhatAmI::Router,
         };
         let zenoh = link_settings(mode, &config.connect, &config.listen, &config.name)?;
         let mut wait = MIN_RETRY;
@@ -158,7 +158,7 @@ impl Bus {
                         name: config.name.into(),
                     });
                 }
-                Err(error) if mode == WhatAmI::Peer => {
+                Err(error) if mode == WhatAmI::Router => {
                     return Err(BusError::CannotListen {
                         endpoint: config.listen.join(", "),
                         reason: error.to_string(),

@@ -77,13 +77,13 @@ pub(crate) enum Assignment {
 /// A script that does not parse.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}, at character {at}: expected {expected}")]
-pub struct ScriptSyntax {
+pub(crate) struct ScriptSyntax {
     /// Character of the script, from 1.
-    pub at: usize,
+    pub(crate) at: usize,
     /// What is wrong.
-    pub message: String,
+    pub(crate) message: String,
     /// What should stand there.
-    pub expected: String,
+    pub(crate) expected: String,
 }
 
 /// Why a script could not be computed.

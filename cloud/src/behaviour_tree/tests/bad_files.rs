@@ -1,6 +1,6 @@
 //! A tree is data, so bad trees are input.
 
-use super::rig::registry;
+use super::rig::{World, registry};
 use crate::behaviour_tree::{Limits, TreeErrors, build, build_within, check};
 
 fn errors_of(text: &str) -> Vec<String> {
@@ -372,5 +372,34 @@ fn hostile_files_are_refused_quickly() {
         let took = begin.elapsed().as_secs_f64();
         // A debug build on a busy machine; what is quadratic would take minutes.
         assert!(took < 30.0, "{what}: {took} s");
+    }
+}
+
+#[test]
+fn the_deepest_tree_and_the_longest_script_fit_the_stack() {
+    let sum = format!("1{}", "+1".repeat(210));
+    let brackets = format!("{}1{}", "(".repeat(32), ")".repeat(32));
+    let leaf = format!("<ScriptCondition code=\"{sum} &gt; {brackets}\"/>");
+    for decorator in [
+        "Inverter",
+        "Sequence",
+        "RetryUntilSuccessful num_attempts=\"2\"",
+        "Parallel",
+    ] {
+        let name = decorator.split(' ').next().unwrap();
+        let text = format!(
+            "<root><BehaviorTree ID=\"A\">{}{leaf}{}</BehaviorTree></root>",
+            format!("<{decorator}>").repeat(511),
+            format!("</{name}>").repeat(511)
+        );
+        let limits = Limits {
+            depth: usize::MAX,
+            ..Limits::default()
+        };
+        let none = &mut |_: &str, _: &str| Err(String::new());
+        let mut tree = build_within("deep.xml", text.as_bytes(), &registry(), None, none, limits).unwrap();
+        let status = tree.tick(std::time::Duration::ZERO, &mut World::default()).unwrap();
+        assert!(status.is_completed());
+        assert!(tree.render().lines().count() == 512);
     }
 }

@@ -28,7 +28,7 @@ pub type Include<'a> = dyn FnMut(&str, &str) -> Result<(String, Vec<u8>), String
 pub struct Limits {
     /// Bytes of all files together. A caller that reads a file should look at its size first.
     pub bytes: usize,
-    /// Levels of nodes, SubTrees unfolded.
+    /// Levels of nodes, SubTrees unfolded. At most 512.
     pub depth: usize,
     /// Nodes, SubTrees unfolded. At most 65,534: a uid has 16 bits.
     pub nodes: usize,
@@ -55,9 +55,9 @@ impl Limits {
         self.nodes.min(usize::from(u16::MAX) - 1) as u64
     }
 
-    /// The recursion of a tick is as deep as the tree.
+    /// The recursion of a tick is as deep as the tree, and a thread's stack is finite.
     fn depth(&self) -> usize {
-        self.depth.min(1_000)
+        self.depth.min(512)
     }
 }
 
@@ -110,10 +110,10 @@ pub fn build_within<C>(
     let forest = document::read(file, bytes, include, &limits, &mut errors);
     check::check(&forest, registry, &limits, &mut errors);
     let main = check::main_tree(&forest, tree_id, &mut errors);
-    if let (Some(main), true) = (main, errors.is_empty()) {
-        if let Some(tree) = expand::expand(&forest, registry, &main, &mut errors) {
-            return errors.into_result(tree);
-        }
+    if let (Some(main), true) = (main, errors.is_empty())
+        && let Some(tree) = expand::expand(&forest, registry, &main, &mut errors)
+    {
+        return errors.into_result(tree);
     }
     Err(errors.into_errors())
 }

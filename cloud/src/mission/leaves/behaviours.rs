@@ -38,8 +38,14 @@ impl Leaf<Context> for Behaviour {
             Ok(action) => action,
             Err(why) => return fail(io, ctx, Some(UNKNOWN), why),
         };
-        *self = Self { since: ctx.now, ..Self::default() };
-        let execution = Execution { id: ctx.execution_id(), action };
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
+        let execution = Execution {
+            id: ctx.execution_id(),
+            action,
+        };
         if let Err(error) = io.remember(&execution) {
             return fail(io, ctx, Some(UNKNOWN), error.to_string());
         }
@@ -49,12 +55,18 @@ impl Leaf<Context> for Behaviour {
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let Some(execution) = io.recall::<Execution>() else { return fail(io, ctx, Some(UNKNOWN), "the execution is not known") };
+        let Some(execution) = io.recall::<Execution>() else {
+            return fail(io, ctx, Some(UNKNOWN), "the execution is not known");
+        };
         let Some(epoch) = ctx.lease.epoch() else {
             self.since = ctx.now;
             return step(io, ctx, "waits for the lease");
         };
-        let reported = ctx.robot.state().and_then(|state| state.behaviour.clone()).filter(|report| report.id == execution.id);
+        let reported = ctx
+            .robot
+            .state()
+            .and_then(|state| state.behaviour.clone())
+            .filter(|report| report.id == execution.id);
         if let Some(status) = reported.and_then(|report| judge(io, ctx, &report)) {
             return status;
         }
@@ -70,20 +82,33 @@ impl Leaf<Context> for Behaviour {
                 }
                 Ok(_) => {}
                 Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(UNKNOWN), refusal.to_string()),
-                Err(NoAnswer::Silent(why)) if ctx.now.secs_since(self.since) > PATIENCE => return fail(io, ctx, Some(UNKNOWN), why),
+                Err(NoAnswer::Silent(why)) if ctx.now.secs_since(self.since) > PATIENCE => {
+                    return fail(io, ctx, Some(UNKNOWN), why);
+                }
                 Err(NoAnswer::Silent(_)) => {}
             }
         }
         if self.ticket.is_none() && ctx.now >= self.next_ask {
             self.next_ask = ctx.now.plus_secs(PERIOD);
-            let action = if self.asked { BehaviourAction::Report } else { execution.action };
-            self.ticket = Some(ctx.asks.ask(Ask::Behaviour(BehaviourRequest { id: execution.id, action, epoch: Some(epoch) })));
+            let action = if self.asked {
+                BehaviourAction::Report
+            } else {
+                execution.action
+            };
+            self.ticket = Some(ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
+                id: execution.id,
+                action,
+                epoch: Some(epoch),
+            })));
         }
         step(io, ctx, "under way")
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        *self = Self { since: ctx.now, ..Self::default() };
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
         self.tick(io, ctx)
     }
 
@@ -92,7 +117,11 @@ impl Leaf<Context> for Behaviour {
             ctx.asks.forget(ticket);
         }
         if let (Some(execution), Some(epoch)) = (io.recall::<Execution>(), ctx.lease.epoch()) {
-            let ticket = ctx.asks.ask(Ask::Behaviour(BehaviourRequest { id: execution.id, action: BehaviourAction::Cancel, epoch: Some(epoch) }));
+            let ticket = ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
+                id: execution.id,
+                action: BehaviourAction::Cancel,
+                epoch: Some(epoch),
+            }));
             ctx.asks.forget(ticket);
         }
     }
@@ -101,13 +130,27 @@ impl Leaf<Context> for Behaviour {
 /// What the node's ports ask for.
 fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     let get = |port: &str, default: f64| match io.get_optional::<f64>(port) {
-        Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| if value.is_finite() { Ok(value) } else { Err(format!("`{port}`: expected a finite number")) }),
+        Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| {
+            if value.is_finite() {
+                Ok(value)
+            } else {
+                Err(format!("`{port}`: expected a finite number"))
+            }
+        }),
         Err(error) => Err(error.to_string()),
     };
     Ok(match io.id() {
-        "Spin" => BehaviourAction::Spin { angle: get("spin_dist", 1.57)? },
-        "BackUp" => BehaviourAction::Drive { distance: -get("backup_dist", 0.15)?.abs(), speed: get("backup_speed", 0.1)?.abs() },
-        _ => BehaviourAction::Drive { distance: get("dist_to_travel", 0.15)?, speed: get("speed", 0.1)?.abs() },
+        "Spin" => BehaviourAction::Spin {
+            angle: get("spin_dist", 1.57)?,
+        },
+        "BackUp" => BehaviourAction::Drive {
+            distance: -get("backup_dist", 0.15)?.abs(),
+            speed: get("backup_speed", 0.1)?.abs(),
+        },
+        _ => BehaviourAction::Drive {
+            distance: get("dist_to_travel", 0.15)?,
+            speed: get("speed", 0.1)?.abs(),
+        },
     })
 }
 
@@ -120,7 +163,10 @@ fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Op
             Some(Status::Success)
         }
         BehaviourState::Failed | BehaviourState::Canceled => {
-            let why = report.reason.clone().unwrap_or_else(|| format!("{:?}", report.state).to_lowercase());
+            let why = report
+                .reason
+                .clone()
+                .unwrap_or_else(|| format!("{:?}", report.state).to_lowercase());
             Some(fail(io, ctx, Some(UNKNOWN), why))
         }
     }

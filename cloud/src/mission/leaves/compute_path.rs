@@ -29,14 +29,23 @@ impl Leaf<Context> for ComputePath {
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let Some(search) = &mut self.search else { return self.start(io, ctx) };
+        let Some(search) = &mut self.search else {
+            return self.start(io, ctx);
+        };
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Found(route) => {
                 self.search = None;
                 let (goal, points, length) = (route.goal, route.path.clone(), route.length);
-                let data = RouteData { route: ctx.keep_route(*route), goal, points, length };
-                let written = Value::data(&data).map_err(|error| error.to_string()).and_then(|value| io.set("path", value).map_err(|error| error.to_string()));
+                let data = RouteData {
+                    route: ctx.keep_route(*route),
+                    goal,
+                    points,
+                    length,
+                };
+                let written = Value::data(&data)
+                    .map_err(|error| error.to_string())
+                    .and_then(|value| io.set("path", value).map_err(|error| error.to_string()));
                 if let Err(why) = written {
                     return fail(io, ctx, Some(error_code::UNKNOWN), why);
                 }

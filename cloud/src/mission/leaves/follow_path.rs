@@ -64,7 +64,13 @@ impl Leaf<Context> for FollowPath {
         self.offered = ctx.route(data.route);
         ctx.motion.clear();
         ctx.begin_leg(io.name(), Some(data.goal), data.length);
-        self.remember(io, Memory { goal: data.goal, motion: None });
+        self.remember(
+            io,
+            Memory {
+                goal: data.goal,
+                motion: None,
+            },
+        );
         self.tick(io, ctx)
     }
 
@@ -79,7 +85,12 @@ impl Leaf<Context> for FollowPath {
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let Some(mut memory) = io.recall::<Memory>() else {
-            return self.end(io, ctx, error_code::INVALID_PATH, "nothing is remembered of the goal".to_owned());
+            return self.end(
+                io,
+                ctx,
+                error_code::INVALID_PATH,
+                "nothing is remembered of the goal".to_owned(),
+            );
         };
         self.look_for_offer(io, ctx, &mut memory);
         if let Some(why) = ctx.obstacle_to_driving() {
@@ -107,13 +118,20 @@ impl Leaf<Context> for FollowPath {
                     self.refusals += 1;
                     tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
                     if self.refusals > MAX_REFUSALS {
-                        return self.end(io, ctx, error_code::NO_VALID_CONTROL, format!("the robot refuses the plan: {why}"));
+                        return self.end(
+                            io,
+                            ctx,
+                            error_code::NO_VALID_CONTROL,
+                            format!("the robot refuses the plan: {why}"),
+                        );
                     }
                     ctx.motion.clear();
                     self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
                 }
                 Some(Standing::Finished) => {
-                    let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y));
+                    let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| {
+                        (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y)
+                    });
                     if left <= ctx.goal.tolerance {
                         no_error(io);
                         io.say("there");
@@ -122,7 +140,10 @@ impl Leaf<Context> for FollowPath {
                     }
                     self.misses += 1;
                     if self.misses > MAX_MISSES {
-                        let why = format!("ended {left:.2} m from the goal, {:.2} m are allowed", ctx.goal.tolerance);
+                        let why = format!(
+                            "ended {left:.2} m from the goal, {:.2} m are allowed",
+                            ctx.goal.tolerance
+                        );
                         return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
                     }
                     ctx.motion.clear();
@@ -160,8 +181,16 @@ impl FollowPath {
     /// Whether a route begins where the robot will be.
     fn fits(&self, ctx: &Context, route: &Route) -> bool {
         match route.course.splice {
-            Some(splice) => ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&Standing::Taken),
-            None => ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(|pose| pose.distance(&route.begin) < BEGIN_DISTANCE),
+            Some(splice) => {
+                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&Standing::Taken)
+            }
+            None => {
+                ctx.robot.is_at_rest()
+                    && ctx
+                        .robot
+                        .pose()
+                        .is_some_and(|pose| pose.distance(&route.begin) < BEGIN_DISTANCE)
+            }
         }
     }
 
@@ -198,7 +227,10 @@ impl FollowPath {
         if due || revision != self.rechecked {
             self.rechecked = revision;
             let checked = match ctx.robot.model().cloned() {
-                Some(model) => ctx.map.space(&model.footprint).map_or(Recheck::Free, |space| ctx.motion.recheck(space, time)),
+                Some(model) => ctx
+                    .map
+                    .space(&model.footprint)
+                    .map_or(Recheck::Free, |space| ctx.motion.recheck(space, time)),
                 None => Recheck::Free,
             };
             match checked {
@@ -213,19 +245,30 @@ impl FollowPath {
                 }
             }
         }
-        let what = if standing { "drives" } else { "waits until the robot takes the plan" };
+        let what = if standing {
+            "drives"
+        } else {
+            "waits until the robot takes the plan"
+        };
         step(io, ctx, what)
     }
 
     fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
-        let Some(state) = ctx.robot.state() else { return (0.0, None) };
+        let Some(state) = ctx.robot.state() else {
+            return (0.0, None);
+        };
         let time = ctx.motion.time(state, 0.0).unwrap_or(0.0);
-        let ours = state.plan.as_ref().filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
+        let ours = state
+            .plan
+            .as_ref()
+            .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
         (time, ours.map(|plan| (plan.distance_left, plan.time_left)))
     }
 
     fn search(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
-        let Some(search) = &mut self.search else { return Status::Running };
+        let Some(search) = &mut self.search else {
+            return Status::Running;
+        };
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Found(route) => {
@@ -237,7 +280,12 @@ impl FollowPath {
                     step(io, ctx, "plans anew: the robot is elsewhere by now")
                 }
             }
-            Searching::Failed(no_route) => self.end(io, ctx, error_code::NO_VALID_CONTROL, format!("no way on: {}", no_route.reason)),
+            Searching::Failed(no_route) => self.end(
+                io,
+                ctx,
+                error_code::NO_VALID_CONTROL,
+                format!("no way on: {}", no_route.reason),
+            ),
         }
     }
 

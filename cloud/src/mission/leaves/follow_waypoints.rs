@@ -49,7 +49,11 @@ impl Leaf<Context> for FollowWaypoints {
             return fail(io, ctx, Some(UNKNOWN), why);
         }
         ctx.motion.clear();
-        let goal = self.points.last().map(|last| GoalPoint { x: last.x, y: last.y, yaw: None });
+        let goal = self.points.last().map(|last| GoalPoint {
+            x: last.x,
+            y: last.y,
+            yaw: None,
+        });
         ctx.begin_leg(io.name(), goal, length(&self.points));
         remember(io, Memory::default());
         self.tick(io, ctx)
@@ -78,7 +82,11 @@ impl Leaf<Context> for FollowWaypoints {
         }
         match ctx.motion.standing().cloned() {
             Some(Standing::Sent | Standing::Taken) => {
-                let mine = ctx.robot.state().and_then(|state| state.plan.as_ref()).filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
+                let mine = ctx
+                    .robot
+                    .state()
+                    .and_then(|state| state.plan.as_ref())
+                    .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
                 if let Some(plan) = mine {
                     let passed = memory.base + plan.waypoint;
                     ctx.goal.feedback.distance_left = Some(plan.distance_left);
@@ -91,7 +99,11 @@ impl Leaf<Context> for FollowWaypoints {
                 if ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held() {
                     ctx.renew();
                 }
-                let what = format!("drives to waypoint {} of {}", (memory.passed + 1).min(self.points.len()), self.points.len());
+                let what = format!(
+                    "drives to waypoint {} of {}",
+                    (memory.passed + 1).min(self.points.len()),
+                    self.points.len()
+                );
                 step(io, ctx, &what)
             }
             Some(Standing::Finished) => self.succeed(io, ctx),
@@ -99,7 +111,12 @@ impl Leaf<Context> for FollowWaypoints {
                 self.refusals += 1;
                 tracing::info!(goal = ctx.goal.id, why, "the robot has refused waypoints");
                 if self.refusals > MAX_REFUSALS {
-                    return self.end(io, ctx, NO_VALID_CONTROL, format!("the robot refuses the waypoints: {why}"));
+                    return self.end(
+                        io,
+                        ctx,
+                        NO_VALID_CONTROL,
+                        format!("the robot refuses the waypoints: {why}"),
+                    );
                 }
                 ctx.motion.clear();
                 self.not_before = ctx.now.plus_secs(AFTER_REFUSAL);
@@ -128,9 +145,19 @@ impl FollowWaypoints {
         if rest.is_empty() {
             return self.succeed(io, ctx);
         }
-        let statistics = PlanStatistics { planner: "waypoints".to_owned(), status: "waypoints".to_owned(), length: length(&rest), ..PlanStatistics::default() };
+        let statistics = PlanStatistics {
+            planner: "waypoints".to_owned(),
+            status: "waypoints".to_owned(),
+            length: length(&rest),
+            ..PlanStatistics::default()
+        };
         let map = ctx.map.newest().unwrap_or_default();
-        ctx.drive(Course { map, waypoints: rest, statistics, ..Course::default() });
+        ctx.drive(Course {
+            map,
+            waypoints: rest,
+            statistics,
+            ..Course::default()
+        });
         memory.base = memory.passed;
         memory.motion = ctx.motion.id();
         remember(io, memory);
@@ -158,5 +185,9 @@ fn remember(io: &mut LeafIo<'_>, memory: Memory) {
 
 /// Length of a polyline, m.
 fn length(points: &[Point2<f64>]) -> f64 {
-    points.iter().zip(points.iter().skip(1)).map(|(a, b)| (b - a).norm()).sum()
+    points
+        .iter()
+        .zip(points.iter().skip(1))
+        .map(|(a, b)| (b - a).norm())
+        .sum()
 }

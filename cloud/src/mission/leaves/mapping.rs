@@ -63,21 +63,35 @@ enum Acting {
 
 impl Action {
     fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
-        *self = Self { ticket: None, since: ctx.now };
-        let execution = Execution { id: ctx.execution_id(), done: false };
+        *self = Self {
+            ticket: None,
+            since: ctx.now,
+        };
+        let execution = Execution {
+            id: ctx.execution_id(),
+            done: false,
+        };
         if let Err(error) = io.remember(&execution) {
             tracing::warn!(%error, "an execution has no stored form");
         }
     }
 
     fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
-        let Some(mut execution) = io.recall::<Execution>() else { return Acting::Failed("the execution is not known".to_owned()) };
+        let Some(mut execution) = io.recall::<Execution>() else {
+            return Acting::Failed("the execution is not known".to_owned());
+        };
         if execution.done {
             return Acting::Done;
         }
         // The request changes nothing of a robot, but only its mission may order it.
-        let Some(epoch) = ctx.lease.epoch() else { return Acting::Busy };
-        let request = MapRequest { action, request_id: Some(execution.id.clone()), epoch: Some(epoch) };
+        let Some(epoch) = ctx.lease.epoch() else {
+            return Acting::Busy;
+        };
+        let request = MapRequest {
+            action,
+            request_id: Some(execution.id.clone()),
+            epoch: Some(epoch),
+        };
         let ticket = *self.ticket.get_or_insert_with(|| ctx.asks.ask(Ask::Map(request)));
         match ctx.asks.take(ticket) {
             None => Acting::Busy,
@@ -91,7 +105,11 @@ impl Action {
             Some(Err(NoAnswer::Refused(refusal))) => Acting::Failed(refusal.to_string()),
             Some(Err(NoAnswer::Silent(why))) => {
                 self.ticket = None;
-                if ctx.now.secs_since(self.since) > ACTION_PATIENCE { Acting::Failed(why) } else { Acting::Busy }
+                if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
+                    Acting::Failed(why)
+                } else {
+                    Acting::Busy
+                }
             }
         }
     }
@@ -120,7 +138,11 @@ impl Leaf<Context> for MapEnvironment {
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         // What has been mapped before a restart is kept.
-        let action = if self.resumed { MapAction::Resume } else { MapAction::Reset };
+        let action = if self.resumed {
+            MapAction::Resume
+        } else {
+            MapAction::Reset
+        };
         match self.action.step(io, ctx, action) {
             Acting::Busy => step(io, ctx, "begins a new map"),
             Acting::Failed(why) => fail(io, ctx, None, why),
@@ -138,7 +160,10 @@ impl Leaf<Context> for MapEnvironment {
             self.action.begin(io, ctx);
             return Status::Running;
         }
-        self.action = Action { ticket: None, since: ctx.now };
+        self.action = Action {
+            ticket: None,
+            since: ctx.now,
+        };
         self.tick(io, ctx)
     }
 
@@ -171,7 +196,10 @@ impl Leaf<Context> for SaveMap {
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        self.action = Action { ticket: None, since: ctx.now };
+        self.action = Action {
+            ticket: None,
+            since: ctx.now,
+        };
         self.tick(io, ctx)
     }
 

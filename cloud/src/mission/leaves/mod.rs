@@ -45,40 +45,75 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     let nav2 = nav2_nodes();
     let known = |id: &str, doc: &str| {
         let spec = nav2.iter().find(|spec| spec.id == id).cloned();
-        NodeSpec { doc: doc.to_owned(), ..spec.unwrap_or_else(|| NodeSpec::action(id, "")) }
+        NodeSpec {
+            doc: doc.to_owned(),
+            ..spec.unwrap_or_else(|| NodeSpec::action(id, ""))
+        }
     };
-    registry.leaf(known("ComputePathToPose", "Plans and smooths a way to the goal."), |_| Box::<compute_path::ComputePath>::default())?;
-    registry.leaf(known("FollowPath", "Drives a way, rechecks and renews it, replans when it is blocked."), |_| {
-        Box::<follow_path::FollowPath>::default()
-    })?;
     registry.leaf(
-        NodeSpec::action("FollowWaypoints", "Drives through places by the waypoint law; needs no map.")
-            .input("waypoints", Text, "places `x;y|x;y|…`, m, map frame")
-            .input_or("laps", Unsigned, "1", "how often")
-            .output("error_code_id", Unsigned, "why it failed; 0: it did not")
-            .output("error_msg", Text, "why it failed, in words"),
+        known("ComputePathToPose", "Plans and smooths a way to the goal."),
+        |_| Box::<compute_path::ComputePath>::default(),
+    )?;
+    registry.leaf(
+        known(
+            "FollowPath",
+            "Drives a way, rechecks and renews it, replans when it is blocked.",
+        ),
+        |_| Box::<follow_path::FollowPath>::default(),
+    )?;
+    registry.leaf(
+        NodeSpec::action(
+            "FollowWaypoints",
+            "Drives through places by the waypoint law; needs no map.",
+        )
+        .input("waypoints", Text, "places `x;y|x;y|…`, m, map frame")
+        .input_or("laps", Unsigned, "1", "how often")
+        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
+        .output("error_msg", Text, "why it failed, in words"),
         |_| Box::<follow_waypoints::FollowWaypoints>::default(),
     )?;
-    registry.leaf(NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."), |_| Box::<mapping::DoesMapExist>::default())?;
-    registry.leaf(NodeSpec::action("MapEnvironment", "Begins a new map; RUNNING while it grows, until it is halted."), |_| {
-        Box::<mapping::MapEnvironment>::default()
+    registry.leaf(NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."), |_| {
+        Box::<mapping::DoesMapExist>::default()
     })?;
-    registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| Box::<mapping::SaveMap>::default())?;
+    registry.leaf(
+        NodeSpec::action(
+            "MapEnvironment",
+            "Begins a new map; RUNNING while it grows, until it is halted.",
+        ),
+        |_| Box::<mapping::MapEnvironment>::default(),
+    )?;
+    registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
+        Box::<mapping::SaveMap>::default()
+    })?;
     registry.leaf(known("Wait", "Waits, s."), |_| Box::new(simple::Wait))?;
     registry.leaf(
-        known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional("tolerance", Double, "m; without it, the goal's own"),
+        known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional(
+            "tolerance",
+            Double,
+            "m; without it, the goal's own",
+        ),
         |_| Box::new(simple::GoalReached),
     )?;
-    registry.leaf(known("IsBatteryLow", "SUCCESS below a share of the charge."), |_| Box::new(simple::IsBatteryLow))?;
-    registry.leaf(known("Spin", "Turns on the spot."), |_| Box::<behaviours::Behaviour>::default())?;
-    registry.leaf(known("BackUp", "Drives straight back."), |_| Box::<behaviours::Behaviour>::default())?;
-    registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| Box::<behaviours::Behaviour>::default())?;
+    registry.leaf(known("IsBatteryLow", "SUCCESS below a share of the charge."), |_| {
+        Box::new(simple::IsBatteryLow)
+    })?;
+    registry.leaf(known("Spin", "Turns on the spot."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
+    registry.leaf(known("BackUp", "Drives straight back."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
+    registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
     for spec in nav2_nodes() {
         if registry.spec(&spec.id).is_some() {
             continue;
         }
         if nav2_condition::<Context>(&spec.id).is_some() {
-            registry.leaf(spec, |site| nav2_condition(site.id).unwrap_or_else(|| Box::new(Missing)))?;
+            registry.leaf(spec, |site| {
+                nav2_condition(site.id).unwrap_or_else(|| Box::new(Missing))
+            })?;
         } else if spec.category.is_leaf() {
             registry.leaf(spec, |_| Box::new(Missing))?;
         } else {

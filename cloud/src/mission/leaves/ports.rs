@@ -14,20 +14,39 @@ const MAX_POINTS: usize = 10_000;
 /// What was expected.
 pub fn parse_goal(value: &Value) -> Result<GoalPoint, String> {
     let goal = match value {
-        Value::Text(text) => match text.trim_start().strip_prefix("json:").or_else(|| text.trim_start().starts_with('{').then_some(text)) {
+        Value::Text(text) => match text
+            .trim_start()
+            .strip_prefix("json:")
+            .or_else(|| text.trim_start().starts_with('{').then_some(text))
+        {
             Some(json) => serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?,
             None => parse_numbers(text)?,
         },
-        Value::Data(data) => serde_json::from_value((**data).clone()).map_err(|error| format!("goal {data}: {error}"))?,
+        Value::Data(data) => {
+            serde_json::from_value((**data).clone()).map_err(|error| format!("goal {data}: {error}"))?
+        }
         other => return Err(format!("goal `{other}`: expected `x;y` or `x;y;yaw`")),
     };
     let finite = goal.x.is_finite() && goal.y.is_finite() && goal.yaw.is_none_or(f64::is_finite);
-    if finite { Ok(goal) } else { Err("goal: expected finite numbers".to_owned()) }
+    if finite {
+        Ok(goal)
+    } else {
+        Err("goal: expected finite numbers".to_owned())
+    }
 }
 
 fn parse_numbers(text: &str) -> Result<GoalPoint, String> {
-    let wrong = || format!("goal `{}`: expected `x;y` or `x;y;yaw`", text.chars().take(60).collect::<String>());
-    let numbers: Vec<f64> = text.split(';').map(|part| part.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let wrong = || {
+        format!(
+            "goal `{}`: expected `x;y` or `x;y;yaw`",
+            text.chars().take(60).collect::<String>()
+        )
+    };
+    let numbers: Vec<f64> = text
+        .split(';')
+        .map(|part| part.trim().parse())
+        .collect::<Result<_, _>>()
+        .map_err(|_| wrong())?;
     match *numbers.as_slice() {
         [x, y] => Ok(GoalPoint { x, y, yaw: None }),
         [x, y, yaw] => Ok(GoalPoint { x, y, yaw: Some(yaw) }),
@@ -54,11 +73,17 @@ pub fn parse_points(value: &Value, laps: u64) -> Result<Vec<Point2<f64>>, String
         other => {
             let text = other.to_string();
             let places = text.split('|').map(str::trim).filter(|place| !place.is_empty());
-            places.take(MAX_POINTS + 1).map(|place| parse_goal(&Value::text(place))).collect::<Result<_, _>>()?
+            places
+                .take(MAX_POINTS + 1)
+                .map(|place| parse_goal(&Value::text(place)))
+                .collect::<Result<_, _>>()?
         }
     };
     if goals.is_empty() || goals.len().saturating_mul(usize::try_from(laps).unwrap_or(usize::MAX)) > MAX_POINTS {
-        return Err(format!("{} waypoints {laps} times: expected 1 to {MAX_POINTS} in all", goals.len()));
+        return Err(format!(
+            "{} waypoints {laps} times: expected 1 to {MAX_POINTS} in all",
+            goals.len()
+        ));
     }
     let points: Vec<Point2<f64>> = goals.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
     if !points.iter().all(|point| point.x.is_finite() && point.y.is_finite()) {
@@ -74,7 +99,11 @@ mod tests {
 
     #[test]
     fn goals_are_read_in_every_form() {
-        let here = GoalPoint { x: 0.88, y: 0.09, yaw: None };
+        let here = GoalPoint {
+            x: 0.88,
+            y: 0.09,
+            yaw: None,
+        };
         assert_eq!(parse_goal(&Value::text(" 0.88; 0.09")).unwrap(), here);
         assert_eq!(parse_goal(&Value::text(r#"{"x": 0.88, "y": 0.09}"#)).unwrap(), here);
         assert_eq!(parse_goal(&Value::data(&here).unwrap()).unwrap(), here);

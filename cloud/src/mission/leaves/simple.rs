@@ -43,7 +43,11 @@ impl Leaf<Context> for GoalReached {
             Ok(goal) => goal,
             Err(why) => return fail(io, ctx, None, why),
         };
-        let tolerance = io.get_optional("tolerance").ok().flatten().unwrap_or(ctx.goal.tolerance);
+        let tolerance = io
+            .get_optional("tolerance")
+            .ok()
+            .flatten()
+            .unwrap_or(ctx.goal.tolerance);
         match ctx.robot.pose() {
             Some(pose) if (pose.x - goal.x).hypot(pose.y - goal.y) <= tolerance => Status::Success,
             _ => Status::Failure,

@@ -1,0 +1,309 @@
+//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans, and a map.
+//!
+//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` (a sweep of half a circle; the first pose is
+//! the laser's) and `ROBOTLASER1`, which tells its own field of view. Other lines are passed over.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+use serde::Serialize;
+use thiserror::Error;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::messages::Scan;
+use zenav_protocol::time::Stamp;
+
+use super::beams::BeamOptions;
+use super::evidence::SensorModel;
+use super::occupancy::{InsertMode, LogOddsGrid};
+
+/// Longest line that is read, bytes.
+const MAX_LINE: u64 = 1 << 20;
+/// Most readings of a sweep.
+const MAX_BEAMS: usize = 10_000;
+/// Lasers of the time say 81.9 m where they saw nothing.
+const NOTHING_SEEN: f64 = 80.0;
+
+/// Why a log was refused.
+#[derive(Debug, Error)]
+pub enum CarmenError {
+    /// A line is not what it should be.
+    #[error("line {line}: {what}")]
+    Line {
+        /// From 1.
+        line: u64,
+        /// What was expected and found.
+        what: String,
+    },
+    /// The file could not be read, or its compression is broken.
+    #[error("after line {line}: {source}")]
+    Io {
+        /// Lines read before.
+        line: u64,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+}
+
+/// Reads a log's scans one by one.
+pub struct CarmenReader<R> {
+    input: R,
+    line: u64,
+    buffer: Vec<u8>,
+    failed: bool,
+}
+
+/// Opens a log, compressed by gzip or not.
+///
+/// # Errors
+/// [`CarmenError::Io`].
+pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> {
+    let failed = |source| CarmenError::Io { line: 0, source };
+    let mut file = BufReader::new(File::open(path).map_err(failed)?);
+    let compressed = file.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]);
+    let input: Box<dyn BufRead> = if compressed { Box::new(BufReader::new(MultiGzDecoder::new(file))) } else { Box::new(file) };
+    Ok(CarmenReader::new(input))
+}
+
+impl<R: BufRead> CarmenReader<R> {
+    /// Reads from plain text.
+    pub fn new(input: R) -> Self {
+        Self { input, line: 0, buffer: Vec::new(), failed: false }
+    }
+
+    fn next_scan(&mut self) -> Result<Option<Scan>, CarmenError> {
+        loop {
+            self.buffer.clear();
+            let read = (&mut self.input).take(MAX_LINE).read_until(b'\n', &mut self.buffer);
+            if read.map_err(|source| CarmenError::Io { line: self.line, source })? == 0 {
+                return Ok(None);
+            }
+            self.line += 1;
+            let line = self.line;
+            let wrong = |what: String| CarmenError::Line { line, what };
+            if self.buffer.len() as u64 == MAX_LINE {
+                return Err(wrong(format!("longer than {MAX_LINE} bytes")));
+            }
+            let Ok(text) = std::str::from_utf8(&self.buffer) else {
+                return Err(wrong("expected text".to_owned()));
+            };
+            let mut words = Words { words: text.split_ascii_whitespace() };
+            let scan = match words.words.next() {
+                Some("FLASER") => words.front_laser(),
+                Some("ROBOTLASER1") => words.robot_laser(),
+                _ => continue,
+            };
+            let scan = scan.map_err(wrong)?;
+            if !scan.is_sane() {
+                return Err(wrong("a pose or a field of view that makes no sense".to_owned()));
+            }
+            return Ok(Some(scan));
+        }
+    }
+}
+
+impl<R: BufRead> Iterator for CarmenReader<R> {
+    type Item = Result<Scan, CarmenError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        let next = self.next_scan().transpose();
+        self.failed = matches!(next, Some(Err(_)));
+        next
+    }
+}
+
+struct Words<'t> {
+    words: std::str::SplitAsciiWhitespace<'t>,
+}
+
+impl Words<'_> {
+    fn number(&mut self, what: &str) -> Result<f64, String> {
+        let word = self.words.next().ok_or_else(|| format!("expected {what}, found the end of the line"))?;
+        word.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| format!("expected {what}, found `{}`", word.chars().take(40).collect::<String>()))
+    }
+
+    fn count(&mut self, what: &str) -> Result<usize, String> {
+        let number = self.number(what)?;
+        if number.fract() == 0.0 && (0.0..=MAX_BEAMS as f64).contains(&number) { Ok(number as usize) } else { Err(format!("expected {what} up to {MAX_BEAMS}, found {number}")) }
+    }
+
+    fn ranges(&mut self) -> Result<Vec<f32>, String> {
+        let count = self.count("the number of readings")?;
+        (0..count).map(|_| self.number("a reading").map(|range| range as f32)).collect()
+    }
+
+    fn pose(&mut self) -> Result<Pose2, String> {
+        Ok(Pose2::new(self.number("x")?, self.number("y")?, self.number("theta")?))
+    }
+
+    fn front_laser(mut self) -> Result<Scan, String> {
+        let ranges = self.ranges()?;
+        let laser = self.pose()?;
+        self.pose()?;
+        let time = self.number("the time")?;
+        // A sweep of half a circle: 180 readings are a degree apart, and so are 181.
+        let angle_increment = match ranges.len() {
+            180 | 181 => PI / 180.0,
+            360 | 361 => PI / 360.0,
+            count => PI / count.saturating_sub(1).max(1) as f64,
+        };
+        Ok(scan(time, laser, -FRAC_PI_2, angle_increment, NOTHING_SEEN, ranges))
+    }
+
+    fn robot_laser(mut self) -> Result<Scan, String> {
+        self.number("the laser's type")?;
+        let angle_min = self.number("the start angle")?;
+        self.number("the field of view")?;
+        let angle_increment = self.number("the angular resolution")?;
+        let range_max = self.number("the maximum range")?;
+        self.number("the accuracy")?;
+        self.number("the remission mode")?;
+        let ranges = self.ranges()?;
+        for _ in 0..self.count("the number of remissions")? {
+            self.number("a remission")?;
+        }
+        let laser = self.pose()?;
+        self.pose()?;
+        for what in ["the forward speed", "the turning speed", "the forward safety distance", "the side safety distance", "the turn axis"] {
+            self.number(what)?;
+        }
+        let time = self.number("the time")?;
+        Ok(scan(time, laser, angle_min, angle_increment, range_max.min(NOTHING_SEEN), ranges))
+    }
+}
+
+fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max: f64, ranges: Vec<f32>) -> Scan {
+    Scan {
+        stamp: Stamp::from_secs(time),
+        angle_min,
+        angle_increment,
+        range_min: 0.02,
+        range_max,
+        ranges,
+        base_from_laser: Pose2::IDENTITY,
+        map_from_odom: Pose2::IDENTITY,
+        odom_from_base: laser,
+    }
+}
+
+/// What a map was built from, and what came out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BuildReport {
+    /// Scans inserted.
+    pub scans: u64,
+    /// Beams drawn.
+    pub beams: u64,
+    /// Cells of the grid.
+    pub cells: u64,
+    /// Occupied cells.
+    pub occupied: u64,
+    /// Free cells.
+    pub free: u64,
+    /// Unknown cells.
+    pub unknown: u64,
+}
+
+/// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
+pub const LOG_BEAMS: BeamOptions = BeamOptions { trim: 0, max_range: None, clear_without_return: false };
+
+/// Builds a map of scans at known poses, in their order.
+#[must_use]
+pub fn build_map(scans: &[Scan], resolution: f64, mode: InsertMode, beams: &BeamOptions) -> (OccupancyGrid, BuildReport) {
+    let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
+    let drawn: usize = scans.iter().map(|scan| map.insert(scan, beams, mode, None)).sum();
+    let counts = map.counts();
+    let grid = map.to_occupancy();
+    let report = BuildReport {
+        scans: scans.len() as u64,
+        beams: drawn as u64,
+        cells: grid.spec().len() as u64,
+        occupied: counts.occupied,
+        free: counts.free,
+        unknown: counts.unknown,
+    };
+    (grid, report)
+}
+
+/// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Agreement {
+    /// On occupied cells.
+    pub occupied: f64,
+    /// On free cells.
+    pub free: f64,
+}
+
+/// Compares maps cell by cell, in the reference's cells.
+#[must_use]
+pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
+    let share = |class: Occupancy| {
+        let spec = reference.spec();
+        let (mut both, mut in_reference) = (0_u64, 0_u64);
+        for (index, value) in reference.values().iter().enumerate().filter(|(_, value)| Occupancy::of(**value) == class) {
+            in_reference += 1;
+            let theirs = if other.spec() == spec { other.values().get(index) } else { other.at(spec.center(spec.cell(index))) };
+            both += u64::from(theirs.is_some_and(|theirs| Occupancy::of(*theirs) == Occupancy::of(*value)));
+        }
+        let in_other = other.values().iter().filter(|value| Occupancy::of(**value) == class).count() as u64;
+        let most = in_reference.max(in_other);
+        if most == 0 { 1.0 } else { both as f64 / most as f64 }
+    };
+    Agreement { occupied: share(Occupancy::Occupied), free: share(Occupancy::Free) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 2 1.5 2.5 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
+
+    #[test]
+    fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
+        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
+        assert_eq!(scans.len(), 2);
+        assert_eq!((scans[0].ranges.as_slice(), scans[0].map_from_laser(), scans[0].stamp), ([1.0, 2.0, 81.9].as_slice(), Pose2::new(0.5, -0.5, 0.1), Stamp::from_secs(1.25)));
+        assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
+        assert_eq!((scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()), (-1.5, 0.5, 2));
+    }
+
+    #[test]
+    fn a_mistake_is_named_with_its_line() {
+        let error = |text: &str| CarmenReader::new(text.as_bytes()).find_map(Result::err).unwrap().to_string();
+        assert_eq!(error("ODOM\nFLASER 3 1.0 2.0\n"), "line 2: expected a reading, found the end of the line");
+        assert_eq!(error("FLASER many 1.0\n"), "line 1: expected the number of readings, found `many`");
+        assert_eq!(error("FLASER 1e9 1.0\n"), "line 1: expected the number of readings up to 10000, found 1000000000");
+        assert_eq!(error("FLASER 1 nan 0 0 0 0 0 0 1\n"), "line 1: expected a reading, found `nan`");
+    }
+
+    #[test]
+    fn a_compressed_log_reads_like_a_plain_one_and_a_broken_one_is_an_error() {
+        use std::io::Write;
+        let folder = tempfile::tempdir().unwrap();
+        let (plain, packed, broken) = (folder.path().join("a.log"), folder.path().join("a.log.gz"), folder.path().join("b.log.gz"));
+        std::fs::write(&plain, LOG).unwrap();
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(LOG.as_bytes()).unwrap();
+        let bytes = encoder.finish().unwrap();
+        std::fs::write(&packed, &bytes).unwrap();
+        std::fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
+        let read = |path| open(path).unwrap().collect::<Result<Vec<Scan>, CarmenError>>();
+        assert_eq!(read(&plain).unwrap(), read(&packed).unwrap());
+        assert!(matches!(read(&broken), Err(CarmenError::Io { .. })));
+    }
+
+    #[test]
+    fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
+        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
+        let (map, report) = build_map(&scans, 0.05, InsertMode::Reference, &LOG_BEAMS);
+        assert_eq!((report.scans, report.beams, report.free + report.occupied + report.unknown), (2, 4, report.cells));
+        assert_eq!(agreement(&map, &map), Agreement { occupied: 1.0, free: 1.0 });
+        let (empty, _) = build_map(&[], 0.05, InsertMode::Reference, &LOG_BEAMS);
+        assert_eq!(agreement(&map, &empty), Agreement { occupied: 0.0, free: 0.0 });
+    }
+}

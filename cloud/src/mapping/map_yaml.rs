@@ -1,0 +1,262 @@
+//! What does a `map_server` description say? The flat YAML beside a map's picture.
+//!
+//! Only the subset that such files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes.
+//! Keys that are not known are ignored, as `map_server` does.
+
+use nalgebra::Point2;
+use thiserror::Error;
+
+/// How brightness becomes occupancy, as in Nav2's `map_io`; `p` is darkness, or brightness with `negate`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MapMode {
+    /// Above `occupied_thresh` occupied, below `free_thresh` free, else unknown.
+    #[default]
+    Trinary,
+    /// As trinary, but in between the percentage; see-through pixels are unknown.
+    Scale,
+    /// The pixel's own value is the percentage; above 100 it is unknown.
+    Raw,
+}
+
+impl MapMode {
+    /// Its name in the file.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Trinary => "trinary",
+            Self::Scale => "scale",
+            Self::Raw => "raw",
+        }
+    }
+}
+
+/// A map's description.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapYaml {
+    /// The picture's file, relative to the description's own.
+    pub image: String,
+    /// Side of a pixel, m.
+    pub resolution: f64,
+    /// Lower-left corner of the lower-left pixel, m.
+    pub origin: Point2<f64>,
+    /// Whether bright is occupied.
+    pub negate: bool,
+    /// See [`MapMode`].
+    pub occupied_thresh: f64,
+    /// See [`MapMode`].
+    pub free_thresh: f64,
+    /// How brightness becomes occupancy.
+    pub mode: MapMode,
+}
+
+/// Why a description was refused.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum MapYamlError {
+    /// A line that is not understood, or holds a value that makes no sense.
+    #[error("line {line}: {what}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What was expected and what was found.
+        what: String,
+    },
+    /// A key that every description has.
+    #[error("`{0}` is missing")]
+    Missing(&'static str),
+}
+
+/// A key's values with the line that they stand on.
+struct Entry {
+    key: String,
+    values: Vec<String>,
+    line: usize,
+}
+
+impl Entry {
+    fn wrong(&self, expected: &str) -> MapYamlError {
+        let found: String = self.values.join(", ").chars().take(80).collect();
+        MapYamlError::Line { line: self.line, what: format!("`{}`: expected {expected}, found `{found}`", self.key) }
+    }
+
+    fn text(&self) -> Result<&str, MapYamlError> {
+        match self.values.as_slice() {
+            [value] if !value.is_empty() => Ok(value),
+            _ => Err(self.wrong("one value")),
+        }
+    }
+
+    fn number(&self, expected: &str, is_good: impl Fn(f64) -> bool) -> Result<f64, MapYamlError> {
+        self.text()?.parse().ok().filter(|value: &f64| value.is_finite() && is_good(*value)).ok_or_else(|| self.wrong(expected))
+    }
+}
+
+impl MapYaml {
+    /// A description with `map_server`'s usual thresholds.
+    #[must_use]
+    pub fn new(image: impl Into<String>, resolution: f64, origin: Point2<f64>) -> Self {
+        Self { image: image.into(), resolution, origin, negate: false, occupied_thresh: 0.65, free_thresh: 0.196, mode: MapMode::Trinary }
+    }
+
+    /// Reads a description.
+    ///
+    /// # Errors
+    /// [`MapYamlError`] with the line, for text that is not understood, missing keys, and values that make no sense; a
+    /// turned map (`origin` with a yaw) is refused, for grids here are not turned.
+    pub fn parse(text: &str) -> Result<Self, MapYamlError> {
+        let mut yaml = Self::new(String::new(), 0.0, Point2::origin());
+        let mut has_origin = false;
+        for entry in entries(text)? {
+            match entry.key.as_str() {
+                "image" => yaml.image = entry.text()?.to_owned(),
+                "resolution" => yaml.resolution = entry.number("a positive number of metres", |value| value > 0.0)?,
+                "origin" => {
+                    let numbers: Vec<f64> = entry.values.iter().filter_map(|value| value.parse().ok()).filter(|value: &f64| value.is_finite()).collect();
+                    match (numbers.as_slice(), entry.values.len()) {
+                        ([x, y], 2) => yaml.origin = Point2::new(*x, *y),
+                        ([x, y, yaw], 3) if yaw.abs() < 1e-9 => yaml.origin = Point2::new(*x, *y),
+                        ([_, _, _], 3) => return Err(entry.wrong("a yaw of 0 (maps that are turned are not supported: turn the picture)")),
+                        _ => return Err(entry.wrong("[x, y, yaw]")),
+                    }
+                    has_origin = true;
+                }
+                "negate" => {
+                    yaml.negate = match entry.text()? {
+                        "1" | "true" | "True" | "yes" => true,
+                        "0" | "false" | "False" | "no" => false,
+                        _ => return Err(entry.wrong("0 or 1")),
+                    }
+                }
+                "occupied_thresh" => yaml.occupied_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?,
+                "free_thresh" => yaml.free_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?,
+                "mode" => {
+                    let modes = [MapMode::Trinary, MapMode::Scale, MapMode::Raw];
+                    let name = entry.text()?;
+                    yaml.mode = *modes.iter().find(|mode| mode.name() == name).ok_or_else(|| entry.wrong("trinary, scale or raw"))?;
+                }
+                _ => {}
+            }
+        }
+        if yaml.image.is_empty() {
+            return Err(MapYamlError::Missing("image"));
+        }
+        if yaml.resolution <= 0.0 {
+            return Err(MapYamlError::Missing("resolution"));
+        }
+        if !has_origin {
+            return Err(MapYamlError::Missing("origin"));
+        }
+        Ok(yaml)
+    }
+
+    /// The description as text, numbers in full; `comments` come first.
+    #[must_use]
+    pub fn to_text(&self, comments: &[String]) -> String {
+        let comments: String = comments.iter().map(|comment| format!("# {}\n", comment.replace('\n', " "))).collect();
+        format!(
+            "{comments}image: {}\nmode: {}\nresolution: {}\norigin: [{}, {}, 0]\nnegate: {}\noccupied_thresh: {}\nfree_thresh: {}\n",
+            self.image,
+            self.mode.name(),
+            self.resolution,
+            self.origin.x,
+            self.origin.y,
+            u8::from(self.negate),
+            self.occupied_thresh,
+            self.free_thresh
+        )
+    }
+}
+
+fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
+    let mut entries: Vec<Entry> = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line_number = index + 1;
+        let content = without_comment(line).trim();
+        if content.is_empty() || content == "---" || content == "..." || content.starts_with('%') {
+            continue;
+        }
+        if let Some(item) = content.strip_prefix("- ").or_else(|| (content == "-").then_some("")) {
+            match entries.last_mut() {
+                Some(entry) => entry.values.push(unquoted(item)),
+                None => return Err(MapYamlError::Line { line: line_number, what: "a list item without a key".to_owned() }),
+            }
+            continue;
+        }
+        let Some((key, value)) = content.split_once(':') else {
+            let found: String = content.chars().take(60).collect();
+            return Err(MapYamlError::Line { line: line_number, what: format!("expected `key: value`, found `{found}`") });
+        };
+        let value = value.trim();
+        let values = match value.strip_prefix('[') {
+            Some(list) => {
+                let list = list.strip_suffix(']').ok_or_else(|| MapYamlError::Line { line: line_number, what: "`[` without `]`".to_owned() })?;
+                list.split(',').map(unquoted).collect()
+            }
+            None if value.is_empty() => Vec::new(),
+            None => vec![unquoted(value)],
+        };
+        entries.push(Entry { key: unquoted(key), values, line: line_number });
+    }
+    Ok(entries)
+}
+
+/// A `#` begins a comment at the start of a line or after a space, outside quotes.
+fn without_comment(line: &str) -> &str {
+    let mut quote = None;
+    let mut before = ' ';
+    for (at, character) in line.char_indices() {
+        match (quote, character) {
+            (None, '#') if before.is_whitespace() => return &line[..at],
+            (None, '"' | '\'') => quote = Some(character),
+            (Some(open), _) if open == character => quote = None,
+            _ => {}
+        }
+        before = character;
+    }
+    line
+}
+
+fn unquoted(value: &str) -> String {
+    let value = value.trim();
+    let inner = ['"', '\''].iter().find_map(|quote| value.strip_prefix(*quote)?.strip_suffix(*quote));
+    inner.unwrap_or(value).to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn every_way_of_writing_a_description_is_read() {
+        let bracketed = "# saved by a tool\nimage: 'my map.pgm'  # the picture\nmode: scale\nresolution: 5.0e-2\norigin: [-10.0, 2, 0.0]\nnegate: 1\noccupied_thresh: 0.65\nfree_thresh: 0.25\nextra: whatever\n";
+        let yaml = MapYaml::parse(bracketed).unwrap();
+        assert_eq!((yaml.image.as_str(), yaml.mode, yaml.resolution, yaml.origin, yaml.negate, yaml.free_thresh), ("my map.pgm", MapMode::Scale, 0.05, Point2::new(-10.0, 2.0), true, 0.25));
+        let listed = "---\nfree_thresh: 0.25\nimage: \"my map.pgm\"\nmode: scale\nnegate: 1\noccupied_thresh: 0.65\norigin:\n- -10.0\n- 2.0\n- 0\nresolution: 0.05\n";
+        assert_eq!(MapYaml::parse(listed).unwrap(), yaml);
+    }
+
+    #[test]
+    fn a_mistake_is_named_with_its_line() {
+        let error = |text: &str| MapYaml::parse(text).unwrap_err().to_string();
+        assert_eq!(error("image: a.pgm\nresolution: -1\n"), "line 2: `resolution`: expected a positive number of metres, found `-1`");
+        assert_eq!(error("image: a.pgm\nresolution 0.1\n"), "line 2: expected `key: value`, found `resolution 0.1`");
+        assert_eq!(error("image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0.7]"), "line 3: `origin`: expected a yaw of 0 (maps that are turned are not supported: turn the picture), found `1, 2, 0.7`");
+        assert_eq!(error("image: a.pgm\nresolution: 0.1\n"), "`origin` is missing");
+        assert_eq!(error("mode: grey\n"), "line 1: `mode`: expected trinary, scale or raw, found `grey`");
+        assert_eq!(error("- 3\n"), "line 1: a list item without a key");
+    }
+
+    proptest! {
+        #[test]
+        fn a_description_comes_back_as_it_went(resolution in 1e-3..10.0, x in -1e3..1e3, y in -1e3..1e3, negate in any::<bool>()) {
+            let yaml = MapYaml { negate, mode: MapMode::Raw, ..MapYaml::new("map.pgm", resolution, Point2::new(x, y)) };
+            prop_assert_eq!(MapYaml::parse(&yaml.to_text(&["revision 3".into()])).unwrap(), yaml);
+        }
+
+        #[test]
+        fn no_text_does_harm(text in "[a-z:#\\[\\]\\-\"' \n0-9,.]{0,200}") {
+            let _ = MapYaml::parse(&text);
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! What of a map outlives its service? Its `map_server` files, and beside them its revision and the robot's way (`map.json`).
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::MapRef;
+use zenav_protocol::time::Stamp;
+
+use super::map_file::{MapFileError, read_bytes, read_map, write_atomically, write_map};
+
+/// Name of the files, without their endings.
+const STEM: &str = "map";
+/// Largest sidecar that is read, bytes.
+const MAX_SIDECAR: u64 = 64 << 20;
+
+/// What `map_server` files have no room for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MapRecord {
+    /// Name and revision of the map that was stored.
+    pub map: MapRef,
+    /// Stamp of the newest scan in it.
+    pub stamp: Stamp,
+    /// Scans inserted.
+    pub scans: u64,
+    /// The robot's way while it was built, map frame, m.
+    pub trajectory: Vec<Point2<f64>>,
+}
+
+/// A map and its record.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredMap {
+    /// The map.
+    pub grid: OccupancyGrid,
+    /// Its record; empty where another tool made the files.
+    pub record: MapRecord,
+}
+
+/// Stores a map as `map.pgm`, `map.yaml` and `map.json` in a folder; a half-written file never replaces a good one.
+///
+/// # Errors
+/// [`MapFileError::Io`].
+pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> {
+    let map = &stored.record.map;
+    let path = write_map(folder, STEM, &stored.grid, &format!("{} {}", map.id, map.revision))?;
+    let sidecar = sidecar(folder);
+    let text = serde_json::to_vec(&stored.record).map_err(|error| MapFileError::Io { path: sidecar.clone(), source: error.into() })?;
+    write_atomically(&sidecar, &text)?;
+    Ok(path)
+}
+
+/// The stored map of a folder; `None` when there is none. A record that is missing or broken only costs the record.
+///
+/// # Errors
+/// [`MapFileError`] for files that are there but are no map.
+pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
+    let path = folder.join(format!("{STEM}.yaml"));
+    if !path.exists() {
+        return Ok(None);
+    }
+    let grid = read_map(&path, 1.0)?;
+    let sidecar = sidecar(folder);
+    let record = match read_bytes(&sidecar, MAX_SIDECAR) {
+        Ok(bytes) => serde_json::from_slice(&bytes).unwrap_or_else(|error| {
+            tracing::warn!(file = %sidecar.display(), %error, "the map's record is not readable and is left out");
+            MapRecord::default()
+        }),
+        Err(_) => MapRecord::default(),
+    };
+    Ok(Some(StoredMap { grid, record }))
+}
+
+fn sidecar(folder: &Path) -> PathBuf {
+    folder.join(format!("{STEM}.json"))
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::grid::GridSpec;
+
+    use super::*;
+
+    fn stored() -> StoredMap {
+        let spec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.05, width: 3, height: 1 };
+        let record = MapRecord { map: MapRef { id: "kitchen".into(), revision: 12 }, stamp: Stamp(7), scans: 40, trajectory: vec![Point2::new(0.5, 0.25)] };
+        StoredMap { grid: OccupancyGrid::from_values(spec, vec![0, 100, -1]).unwrap(), record }
+    }
+
+    #[test]
+    fn what_is_stored_is_loaded() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(load(folder.path()).unwrap(), None);
+        save(folder.path(), &stored()).unwrap();
+        assert_eq!(load(folder.path()).unwrap(), Some(stored()));
+    }
+
+    #[test]
+    fn a_broken_record_costs_the_record_and_a_broken_map_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        save(folder.path(), &stored()).unwrap();
+        std::fs::write(sidecar(folder.path()), "{").unwrap();
+        assert_eq!(load(folder.path()).unwrap().unwrap().record, MapRecord::default());
+        std::fs::write(folder.path().join("map.pgm"), "P5 3 1 255\n\0").unwrap();
+        assert!(load(folder.path()).unwrap_err().to_string().contains("map.pgm: truncated"));
+    }
+}

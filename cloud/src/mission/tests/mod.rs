@@ -1,0 +1,9 @@
+//! A mission against a robot, workers and a store that are all in memory: claims about what it does to the robot.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+mod drives;
+mod intake;
+mod kitchen;
+mod rig;
+mod survival;

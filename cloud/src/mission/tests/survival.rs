@@ -1,0 +1,139 @@
+//! Claims about restarts: no goal is lost, none ends twice, none is driven after its end.
+
+use std::collections::BTreeMap;
+
+use zenav_protocol::messages::*;
+
+use super::rig::{Rig, to};
+
+#[test]
+fn a_goal_once_acknowledged_survives_a_restart_and_ends_once() {
+    let mut rig = Rig::new();
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    rig.run(3.0);
+    rig.kill();
+    rig.run(20.0);
+    assert!(rig.edge.pose.x < 3.9, "without a mission the plan runs out");
+    rig.start();
+    assert!(rig.run_until(30.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded);
+    assert_eq!(rig.kept.ends["a"], 1);
+    assert_eq!(rig.goal("a").legs.len(), 1, "the same drive goes on");
+    assert!(rig.edge.driven < 4.1);
+}
+
+#[test]
+fn a_restart_in_mid_drive_goes_on_with_the_same_motion() {
+    let mut rig = Rig::new();
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    rig.run(3.0);
+    let motion = rig.plans.last().unwrap().1.trajectory_id;
+    rig.kill();
+    rig.run(0.5);
+    rig.start();
+    assert!(rig.run_until(30.0, |rig| rig.state("a").is_end()));
+    assert!(
+        rig.plans.iter().all(|(_, plan)| plan.trajectory_id == motion),
+        "it was planned anew"
+    );
+    assert!(rig.plans.last().unwrap().1.revision.incarnation == 2);
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded);
+}
+
+#[test]
+fn a_paused_goal_is_still_paused_after_a_restart() {
+    let mut rig = Rig::new();
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    rig.run(3.0);
+    rig.answer(super::super::Request::Pause(PauseRequest::default()))
+        .unwrap();
+    rig.kill();
+    rig.start();
+    let before = rig.plans.len();
+    rig.run(10.0);
+    assert_eq!((rig.state("a"), rig.plans.len()), (GoalPhase::Paused, before));
+    rig.answer(super::super::Request::Pause(PauseRequest {
+        resume: true,
+        ..PauseRequest::default()
+    }))
+    .unwrap();
+    assert!(rig.run_until(30.0, |rig| rig.state("a") == GoalPhase::Succeeded));
+}
+
+/// Dies at its `n`th write, for every `n` there is, during a mission of three goals one of which is cancelled.
+#[test]
+fn a_mission_killed_at_every_write_loses_no_goal_and_ends_none_twice() {
+    let mut write = 0;
+    loop {
+        let mut rig = Rig::new();
+        rig.config.plan_valid = 5.0;
+        rig.dies_after_writes = Some(write);
+        let mut acknowledged: BTreeMap<String, GoalRequest> = BTreeMap::new();
+        let goals = [to(2.0, 0.0, "a"), to(2.0, 1.0, "b"), to(1.0, 0.0, "c")];
+        for goal in &goals {
+            let client = rig.ask(super::super::Request::Goal(Box::new(goal.clone())));
+            rig.run(0.1);
+            if matches!(rig.replies.get(&client), Some(Ok(_))) {
+                acknowledged.insert(goal.id.clone().unwrap(), goal.clone());
+            }
+            if rig.mission.is_none() {
+                rig.start();
+            }
+        }
+        let mut ended: BTreeMap<String, GoalPhase> = BTreeMap::new();
+        for _ in 0..3000 {
+            rig.step();
+            if rig.mission.is_none() {
+                rig.run(2.0);
+                rig.start();
+            }
+            for (id, goal) in &rig.kept.goals {
+                if goal.state.state.is_end() {
+                    let first = *ended.entry(id.clone()).or_insert(goal.state.state);
+                    assert_eq!(first, goal.state.state, "write {write}: {id} ended twice");
+                }
+            }
+            if rig.kept.goals.values().all(|goal| goal.state.state.is_end()) {
+                break;
+            }
+        }
+        for id in acknowledged.keys() {
+            assert_eq!(rig.state(id), GoalPhase::Succeeded, "write {write}: goal {id}");
+            assert_eq!(rig.kept.ends[id], 1, "write {write}: goal {id}");
+        }
+        let died = rig.dies_after_writes.is_none();
+        let plans = rig.plans.len();
+        rig.run(2.0);
+        assert_eq!(rig.plans.len(), plans, "write {write}: driven after its end");
+        if !died {
+            break;
+        }
+        write += 1;
+    }
+    assert!(write > 10, "{write}");
+}
+
+#[test]
+fn a_mission_that_was_only_paused_does_not_command_on_waking() {
+    let mut rig = Rig::new();
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    rig.run(3.0);
+    let sleeping = rig.mission.take();
+    rig.run(20.0);
+    // Somebody else has taken over meanwhile.
+    let other = LeaseRequest {
+        holder: "mission-b".into(),
+        role: LeaseRole::Mission,
+        action: LeaseAction::Acquire,
+        request_id: "1".into(),
+    };
+    let epoch = rig.edge.book.request(rig.now, &other).unwrap().epoch;
+    let plans = rig.plans.len();
+    rig.mission = sleeping;
+    for beat in 1..40 {
+        rig.edge.book.renew(rig.now, "mission-b", epoch, beat);
+        rig.step();
+    }
+    assert_eq!(rig.plans.len(), plans);
+    assert_eq!(rig.mission.as_ref().unwrap().epoch(), None);
+}

@@ -1,0 +1,444 @@
+//! How do the parts start and end, all in one process or each in its own?
+//!
+//! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use tokio::task::JoinSet;
+use zenav_cloud::{mapping, mission, planning, smoothing};
+use zenav_edge::{EdgeConfig, Referee, ServiceConfig, SimBody};
+use zenav_protocol::bus::{Bus, BusConfig, Clock, Router, RouterConfig, Shutdown};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{GoalPoint, exit_code};
+use zenav_sim::{RobotSpec, Simulation, World};
+
+use crate::config::{self, Deployment, RobotSection};
+use crate::failure::{Failure, Outcome};
+use crate::files;
+
+/// Time for the parts to end by themselves.
+const DRAIN: Duration = Duration::from_secs(8);
+
+/// Arguments of `zenav up`.
+#[derive(Debug, Args)]
+pub struct UpArgs {
+    /// Deployment file; without it, one simulated robot and every service on this machine
+    file: Option<PathBuf>,
+    /// Endpoints of the router, instead of the deployment's
+    #[arg(long)]
+    listen: Vec<String>,
+    /// World, instead of the deployment's
+    #[arg(long)]
+    world: Option<String>,
+    /// Simulated seconds a second of wall time, instead of the deployment's
+    #[arg(long)]
+    speed: Option<f64>,
+    /// Folder for what is kept, instead of the deployment's
+    #[arg(long)]
+    data: Option<PathBuf>,
+}
+
+/// Arguments of `zenav router`.
+#[derive(Debug, Args)]
+pub struct RouterArgs {
+    /// Endpoints to listen on
+    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    listen: Vec<String>,
+    /// Other routers to link to
+    #[arg(long)]
+    connect: Vec<String>,
+}
+
+/// What `zenav edge` and `zenav cloud` share.
+#[derive(Debug, Args)]
+struct PartArgs {
+    /// Deployment file; without it, the shipped one
+    #[arg(long, value_name = "FILE")]
+    deployment: Option<PathBuf>,
+    /// The router's endpoint, instead of the deployment's
+    #[arg(long)]
+    connect: Option<String>,
+    /// Folder for what is kept, instead of the deployment's
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// World (its places are named goals; a simulated robot stands in it), instead of the deployment's
+    #[arg(long)]
+    world: Option<String>,
+    /// Only this robot of the deployment
+    #[arg(long)]
+    robot: Option<String>,
+}
+
+/// Arguments of `zenav edge`.
+#[derive(Debug, Args)]
+pub struct EdgeArgs {
+    #[command(flatten)]
+    part: PartArgs,
+    /// Robot file or shipped name, instead of the deployment's
+    #[arg(long)]
+    model: Option<String>,
+    /// The robot's own endpoint, instead of the deployment's
+    #[arg(long)]
+    listen: Option<String>,
+    /// Simulated seconds a second of wall time, instead of the deployment's
+    #[arg(long)]
+    speed: Option<f64>,
+    /// Seed of the simulated noise, instead of the deployment's
+    #[arg(long)]
+    seed: Option<u64>,
+}
+
+/// Off-board services.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CloudPart {
+    /// Maps from scans
+    Mapping,
+    /// Planning and smoothing workers
+    Planning,
+    /// Missions of the deployment's robots
+    Mission,
+    /// All of them
+    All,
+}
+
+/// Arguments of `zenav cloud`.
+#[derive(Debug, Args)]
+pub struct CloudArgs {
+    /// Which service
+    #[arg(value_enum, default_value = "all")]
+    service: CloudPart,
+    #[command(flatten)]
+    part: PartArgs,
+    /// The orchestrator's name, instead of the deployment's; no two may share it
+    #[arg(long)]
+    holder: Option<String>,
+    /// Names this process's workers
+    #[arg(long)]
+    worker: Option<String>,
+}
+
+/// Parts that run in this process.
+#[derive(Debug)]
+pub struct Parts {
+    tasks: JoinSet<(String, Result<(), Failure>)>,
+    shutdown: Shutdown,
+}
+
+impl Default for Parts {
+    fn default() -> Self {
+        Self { tasks: JoinSet::new(), shutdown: Shutdown::new() }
+    }
+}
+
+impl Parts {
+    /// Runs a part on a bus of its own until the shutdown.
+    fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
+    where
+        F: FnOnce(Bus, Shutdown) -> R + Send + 'static,
+        R: Future<Output = Result<(), Failure>> + Send + 'static,
+    {
+        let shutdown = self.shutdown.clone();
+        self.tasks.spawn(async move {
+            // Without a router a part waits for one: its end must not.
+            let opened = tokio::select! {
+                opened = Bus::open(bus) => opened,
+                () = shutdown.wait() => return (name, Ok(())),
+            };
+            let bus = match opened {
+                Ok(bus) => bus,
+                Err(error) => return (name, Err(error.into())),
+            };
+            let result = part(bus.clone(), shutdown).await;
+            bus.close().await;
+            (name, result)
+        });
+    }
+
+    /// Starts a simulated robot; returns its referee.
+    ///
+    /// # Errors
+    /// Bad files, or a start where something stands.
+    pub fn edge(&mut self, deployment: &Deployment, world: &World, id: &Id, section: &RobotSection) -> Result<Referee, Failure> {
+        let model = files::robot(&section.model)?;
+        let start = section.start.unwrap_or_else(|| world.start());
+        let start = Pose2::new(start.x, start.y, start.yaw);
+        let spec = RobotSpec { id: id.clone(), model: model.clone(), start };
+        let simulation = Simulation::new(world, vec![spec], deployment.simulation.seed).map_err(|error| Failure::usage(error.to_string()))?;
+        let (body, referee) = SimBody::new(simulation, 0).map_err(|error| Failure::failed(error.to_string()))?;
+        let mut edge = EdgeConfig::new(id.clone(), model, start);
+        edge.on_lost = section.on_lost;
+        let service = ServiceConfig { edge, state_dir: deployment.robot_dir(id), speed: deployment.simulation.speed, simulated: true };
+        let bus = BusConfig { listen: vec![section.listen.clone()], ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect) };
+        self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
+            tracing::info!(endpoints = ?bus.endpoints().await, "the robot's own endpoint");
+            zenav_edge::run(bus, service, Box::new(body), shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+        });
+        Ok(referee)
+    }
+
+    /// Starts the mapping of a robot.
+    pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
+        let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
+        let config = mapping::service::MappingConfig::new(id.clone(), deployment.mapping.resolution, deployment.robot_dir(id));
+        self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
+            mapping::service::run(bus, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+        });
+    }
+
+    /// Starts planning and smoothing workers.
+    ///
+    /// # Errors
+    /// A name that no worker may have.
+    pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
+        for number in 1..=deployment.planning.workers {
+            let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
+            let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
+            let planning = planning::service::PlanningConfig::new(worker.clone());
+            self.spawn(format!("planning {worker}"), bus("planning"), move |bus, shutdown| async move {
+                planning::service::run(bus, planning, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            });
+            let smoothing = smoothing::service::SmoothingConfig::new(worker.clone());
+            self.spawn(format!("smoothing {worker}"), bus("smoothing"), move |bus, shutdown| async move {
+                smoothing::service::run(bus, smoothing, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            });
+        }
+        Ok(())
+    }
+
+    /// Starts a robot's mission.
+    pub fn mission(&mut self, deployment: &Deployment, world: &World, id: &Id) {
+        let bus = BusConfig::service(&format!("mission-{id}"), &deployment.bus.connect);
+        let mut config = mission::MissionConfig::new(id.clone(), deployment.mission.holder.clone(), deployment.robot_dir(id).join("mission.redb"));
+        config.places = places(world);
+        config.planner.clone_from(&deployment.planning.planner);
+        config.latency_budget = deployment.mission.latency_budget_secs;
+        config.plan_valid = deployment.mission.plan_valid_secs;
+        self.spawn(format!("mission {id}"), bus, move |bus, shutdown| async move {
+            let clock = Clock::follow(&bus)?;
+            mission::service::run(bus, clock, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+        });
+    }
+
+    /// Starts all off-board services of a deployment that run.
+    ///
+    /// # Errors
+    /// A name that no worker may have.
+    pub fn cloud(&mut self, deployment: &Deployment, world: &World, which: CloudPart, worker: &str) -> Result<(), Failure> {
+        let wanted = |part| which == CloudPart::All || which == part;
+        for (id, _) in deployment.robot_ids()? {
+            if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+                self.mapping(deployment, &id);
+            }
+            if wanted(CloudPart::Mission) && deployment.mission.enabled {
+                self.mission(deployment, world, &id);
+            }
+        }
+        if wanted(CloudPart::Planning) {
+            self.planning(deployment, worker)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the first part that ends by itself.
+    ///
+    /// # Errors
+    /// The part's failure.
+    pub async fn first_end(&mut self) -> Result<(), Failure> {
+        match self.tasks.join_next().await {
+            None => std::future::pending().await,
+            Some(Ok((name, Ok(())))) => Err(Failure::failed(format!("{name} ended by itself"))),
+            Some(Ok((name, Err(failure)))) => Err(Failure::new(failure.code, format!("{name}: {failure}"))),
+            Some(Err(error)) => Err(Failure::failed(format!("a part broke off: {error}"))),
+        }
+    }
+
+    /// Ends all parts, robots first to rest, each within its deadline.
+    pub async fn end(mut self) {
+        self.shutdown.trigger();
+        let ended = async {
+            while let Some(part) = self.tasks.join_next().await {
+                if let Ok((name, Err(failure))) = part {
+                    tracing::warn!(name, %failure, "a part did not end well");
+                }
+            }
+        };
+        if tokio::time::timeout(DRAIN, ended).await.is_err() {
+            tracing::warn!("some parts did not end in time");
+        }
+    }
+}
+
+/// A world's places as named goals.
+#[must_use]
+pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
+    world.places().iter().map(|place| (place.name.clone(), GoalPoint { x: place.x, y: place.y, yaw: place.yaw })).collect()
+}
+
+/// A runtime for services and commands.
+///
+/// # Errors
+/// When the system gives no threads.
+pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
+}
+
+/// Waits for Ctrl-C, or the service manager's request to end.
+pub async fn interrupted() {
+    #[cfg(unix)]
+    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+        tokio::select! {
+            _ = tokio::signal::ctrl_c() => return,
+            _ = terminate.recv() => return,
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
+}
+
+/// Runs parts until Ctrl-C or until one fails.
+async fn until_interrupted(mut parts: Parts) -> Outcome {
+    let result = tokio::select! {
+        () = interrupted() => {
+            tracing::info!("stopping");
+            Ok(exit_code::OK)
+        }
+        ended = parts.first_end() => ended.map(|()| exit_code::OK),
+    };
+    parts.end().await;
+    result
+}
+
+impl PartArgs {
+    fn deployment(&self) -> Result<Deployment, Failure> {
+        let mut deployment = config::load(self.deployment.as_deref())?;
+        if let Some(connect) = &self.connect {
+            deployment.bus.connect.clone_from(connect);
+        }
+        if let Some(data) = &self.data {
+            deployment.data.dir.clone_from(data);
+        }
+        if let Some(world) = &self.world {
+            deployment.simulation.world.clone_from(world);
+        }
+        if let Some(robot) = &self.robot {
+            let known: Vec<String> = deployment.robots.keys().cloned().collect();
+            deployment.robots.retain(|id, _| id == robot);
+            if deployment.robots.is_empty() {
+                return Err(Failure::not_found(format!("no robot `{robot}` in the deployment; it has {}", known.join(", "))));
+            }
+        }
+        Ok(deployment)
+    }
+}
+
+/// `zenav up`.
+///
+/// # Errors
+/// Bad files, a taken port, a part that failed.
+pub fn up(args: &UpArgs) -> Outcome {
+    let mut deployment = config::load(args.file.as_deref())?;
+    if !args.listen.is_empty() {
+        deployment.router.listen.clone_from(&args.listen);
+        deployment.bus.connect.clone_from(&args.listen[0]);
+    }
+    if let Some(world) = &args.world {
+        deployment.simulation.world.clone_from(world);
+    }
+    if let Some(speed) = args.speed {
+        deployment.simulation.speed = speed;
+    }
+    if let Some(data) = &args.data {
+        deployment.data.dir.clone_from(data);
+    }
+    let world = files::world(&deployment.simulation.world)?;
+    runtime()?.block_on(async {
+        let router = if deployment.router.enabled {
+            let router = Router::open(&RouterConfig { listen: deployment.router.listen.clone(), connect: deployment.router.connect.clone(), ..RouterConfig::default() }).await?;
+            tracing::info!(endpoints = ?router.endpoints().await, "router up");
+            Some(router)
+        } else {
+            None
+        };
+        let mut parts = Parts::default();
+        let started = start_all(&mut parts, &deployment, &world);
+        let result = match started {
+            Ok(()) => until_interrupted(parts).await,
+            Err(failure) => {
+                parts.end().await;
+                Err(failure)
+            }
+        };
+        if let Some(router) = router {
+            router.close().await;
+        }
+        result
+    })
+}
+
+fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
+    for (id, section) in deployment.robot_ids()? {
+        parts.edge(deployment, world, &id, section)?;
+    }
+    parts.cloud(deployment, world, CloudPart::All, "worker")
+}
+
+/// `zenav router`.
+///
+/// # Errors
+/// A taken port or a bad endpoint.
+pub fn router(args: &RouterArgs) -> Outcome {
+    let config = RouterConfig { listen: args.listen.clone(), connect: args.connect.clone(), ..RouterConfig::default() };
+    runtime()?.block_on(async {
+        let shutdown = Shutdown::new();
+        let ender = shutdown.clone();
+        tokio::spawn(async move {
+            interrupted().await;
+            ender.trigger();
+        });
+        crate::router::run(config, shutdown).await?;
+        Ok(exit_code::OK)
+    })
+}
+
+/// `zenav edge`.
+///
+/// # Errors
+/// Bad files, a taken port, an unknown robot.
+pub fn edge(args: &EdgeArgs) -> Outcome {
+    let mut deployment = args.part.deployment()?;
+    deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
+    deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
+    let world = files::world(&deployment.simulation.world)?;
+    runtime()?.block_on(async {
+        let mut parts = Parts::default();
+        for (id, section) in deployment.robot_ids()? {
+            let mut section = section.clone();
+            section.model = args.model.clone().unwrap_or(section.model);
+            section.listen = args.listen.clone().unwrap_or(section.listen);
+            parts.edge(&deployment, &world, &id, &section)?;
+        }
+        until_interrupted(parts).await
+    })
+}
+
+/// `zenav cloud`.
+///
+/// # Errors
+/// Bad files, a store that another process has.
+pub fn cloud(args: &CloudArgs) -> Outcome {
+    let mut deployment = args.part.deployment()?;
+    if let Some(holder) = &args.holder {
+        deployment.mission.holder.clone_from(holder);
+    }
+    let world = files::world(&deployment.simulation.world)?;
+    let worker = args.worker.clone().unwrap_or_else(|| format!("worker-{}", std::process::id()));
+    runtime()?.block_on(async {
+        let mut parts = Parts::default();
+        parts.cloud(&deployment, &world, args.service, &worker)?;
+        until_interrupted(parts).await
+    })
+}

@@ -1,0 +1,246 @@
+//! What does `zenav run` do? One goal in a world, from a seed, to its end; the report is the simulator's truth.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use clap::Args;
+use nalgebra::Point2;
+use serde::Serialize;
+use zenav_cloud::mission::MissionConfig;
+use zenav_edge::EdgeConfig;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{GoalPhase, GoalRequest, exit_code};
+use zenav_protocol::robot::RobotModel;
+use zenav_sim::{RobotSpec, Simulation, World};
+
+use super::stage::{Stage, StageConfig};
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::launch::places;
+use crate::output::{Format, value};
+
+/// The robot's name in a run.
+const ROBOT: &str = "robot";
+/// Side of a map's cell, m.
+const RESOLUTION: f64 = 0.05;
+/// Largest side of a known map, cells.
+const MAX_CELLS: f64 = 16_384.0;
+
+/// Arguments of `zenav run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// World file or shipped name
+    #[arg(long, default_value = "kitchen")]
+    world: String,
+    /// Robot file or shipped name
+    #[arg(long, default_value = "tiago")]
+    robot: String,
+    /// Goal, m in the world
+    #[arg(long, num_args = 2, value_names = ["X", "Y"], allow_negative_numbers = true, required = true)]
+    goal: Vec<f64>,
+    /// Simulated time after which the run has failed, s
+    #[arg(long, default_value_t = 100.0)]
+    timeout: f64,
+    /// Seed of all noise and delays
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Distance that counts as reached, m
+    #[arg(long, default_value_t = 0.15)]
+    tolerance: f64,
+    /// Start with the true map
+    #[arg(long)]
+    known_map: bool,
+    /// Mean delay from scan to plan, ms
+    #[arg(long, default_value_t = 100.0)]
+    cloud_delay_ms: f64,
+    /// Write the driven way as CSV `t,x,y,yaw,v,w`
+    #[arg(long, value_name = "FILE")]
+    trajectory: Option<PathBuf>,
+    /// Form of the report
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RunOutcome {
+    /// Within the tolerance of the goal.
+    Reached,
+    /// Not in time.
+    Timeout,
+    /// The robot touched something.
+    Collision,
+    /// The mission found no way.
+    NoPath,
+    /// The mission refused the goal.
+    Rejected,
+    /// The mission gave up.
+    Aborted,
+}
+
+/// Report of `zenav run`.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunReport {
+    /// How it ended.
+    pub outcome: RunOutcome,
+    /// Why, where the mission said so.
+    pub reason: Option<String>,
+    /// Simulated time, s.
+    pub time_s: f64,
+    /// Driven, m.
+    pub length_m: f64,
+    /// Least distance of the footprint to an obstacle, m.
+    pub min_clearance_m: f64,
+    /// Contacts.
+    pub collisions: u32,
+    /// Motions that replaced another one.
+    pub replans: u64,
+    /// Motions published.
+    pub plans: u64,
+    /// Distance from the goal at the end, m.
+    pub final_error_m: f64,
+    /// Energy drawn, J.
+    pub energy_j: f64,
+    /// Seed of all noise and delays.
+    pub seed: u64,
+    /// Mean delay from scan to plan, ms.
+    pub cloud_delay_ms: f64,
+}
+
+/// `zenav run`.
+///
+/// # Errors
+/// Bad files or arguments.
+pub fn run(args: &RunArgs) -> Outcome {
+    for (name, number) in [("--goal", args.goal[0]), ("--goal", args.goal[1]), ("--timeout", args.timeout), ("--tolerance", args.tolerance), ("--cloud-delay-ms", args.cloud_delay_ms)] {
+        if !number.is_finite() || (name != "--goal" && number < 0.0) {
+            return Err(Failure::usage(format!("{name} {number}: expected a finite number{}", if name == "--goal" { "" } else { ", not negative" })));
+        }
+    }
+    let world = files::world(&args.world)?;
+    let model = files::robot(&args.robot)?;
+    let mut stage = stage(args, &world, &model)?;
+    let mut rows = String::from("t,x,y,yaw,v,w\n");
+    let report = drive(args, &mut stage, &mut rows);
+    if let Some(file) = &args.trajectory {
+        std::fs::write(file, rows).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
+    }
+    value(args.output, &report, text)?;
+    Ok(match report.outcome {
+        RunOutcome::Reached => exit_code::OK,
+        RunOutcome::Timeout => exit_code::TIMEOUT,
+        RunOutcome::Rejected => exit_code::REJECTED,
+        RunOutcome::Collision | RunOutcome::NoPath | RunOutcome::Aborted => exit_code::FAILED,
+    })
+}
+
+fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Failure> {
+    let id = Id::robot(ROBOT).map_err(|error| Failure::failed(error.to_string()))?;
+    let spec = RobotSpec { id: id.clone(), model: model.clone(), start: world.start() };
+    let simulation = Simulation::new(world, vec![spec], args.seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let mut mission = MissionConfig::new(id.clone(), "lockstep", PathBuf::new());
+    mission.places = places(world);
+    mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
+    let known_map = args.known_map.then(|| true_map(world)).transpose()?;
+    let config = StageConfig {
+        edge: EdgeConfig::new(id, model.clone(), world.start()),
+        mission,
+        resolution: known_map.as_ref().map_or(RESOLUTION, |map| map.spec().resolution),
+        known_map,
+        cloud_delay: 1e-3 * args.cloud_delay_ms,
+        seed: args.seed,
+    };
+    Ok(Stage::new(simulation, config))
+}
+
+/// The world as a map: its own, or every cell that something solid touches.
+fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
+    if let Some(map) = world.map() {
+        return Ok(map.clone());
+    }
+    let (lower, upper) = world.bounds();
+    let cells = |length: f64| (length / RESOLUTION).ceil();
+    let (width, height) = (cells(upper.x - lower.x), cells(upper.y - lower.y));
+    if !(width <= MAX_CELLS && height <= MAX_CELLS) {
+        return Err(Failure::usage(format!("--known-map: a world of {width} by {height} cells: expected at most {MAX_CELLS} a side")));
+    }
+    let spec = GridSpec { origin: lower, resolution: RESOLUTION, width: width as u32, height: height as u32 };
+    let mut map = Grid::filled(spec, Occupancy::FREE);
+    let cell = zenav_protocol::robot::Footprint::Polygon([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| Point2::new(x * RESOLUTION, y * RESOLUTION)).to_vec());
+    for y in 0..spec.height {
+        for x in 0..spec.width {
+            let center = spec.center(Cell::new(x, y));
+            if world.clearance(&cell, Pose2::new(center.x, center.y, 0.0)) <= 0.0 {
+                map[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    Ok(map)
+}
+
+fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
+    let goal = Point2::new(args.goal[0], args.goal[1]);
+    stage.submit(GoalRequest { id: Some("run".to_owned()), x: Some(goal.x), y: Some(goal.y), tolerance: Some(args.tolerance), ..GoalRequest::default() });
+    let mut reason = None;
+    let outcome = loop {
+        stage.tick();
+        let truth = stage.truth();
+        let (pose, twist) = (truth.map_from_base, truth.twist);
+        // Writing to a String cannot fail.
+        let _ = writeln!(rows, "{},{},{},{},{},{}", stage.now().as_secs(), pose.x, pose.y, pose.yaw, twist.v, twist.w);
+        if truth.collisions > 0 {
+            break RunOutcome::Collision;
+        }
+        if (pose.position() - goal).norm() <= args.tolerance {
+            break RunOutcome::Reached;
+        }
+        if let Some(Err(refusal)) = stage.replies().first() {
+            reason = Some(refusal.to_string());
+            break RunOutcome::Rejected;
+        }
+        if let Some(state) = stage.goal().filter(|state| state.state.is_end()) {
+            reason.clone_from(&state.reason);
+            break match state.state {
+                GoalPhase::Rejected => RunOutcome::Rejected,
+                _ if reason.as_ref().is_some_and(|reason| reason.contains("no path") || reason.contains("NoPath")) => RunOutcome::NoPath,
+                _ => RunOutcome::Aborted,
+            };
+        }
+        if stage.now().as_secs() >= args.timeout {
+            break RunOutcome::Timeout;
+        }
+    };
+    let truth = stage.truth();
+    let feedback = stage.goal().map(|goal| goal.feedback.clone()).unwrap_or_default();
+    RunReport {
+        outcome,
+        reason,
+        time_s: stage.now().as_secs(),
+        length_m: truth.length,
+        min_clearance_m: truth.min_clearance,
+        collisions: truth.collisions,
+        replans: feedback.replans,
+        plans: feedback.plans,
+        final_error_m: (truth.map_from_base.position() - goal).norm(),
+        energy_j: truth.drawn_j,
+        seed: args.seed,
+        cloud_delay_ms: args.cloud_delay_ms,
+    }
+}
+
+fn text(report: &RunReport) -> String {
+    format!(
+        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans",
+        report.outcome,
+        report.reason.as_ref().map(|reason| format!(" ({reason})")).unwrap_or_default(),
+        report.time_s,
+        report.length_m,
+        report.min_clearance_m,
+        report.final_error_m,
+        report.collisions,
+        report.replans
+    )
+}

@@ -1,0 +1,301 @@
+//! How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
+//!
+//! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
+//! links' delay stands for the whole way from scan to plan.
+
+use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig};
+use zenav_cloud::mission::{self, Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
+use zenav_cloud::planning::{Budget, PlanOptions, Planner, Searcher, plan};
+use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, smooth};
+use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
+use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+use zenav_sim::{Simulation, Truth};
+
+use super::delay::Link;
+
+/// Control ticks between two steps of the mission.
+const TICKS_A_STEP: u64 = 2;
+/// Expansions a search may take, for a robot's missions.
+const MAX_EXPANSIONS: u64 = 20_000_000;
+/// Time between two points of a trajectory, s.
+const TRAJECTORY_PERIOD: f64 = 0.05;
+
+/// What a stage is set up with.
+#[derive(Debug)]
+pub struct StageConfig {
+    /// The robot.
+    pub edge: EdgeConfig,
+    /// Its mission.
+    pub mission: MissionConfig,
+    /// Side of a cell, m.
+    pub resolution: f64,
+    /// The map to begin with.
+    pub known_map: Option<OccupancyGrid>,
+    /// From scan to plan, s.
+    pub cloud_delay: f64,
+    /// Seed of the links.
+    pub seed: u64,
+}
+
+/// Up from the robot.
+enum Up {
+    Publication(Publication),
+    Answer(mission::Ticket, Result<Answer, NoAnswer>),
+}
+
+/// Down to the robot.
+enum Down {
+    Plan(Box<Plan>),
+    Heartbeat(Heartbeat),
+    Question(mission::Ticket, Question),
+}
+
+/// Everything, in one thread.
+pub struct Stage {
+    simulation: Simulation,
+    pilot: Pilot,
+    mapper: Mapper,
+    workers: Workers,
+    mission: Mission,
+    up: Link<Up>,
+    down: Link<Down>,
+    /// For the mission's next step.
+    inputs: mission::Inputs,
+    replies: Vec<Result<Response, Refusal>>,
+    /// The newest state of each goal.
+    goal: Option<GoalState>,
+    ticks: u64,
+    clients: u64,
+}
+
+impl Stage {
+    /// Sets the stage; the simulation has one robot.
+    #[must_use]
+    pub fn new(simulation: Simulation, config: StageConfig) -> Self {
+        let mapper_config = MapperConfig { resolution: config.resolution, footprint: Some(config.edge.model.footprint.clone()), ..MapperConfig::default() };
+        let map = MapRef { id: "lockstep".to_owned(), revision: 1 };
+        let mut mapper = match &config.known_map {
+            Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),
+            None => Mapper::new(mapper_config, map.id),
+        };
+        // Live scans go on into a known map: what moved since must be seen.
+        mapper.resume();
+        Self {
+            simulation,
+            pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
+            mapper,
+            workers: Workers::default(),
+            mission: Mission::new(config.mission, Restored::fresh()),
+            up: Link::new(0.5 * config.cloud_delay, config.seed),
+            down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
+            inputs: mission::Inputs::default(),
+            replies: Vec::new(),
+            goal: None,
+            ticks: 0,
+            clients: 0,
+        }
+    }
+
+    /// Hands the mission a goal at its next step.
+    pub fn submit(&mut self, request: GoalRequest) {
+        self.clients += 1;
+        self.inputs.requests.push((mission::Client(self.clients), Request::Goal(Box::new(request))));
+    }
+
+    /// One control tick.
+    pub fn tick(&mut self) {
+        self.simulation.step();
+        let now = self.simulation.now();
+        let outbox = self.step_edge(now);
+        self.simulation.drive(0, outbox.wheels);
+        self.step_cloud(now);
+        self.ticks += 1;
+    }
+
+    fn step_edge(&mut self, now: Stamp) -> Outbox {
+        let mut inbox = Inbox::default();
+        for message in self.down.receive(now) {
+            match message {
+                Down::Plan(plan) => inbox.plans.push(*plan),
+                Down::Heartbeat(heartbeat) => inbox.heartbeats.push(heartbeat),
+                Down::Question(ticket, question) => inbox.questions.push((zenav_edge::Ticket(ticket.0), question)),
+            }
+        }
+        let mut outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
+        for publication in outbox.publications.drain(..) {
+            self.up.send(now, Up::Publication(publication));
+        }
+        for (ticket, answer) in outbox.answers.drain(..) {
+            self.up.send(now, Up::Answer(mission::Ticket(ticket.0), answer_of(answer)));
+        }
+        outbox
+    }
+
+    fn step_cloud(&mut self, now: Stamp) {
+        for message in self.up.receive(now) {
+            match message {
+                Up::Answer(ticket, answer) => self.inputs.answers.push((ticket, answer)),
+                Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
+                Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
+                Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
+                Up::Publication(Publication::Scan(scan)) => {
+                    self.mapper.insert(&scan);
+                }
+                Up::Publication(_) => {}
+            }
+        }
+        while let Some(patch) = self.mapper.take_patch() {
+            self.workers.mirror.apply(&patch);
+            self.inputs.map_patches.push(patch);
+            self.inputs.map_info = Some(self.mapper.info());
+        }
+        if self.ticks.is_multiple_of(TICKS_A_STEP) {
+            let inputs = std::mem::take(&mut self.inputs);
+            for effect in self.mission.step(now, inputs) {
+                self.carry_out(now, effect);
+            }
+        }
+    }
+
+    fn carry_out(&mut self, now: Stamp, effect: Effect) {
+        match effect {
+            Effect::Heartbeat(heartbeat) => self.down.send(now, Down::Heartbeat(heartbeat)),
+            Effect::Plan(plan) => self.down.send(now, Down::Plan(plan)),
+            Effect::Goal(goal) => self.goal = Some(*goal),
+            Effect::Reply(_, reply) => self.replies.push(reply),
+            Effect::Ask(ticket, ask) => {
+                let question = match ask {
+                    Ask::Lease(request) => Question::Lease(request),
+                    Ask::EdgeInfo(request) => Question::Info(request),
+                    Ask::Behaviour(request) => Question::Behaviour(request),
+                    Ask::Plan(request) => return self.answer(ticket, Answer::Plan(self.workers.plan(&request))),
+                    Ask::Smooth(request) => return self.answer(ticket, Answer::Smooth(self.workers.smooth(&request))),
+                    Ask::Map(request) => {
+                        let answer = self.map_answer(&request);
+                        return self.answer(ticket, answer);
+                    }
+                };
+                self.down.send(now, Down::Question(ticket, question));
+            }
+            // Nothing outlives a lockstep run, and nobody watches it.
+            Effect::Persist(_) | Effect::Status(_) | Effect::Fatal(_) => {}
+        }
+    }
+
+    fn answer(&mut self, ticket: mission::Ticket, answer: Answer) {
+        self.inputs.answers.push((ticket, Ok(answer)));
+    }
+
+    fn map_answer(&mut self, request: &MapRequest) -> Answer {
+        match request.action {
+            MapAction::Get => {}
+            MapAction::Save => self.mapper.mark_stored(),
+            MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
+            MapAction::Resume => self.mapper.resume(),
+            MapAction::Hold => self.mapper.hold(),
+        }
+        let mut reply = self.mapper.reply();
+        if request.action != MapAction::Get {
+            reply.values.clear();
+        }
+        Answer::Map(Box::new(reply))
+    }
+
+    /// Simulated time.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.simulation.now()
+    }
+
+    /// The simulator's truth.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        self.simulation.truth(0)
+    }
+
+    /// The newest state of the goal.
+    #[must_use]
+    pub fn goal(&self) -> Option<&GoalState> {
+        self.goal.as_ref()
+    }
+
+    /// What the mission has answered so far.
+    #[must_use]
+    pub fn replies(&self) -> &[Result<Response, Refusal>] {
+        &self.replies
+    }
+
+    /// The map so far.
+    #[must_use]
+    pub fn map(&self) -> OccupancyGrid {
+        self.mapper.grid()
+    }
+}
+
+fn answer_of(answer: Result<zenav_edge::Answer, Refusal>) -> Result<Answer, NoAnswer> {
+    match answer {
+        Ok(zenav_edge::Answer::Lease(reply)) => Ok(Answer::Lease(reply)),
+        Ok(zenav_edge::Answer::Info(reply)) => Ok(Answer::EdgeInfo(reply)),
+        Ok(zenav_edge::Answer::Behaviour(reply)) => Ok(Answer::Behaviour(reply)),
+        Ok(_) => Err(NoAnswer::Silent("an answer to another question".to_owned())),
+        Err(refusal) => Err(NoAnswer::Refused(refusal)),
+    }
+}
+
+/// A planning and a smoothing worker with one copy of the map.
+#[derive(Default)]
+struct Workers {
+    mirror: MapMirror,
+    prepared: Option<Prepared>,
+}
+
+/// The configuration space of one state of the map.
+struct Prepared {
+    map: MapRef,
+    unknown_is_free: bool,
+    space: ConfigurationSpace,
+    searcher: Option<Searcher>,
+}
+
+impl Workers {
+    fn prepare(&mut self, model: &zenav_protocol::robot::RobotModel, unknown_is_free: bool) -> Option<&mut Prepared> {
+        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
+            return None;
+        }
+        let fits = |prepared: &Prepared| prepared.map == *self.mirror.map() && prepared.unknown_is_free == unknown_is_free && *prepared.space.footprint() == model.footprint;
+        if !self.prepared.as_ref().is_some_and(fits) {
+            let policy = if unknown_is_free { UnknownPolicy::Free } else { UnknownPolicy::Blocked };
+            let space = ConfigurationSpace::new(self.mirror.grid(), &model.footprint, policy, 0.0);
+            let searcher = Searcher::new(space.free()).ok();
+            self.prepared = Some(Prepared { map: self.mirror.map().clone(), unknown_is_free, space, searcher });
+        }
+        self.prepared.as_mut()
+    }
+
+    fn plan(&mut self, request: &PlanRequest) -> PlanReply {
+        let nothing = |outcome| PlanReply { map: request.map.clone(), outcome, search_ms: 0.0, expansions: 0 };
+        let Some(prepared) = self.prepare(&request.model, request.unknown_is_free) else {
+            return nothing(PlanOutcome::NoMap);
+        };
+        let Some(searcher) = &mut prepared.searcher else {
+            return nothing(PlanOutcome::NoMap);
+        };
+        let options = PlanOptions { planner: request.planner.parse().unwrap_or(Planner::AStar), ..PlanOptions::default() };
+        let budget = Budget { max_expansions: MAX_EXPANSIONS, ..Budget::UNLIMITED };
+        let planned = plan(&prepared.space, searcher, request.start, request.goal, &options, budget);
+        PlanReply { map: prepared.map.clone(), outcome: planned.outcome, search_ms: 0.0, expansions: planned.expansions }
+    }
+
+    fn smooth(&mut self, request: &SmoothRequest) -> SmoothReply {
+        let Some(prepared) = self.prepare(&request.model, request.unknown_is_free) else {
+            return SmoothReply { map: request.map.clone(), trajectory: Vec::new(), statistics: PlanStatistics { status: "fallback:no_map".to_owned(), ..PlanStatistics::default() } };
+        };
+        let query = SmoothQuery { way: &request.path, start: request.start, start_velocity: request.start_velocity, goal_yaw: request.goal_yaw };
+        // No clock: times would differ from run to run.
+        let smoothed = smooth(&prepared.space, &query, &request.model, &SmoothSettings::default(), &mut || 0.0);
+        SmoothReply { map: prepared.map.clone(), trajectory: smoothed.trajectory(TRAJECTORY_PERIOD), statistics: smoothed.statistics }
+    }
+}

@@ -1,0 +1,77 @@
+//! When does the pilot step? On a thread of its own, at absolute deadlines; a missed tick is skipped and counted, never
+//! caught up. It never waits for the network.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::body::Body;
+use crate::exchange::Exchange;
+use crate::pilot::Pilot;
+
+/// Time to come to rest at the end, in ticks.
+const HALTING_TICKS: u32 = 150;
+/// Wheel speed below which the body counts as at rest, m/s and rad/s.
+const AT_REST: f64 = 0.01;
+
+/// Stops the wheels however the thread ends, by a panic too.
+struct Wheels(Box<dyn Body>);
+
+impl Drop for Wheels {
+    fn drop(&mut self) {
+        if let Err(error) = self.0.drive([0.0; 2]) {
+            tracing::error!(%error, "the wheels could not be stopped");
+        }
+    }
+}
+
+/// Runs the loop until `halt` is set and the robot is at rest. `period` is wall time between ticks.
+pub fn run(body: Box<dyn Body>, mut pilot: Pilot, exchange: &Arc<Exchange>, period: Duration, halt: &Arc<AtomicBool>) {
+    let mut body = Wheels(body);
+    let mut deadline = Instant::now();
+    let mut missed_ticks = 0;
+    let mut halting = 0;
+    let mut failing = false;
+    loop {
+        deadline += period;
+        let now = Instant::now();
+        match deadline.checked_duration_since(now) {
+            Some(left) => std::thread::sleep(left),
+            None => {
+                let late = now.duration_since(deadline);
+                let skipped = u32::try_from(late.as_nanos() / period.as_nanos().max(1)).unwrap_or(u32::MAX);
+                missed_ticks += u64::from(skipped);
+                deadline += period.saturating_mul(skipped);
+            }
+        }
+        let readings = match body.0.read() {
+            Ok(readings) => readings,
+            Err(error) => {
+                if !std::mem::replace(&mut failing, true) {
+                    tracing::error!(%error, "no readings: braking");
+                }
+                let _ = body.0.drive([0.0; 2]);
+                if halt.load(Ordering::Relaxed) {
+                    return;
+                }
+                continue;
+            }
+        };
+        failing = false;
+        let mut inbox = exchange.take_inbox();
+        inbox.missed_ticks = missed_ticks;
+        inbox.halt = halt.load(Ordering::Relaxed);
+        halting += u32::from(inbox.halt);
+        let outbox = pilot.step(readings.stamp, &readings, inbox);
+        let wheels = outbox.wheels;
+        if let Err(error) = body.0.drive(wheels) {
+            tracing::error!(%error, "the wheels do not answer");
+        }
+        exchange.put_outbox(readings.stamp, outbox);
+        let velocity = pilot.velocity();
+        let at_rest = wheels == [0.0; 2] && velocity.v.abs() < AT_REST && velocity.w.abs() < 5.0 * AT_REST;
+        if halting > 0 && (at_rest || halting > HALTING_TICKS) {
+            return;
+        }
+    }
+}

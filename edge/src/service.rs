@@ -1,0 +1,368 @@
+//! How is the pilot fed from the bus? Thin: typed topics in, typed topics and answers out, the control loop between.
+
+use std::future::Future;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::{Serialize, de::DeserializeOwned};
+use thiserror::Error;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
+use zenav_protocol::bus::{Bus, BusError, Publisher, Shutdown};
+use zenav_protocol::messages::*;
+use zenav_protocol::topics::{self, Ask, Topic};
+
+use crate::body::Body;
+use crate::config::EdgeConfig;
+use crate::control;
+use crate::exchange::{Bundle, Exchange};
+use crate::mailbox::{Answer, Inbox, Publication, Question};
+use crate::pilot::Pilot;
+use crate::state_file::{StateError, StateFile};
+
+/// Messages of a topic that wait in the bus.
+const QUEUE: usize = 32;
+/// Time for the last messages and answers at the end.
+const DRAIN: Duration = Duration::from_secs(2);
+
+/// How an edge is run.
+#[derive(Clone, Debug)]
+pub struct ServiceConfig {
+    /// The robot.
+    pub edge: EdgeConfig,
+    /// Folder of the stored epoch and stop latch.
+    pub state_dir: PathBuf,
+    /// Simulated time against wall time; 1 for a real body.
+    pub speed: f64,
+    /// Whether the body's time is simulated: then it is published as the clock of all.
+    pub simulated: bool,
+}
+
+/// Why an edge did not start or ended early.
+#[derive(Debug, Error)]
+pub enum EdgeError {
+    /// The bus.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The stored state.
+    #[error(transparent)]
+    State(#[from] StateError),
+    /// The control thread could not be started.
+    #[error("no control thread: {0}")]
+    Thread(std::io::Error),
+    /// The speed is not one.
+    #[error("speed {0}: expected a positive number")]
+    Speed(f64),
+    /// The control thread broke off; the wheels were stopped.
+    #[error("the control thread broke off")]
+    Panicked,
+}
+
+/// Runs an edge until shutdown: the robot is stopped first, then the last messages go out. Needs no router: whoever
+/// reaches the bus's own endpoint is served.
+///
+/// # Errors
+/// [`EdgeError`].
+pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), EdgeError> {
+    if !(config.speed.is_finite() && config.speed > 0.0) {
+        return Err(EdgeError::Speed(config.speed));
+    }
+    let robot = config.edge.robot.to_string();
+    let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
+    let stored = file.load()?;
+    // A new boot counts only if the next one can be told from it: find out now whether the folder can be written.
+    file.save(stored)?;
+
+    let exchange = Arc::new(Exchange::default());
+    let mut intake = JoinSet::new();
+    hear(&mut intake, &bus, &exchange, &topics::PLAN, &robot, |inbox| {
+        &mut inbox.plans
+    })?;
+    hear(&mut intake, &bus, &exchange, &topics::HEARTBEAT, &robot, |inbox| {
+        &mut inbox.heartbeats
+    })?;
+    hear(&mut intake, &bus, &exchange, &topics::TELEOP, &robot, |inbox| {
+        &mut inbox.teleops
+    })?;
+    hear(&mut intake, &bus, &exchange, &topics::CORRECTION, &robot, |inbox| {
+        &mut inbox.corrections
+    })?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::LEASE,
+        &robot,
+        Question::Lease,
+        |answer| match answer {
+            Answer::Lease(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::STOP,
+        &robot,
+        Question::Stop,
+        |answer| match answer {
+            Answer::Stop(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::RESUME,
+        &robot,
+        Question::Resume,
+        |answer| match answer {
+            Answer::Stop(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::MODE,
+        &robot,
+        Question::Mode,
+        |answer| match answer {
+            Answer::Mode(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::PARAM,
+        &robot,
+        Question::Param,
+        |answer| match answer {
+            Answer::Param(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::BEHAVIOUR,
+        &robot,
+        Question::Behaviour,
+        |answer| match answer {
+            Answer::Behaviour(reply) => Some(reply),
+            _ => None,
+        },
+    )?;
+    serve(
+        &mut intake,
+        &bus,
+        &exchange,
+        &topics::EDGE_INFO,
+        &robot,
+        Question::Info,
+        |answer| match answer {
+            Answer::Info(reply) => Some(*reply),
+            _ => None,
+        },
+    )?;
+
+    let mut output = JoinSet::new();
+    let publishers = Publishers::new(&bus, &robot, config.simulated)?;
+    output.spawn(publish(publishers, Arc::clone(&exchange)));
+    output.spawn(clerk(file, Arc::clone(&exchange)));
+    let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
+
+    let halt = Arc::new(AtomicBool::new(false));
+    let period = Duration::from_secs_f64(config.edge.tick / config.speed);
+    let pilot = Pilot::new(config.edge, new_boot_id(), stored);
+    let ended = spawn_control(body, pilot, Arc::clone(&exchange), period, Arc::clone(&halt))?;
+    tracing::info!(robot, "edge is up");
+
+    let result = supervise(ended, &halt, &shutdown).await;
+    tracing::info!(robot, "the robot is stopped, the edge ends");
+    drop(alive);
+    intake.shutdown().await;
+    exchange.close();
+    let _ = tokio::time::timeout(DRAIN, async { while output.join_next().await.is_some() {} }).await;
+    result
+}
+
+/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread broke off.
+async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown: &Shutdown) -> Result<(), EdgeError> {
+    tokio::select! {
+        early = &mut ended => return early.map_err(|_| EdgeError::Panicked),
+        () = shutdown.wait() => halt.store(true, Ordering::Relaxed),
+    }
+    ended.await.map_err(|_| EdgeError::Panicked)
+}
+
+fn spawn_control(
+    body: Box<dyn Body>,
+    pilot: Pilot,
+    exchange: Arc<Exchange>,
+    period: Duration,
+    halt: Arc<AtomicBool>,
+) -> Result<oneshot::Receiver<()>, EdgeError> {
+    let (done, ended) = oneshot::channel();
+    let control = move || {
+        control::run(body, pilot, &exchange, period, &halt);
+        let _ = done.send(());
+    };
+    std::thread::Builder::new()
+        .name("zenav-control".to_owned())
+        .spawn(control)
+        .map_err(EdgeError::Thread)?;
+    Ok(ended)
+}
+
+/// A name for this life of the edge that no other one has.
+fn new_boot_id() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    format!("{:x}-{:x}", since.as_nanos(), std::process::id())
+}
+
+/// Carries a topic into the pilot's inbox.
+fn hear<T: DeserializeOwned + Send + 'static>(
+    tasks: &mut JoinSet<()>,
+    bus: &Bus,
+    exchange: &Arc<Exchange>,
+    topic: &'static Topic<T>,
+    robot: &str,
+    place: fn(&mut Inbox) -> &mut Vec<T>,
+) -> Result<(), BusError> {
+    let mut subscription = bus.subscribe(topic, &[robot], QUEUE)?;
+    let exchange = Arc::clone(exchange);
+    tasks.spawn(async move {
+        while let Some(received) = subscription.next().await {
+            exchange.put(received.message, place);
+        }
+    });
+    Ok(())
+}
+
+/// Carries an ask to the pilot and its answer back.
+fn serve<Q, R>(
+    tasks: &mut JoinSet<()>,
+    bus: &Bus,
+    exchange: &Arc<Exchange>,
+    ask: &'static Ask<Q, R>,
+    robot: &str,
+    question: fn(Q) -> Question,
+    reply: fn(Answer) -> Option<R>,
+) -> Result<(), BusError>
+where
+    Q: DeserializeOwned + Clone + Send + Sync + 'static,
+    R: Serialize + Send + Sync + 'static,
+{
+    let mut server = bus.serve(ask, &[robot])?;
+    let exchange = Arc::clone(exchange);
+    tasks.spawn(async move {
+        while let Some(request) = server.next().await {
+            match exchange.ask(question(request.body.clone())).await.map(reply) {
+                Ok(Some(reply)) => request.reply(&reply),
+                Ok(None) => request.refuse(&Refusal::Internal {
+                    reason: "an answer to another question".to_owned(),
+                }),
+                Err(refusal) => request.refuse(&refusal),
+            }
+        }
+    });
+    Ok(())
+}
+
+/// One publisher a topic.
+struct Publishers {
+    scan: Publisher<Scan>,
+    odometry: Publisher<Odometry>,
+    imu: Publisher<Imu>,
+    gps: Publisher<Gps>,
+    bump: Publisher<Bump>,
+    battery: Publisher<Battery>,
+    pose: Publisher<PoseEstimate>,
+    state: Publisher<EdgeState>,
+    event: Publisher<Event>,
+    marker: Publisher<Marker>,
+    clock: Option<Publisher<SimClock>>,
+}
+
+impl Publishers {
+    fn new(bus: &Bus, robot: &str, simulated: bool) -> Result<Self, BusError> {
+        let robot = &[robot];
+        Ok(Self {
+            scan: bus.publisher(&topics::SCAN, robot)?,
+            odometry: bus.publisher(&topics::ODOMETRY, robot)?,
+            imu: bus.publisher(&topics::IMU, robot)?,
+            gps: bus.publisher(&topics::GPS, robot)?,
+            bump: bus.publisher(&topics::BUMP, robot)?,
+            battery: bus.publisher(&topics::BATTERY, robot)?,
+            pose: bus.publisher(&topics::POSE, robot)?,
+            state: bus.publisher(&topics::STATE, robot)?,
+            event: bus.publisher(&topics::EVENT, robot)?,
+            marker: bus.publisher(&topics::MARKER, robot)?,
+            clock: simulated.then(|| bus.publisher(&topics::SIM_CLOCK, &[])).transpose()?,
+        })
+    }
+
+    fn put(&self, bundle: &Bundle) {
+        if let (Some(clock), Some(stamp)) = (&self.clock, bundle.now) {
+            clock.put(&SimClock { stamp });
+        }
+        for publication in &bundle.publications {
+            match publication {
+                Publication::Scan(message) => self.scan.put(message),
+                Publication::Odometry(message) => self.odometry.put(message),
+                Publication::Imu(message) => self.imu.put(message),
+                Publication::Gps(message) => self.gps.put(message),
+                Publication::Bump(message) => self.bump.put(message),
+                Publication::Battery(message) => self.battery.put(message),
+                Publication::Pose(message) => self.pose.put(message),
+                Publication::State(message) => self.state.put(message),
+                Publication::Event(message) => self.event.put(message),
+                Publication::Marker(message) => self.marker.put(message),
+            }
+        }
+    }
+}
+
+async fn publish(publishers: Publishers, exchange: Arc<Exchange>) {
+    while let Some(bundle) = exchange.bundle().await {
+        publishers.put(&bundle);
+    }
+}
+
+/// Stores, then answers: nobody learns an epoch or a latch that a power cut could take back.
+async fn clerk(file: StateFile, exchange: Arc<Exchange>) {
+    let mut unsaved = None;
+    while let Some(clerking) = exchange.clerking().await {
+        unsaved = clerking.persist.or(unsaved);
+        let failure = match unsaved {
+            None => None,
+            Some(state) => match save(file.clone(), state).await {
+                Ok(()) => {
+                    unsaved = None;
+                    None
+                }
+                Err(reason) => {
+                    tracing::error!(reason, "done, but not stored");
+                    Some(Refusal::Internal {
+                        reason: format!("done, but not stored: {reason}"),
+                    })
+                }
+            },
+        };
+        clerking.send(failure.as_ref());
+    }
+}
+
+fn save(file: StateFile, state: crate::mailbox::Persisted) -> impl Future<Output = Result<(), String>> {
+    let saved = tokio::task::spawn_blocking(move || file.save(state).map_err(|error| error.to_string()));
+    async { saved.await.unwrap_or_else(|error| Err(error.to_string())) }
+}

@@ -1,0 +1,118 @@
+//! What outlives a restart of the edge, and where does it lie? The last epoch and the stop latch, in one small file,
+//! replaced as a whole: write beside it, fsync, rename, fsync the folder.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+use zenav_protocol::id::Id;
+
+use crate::mailbox::Persisted;
+
+/// The file.
+#[derive(Clone, Debug)]
+pub struct StateFile {
+    path: PathBuf,
+}
+
+/// Why the state could not be read or written. A robot whose epochs and stop latch are unknown must not start.
+#[derive(Debug, Error)]
+pub enum StateError {
+    /// The folder or the file cannot be used.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The file holds something else.
+    #[error("{path} holds no edge state ({source}); remove it only if nobody can still hold an old lease")]
+    Malformed {
+        /// Which.
+        path: PathBuf,
+        /// Where it goes wrong.
+        source: serde_json::Error,
+    },
+}
+
+impl StateFile {
+    /// The file of a robot in a folder, which is made if need be.
+    ///
+    /// # Errors
+    /// [`StateError::Io`] when the folder cannot be made.
+    pub fn open(folder: &Path, robot: &Id) -> Result<Self, StateError> {
+        fs::create_dir_all(folder).map_err(|source| StateError::Io {
+            path: folder.to_owned(),
+            source,
+        })?;
+        Ok(Self {
+            path: folder.join(format!("edge-{robot}.json")),
+        })
+    }
+
+    /// What is stored; the beginning of everything when there is no file yet.
+    ///
+    /// # Errors
+    /// [`StateError`].
+    pub fn load(&self) -> Result<Persisted, StateError> {
+        match fs::read(&self.path) {
+            Ok(bytes) => serde_json::from_slice(&bytes).map_err(|source| StateError::Malformed {
+                path: self.path.clone(),
+                source,
+            }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Persisted::default()),
+            Err(source) => Err(StateError::Io {
+                path: self.path.clone(),
+                source,
+            }),
+        }
+    }
+
+    /// Stores, durably: after a return without an error no power cut loses it.
+    ///
+    /// # Errors
+    /// [`StateError::Io`]; what was stored before is still there.
+    pub fn save(&self, state: Persisted) -> Result<(), StateError> {
+        let io = |source| StateError::Io {
+            path: self.path.clone(),
+            source,
+        };
+        let bytes = serde_json::to_vec(&state).map_err(|source| StateError::Malformed {
+            path: self.path.clone(),
+            source,
+        })?;
+        let beside = self.path.with_extension("json.new");
+        let mut file = File::create(&beside).map_err(io)?;
+        file.write_all(&bytes).and_then(|()| file.sync_all()).map_err(io)?;
+        fs::rename(&beside, &self.path).map_err(io)?;
+        let folder = self
+            .path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_saved_is_loaded_and_a_broken_file_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = StateFile::open(&folder.path().join("new"), &Id::robot("tiago").unwrap()).unwrap();
+        assert_eq!(file.load().unwrap(), Persisted::default());
+        let state = Persisted {
+            epoch: 42,
+            stopped: true,
+        };
+        file.save(state).unwrap();
+        assert_eq!(file.load().unwrap(), state);
+        fs::write(&file.path, b"{\"epoch\": 4").unwrap();
+        assert!(file.load().unwrap_err().to_string().contains("edge-tiago.json"));
+    }
+}

@@ -1,0 +1,177 @@
+//! A world, a robot and its pilot in lockstep, and a small mission that keeps its lease.
+
+use nalgebra::Point2;
+use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question, Ticket};
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::*;
+use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_sim::{RobotSpec, Simulation, Truth, World};
+
+pub struct Rig {
+    pub pilot: Pilot,
+    pub sim: Simulation,
+    pub model: RobotModel,
+    pub epoch: u64,
+    pub teleop: Option<Twist2>,
+    pub plan: Option<Plan>,
+    pub state: Option<EdgeState>,
+    pub pose: Option<PoseEstimate>,
+    pub events: Vec<EventKind>,
+    counter: u64,
+    ticks: u64,
+}
+
+impl Rig {
+    pub fn new(world: &str, robot: &str, seed: u64, role: LeaseRole) -> Self {
+        let world = World::shipped(world).unwrap();
+        let model = RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap();
+        let id = Id::robot(robot).unwrap();
+        let sim = Simulation::new(
+            &world,
+            vec![RobotSpec {
+                id: id.clone(),
+                model: model.clone(),
+                start: world.start(),
+            }],
+            seed,
+        )
+        .unwrap();
+        let pilot = Pilot::new(
+            EdgeConfig::new(id, model.clone(), world.start()),
+            "boot".into(),
+            Persisted::default(),
+        );
+        let mut rig = Self {
+            pilot,
+            sim,
+            model,
+            epoch: 0,
+            teleop: None,
+            plan: None,
+            state: None,
+            pose: None,
+            events: Vec::new(),
+            counter: 0,
+            ticks: 0,
+        };
+        let request = LeaseRequest {
+            holder: "m".into(),
+            role,
+            action: LeaseAction::Acquire,
+            request_id: "1".into(),
+        };
+        let out = rig.tick(Inbox {
+            questions: vec![(Ticket(1), Question::Lease(request))],
+            ..Inbox::default()
+        });
+        assert_eq!(
+            out.persist,
+            Some(Persisted {
+                epoch: 1,
+                stopped: false
+            })
+        );
+        rig.epoch = 1;
+        rig
+    }
+
+    pub fn tick(&mut self, mut inbox: Inbox) -> Outbox {
+        self.sim.step();
+        self.ticks += 1;
+        let readings = self.sim.readings(0);
+        if self.ticks.is_multiple_of(5) && self.epoch > 0 {
+            self.counter += 1;
+            inbox.heartbeats.push(Heartbeat {
+                holder: "m".into(),
+                epoch: self.epoch,
+                counter: self.counter,
+            });
+            if let (Some(twist), Some(state)) = (self.teleop, &self.state) {
+                inbox.teleops.push(Teleop {
+                    epoch: self.epoch,
+                    twist,
+                    echo: state.stamp,
+                });
+            }
+        }
+        if self.ticks.is_multiple_of(50)
+            && let Some(plan) = &mut self.plan
+        {
+            plan.revision.counter += 1;
+            plan.based_on.stamp = self.sim.now() - std::time::Duration::from_millis(100);
+            inbox.plans.push(plan.clone());
+        }
+        let out = self.pilot.step(readings.stamp, &readings, inbox);
+        self.sim.drive(0, out.wheels);
+        for publication in &out.publications {
+            match publication {
+                Publication::Event(event) => self.events.push(event.kind.clone()),
+                Publication::State(state) => self.state = Some((**state).clone()),
+                Publication::Pose(pose) => self.pose = Some(pose.clone()),
+                _ => {}
+            }
+        }
+        out
+    }
+
+    pub fn run(&mut self, secs: f64) {
+        for _ in 0..(secs * 50.0) as usize {
+            self.tick(Inbox::default());
+        }
+    }
+
+    pub fn truth(&self) -> Truth {
+        self.sim.truth(0)
+    }
+
+    pub fn plan(&self, waypoints: &[(f64, f64)], trajectory: Vec<TrajectoryPoint>) -> Plan {
+        Plan {
+            goal_id: "g".into(),
+            epoch: self.epoch,
+            revision: Revision {
+                incarnation: 1,
+                counter: 1,
+            },
+            trajectory_id: 1,
+            map: MapRef::default(),
+            frame: "map".into(),
+            based_on: BasedOn {
+                stamp: self.sim.now(),
+                boot_id: "boot".into(),
+            },
+            valid_for: 5.0,
+            waypoints: waypoints.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
+            trajectory,
+            splice: None,
+            statistics: PlanStatistics::default(),
+        }
+    }
+
+    /// Drives the plan until it is finished; the time it took, s.
+    pub fn drive(&mut self, plan: Plan, limit: f64, mut each_tick: impl FnMut(&Self)) -> f64 {
+        let begun = self.sim.now();
+        let id = plan.trajectory_id;
+        self.plan = Some(plan);
+        loop {
+            self.tick(Inbox::default());
+            each_tick(self);
+            let secs = self.sim.now().secs_since(begun);
+            let finished = self
+                .state
+                .as_ref()
+                .and_then(|state| state.plan.as_ref())
+                .is_some_and(|plan| plan.finished && plan.trajectory_id == id);
+            if finished {
+                return secs;
+            }
+            assert!(
+                secs < limit,
+                "not finished after {secs} s at {:?}: {:?} {:?}",
+                self.truth(),
+                self.state,
+                self.events
+            );
+        }
+    }
+}

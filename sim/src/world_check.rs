@@ -1,0 +1,180 @@
+//! Which values may a world hold? Finite, bounded, and outlines that enclose an area; what is wrong is named with its line.
+
+use std::ops::Range;
+
+use nalgebra::Point2;
+use thiserror::Error;
+use toml::Spanned;
+
+use crate::shape;
+
+/// Most polygons, circles and walls, each.
+pub const MAX_SHAPES: usize = 20_000;
+/// Most corners of one polygon or path.
+pub const MAX_CORNERS: usize = 1_000;
+/// Most corners of all polygons together.
+pub const MAX_ALL_CORNERS: usize = 200_000;
+/// Most movers, and most places.
+pub const MAX_MOVERS: usize = 1_000;
+/// Coordinates lie within this, m.
+pub const MAX_COORDINATE: f64 = 100_000.0;
+/// Movers are not faster than this, m/s.
+pub const MAX_MOVER_SPEED: f64 = 20.0;
+
+/// Why a world was refused.
+#[derive(Debug, Error)]
+pub enum WorldError {
+    /// No world of this name is shipped.
+    #[error("no shipped world is named `{name}`: there are {known}")]
+    Unknown {
+        /// The name.
+        name: String,
+        /// The names that there are.
+        known: String,
+    },
+    /// The TOML does not fit: an unknown, missing or mistyped key.
+    #[error("{file}:{line}: {source}")]
+    Toml {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// What and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A value that no world has.
+    #[error("{file}:{line}: `{key}`: {problem}")]
+    Value {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// The key.
+        key: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// The text, to turn places in it into lines.
+#[derive(Clone, Copy)]
+pub(crate) struct Source<'a> {
+    pub text: &'a str,
+    pub file: &'a str,
+}
+
+impl Source<'_> {
+    pub fn line(self, span: Range<usize>) -> usize {
+        1 + self.text.bytes().take(span.start).filter(|byte| *byte == b'\n').count()
+    }
+
+    pub fn fail<T>(self, span: Range<usize>, key: &'static str, problem: impl Into<String>) -> Result<T, WorldError> {
+        Err(WorldError::Value {
+            file: self.file.to_owned(),
+            line: self.line(span),
+            key,
+            problem: problem.into(),
+        })
+    }
+
+    pub fn positive(self, value: &Spanned<f64>, key: &'static str) -> Result<f64, WorldError> {
+        let number = *value.get_ref();
+        if number > 0.0 && number <= MAX_COORDINATE {
+            Ok(number)
+        } else {
+            self.fail(
+                value.span(),
+                key,
+                format!("{number}: expected a positive number up to {MAX_COORDINATE}"),
+            )
+        }
+    }
+
+    pub fn coordinates(self, span: Range<usize>, key: &'static str, values: &[f64]) -> Result<(), WorldError> {
+        match values
+            .iter()
+            .find(|value| !value.is_finite() || value.abs() > MAX_COORDINATE)
+        {
+            None => Ok(()),
+            Some(value) => self.fail(span, key, format!("{value}: expected a number within {MAX_COORDINATE}")),
+        }
+    }
+
+    pub fn points(
+        self,
+        points: &Spanned<Vec<[f64; 2]>>,
+        key: &'static str,
+        least: usize,
+    ) -> Result<Vec<Point2<f64>>, WorldError> {
+        let count = points.get_ref().len();
+        if !(least..=MAX_CORNERS).contains(&count) {
+            return self.fail(
+                points.span(),
+                key,
+                format!("{count} points: expected {least} to {MAX_CORNERS}"),
+            );
+        }
+        for point in points.get_ref() {
+            self.coordinates(points.span(), key, point)?;
+        }
+        Ok(points.get_ref().iter().map(|[x, y]| Point2::new(*x, *y)).collect())
+    }
+
+    /// A simple polygon, brought into counter-clockwise order.
+    pub fn polygon(self, points: &Spanned<Vec<[f64; 2]>>, key: &'static str) -> Result<Vec<Point2<f64>>, WorldError> {
+        let mut corners = self.points(points, key, 3)?;
+        let edges: Vec<_> = shape::edges(&corners).collect();
+        if let Some(edge) = edges.iter().find(|edge| edge.a == edge.b) {
+            return self.fail(
+                points.span(),
+                key,
+                format!("the corner ({}, {}) stands twice in a row", edge.a.x, edge.a.y),
+            );
+        }
+        for (i, edge) in edges.iter().enumerate() {
+            // Neighbours share a corner: they may only not turn straight back.
+            let next = edges[(i + 1) % edges.len()];
+            let (along, on) = (edge.b - edge.a, next.b - next.a);
+            if shape::cross(along, on) == 0.0 && along.dot(&on) < 0.0 {
+                return self.fail(
+                    points.span(),
+                    key,
+                    format!("the outline turns straight back at ({}, {})", edge.b.x, edge.b.y),
+                );
+            }
+            let others = edges
+                .iter()
+                .enumerate()
+                .skip(i + 2)
+                .filter(|(j, _)| i != 0 || j + 1 != edges.len());
+            for (_, other) in others {
+                if shape::touch(*edge, *other) {
+                    return self.fail(
+                        points.span(),
+                        key,
+                        format!(
+                            "the outline meets itself between ({}, {}) and ({}, {})",
+                            edge.a.x, edge.a.y, edge.b.x, edge.b.y
+                        ),
+                    );
+                }
+            }
+        }
+        let area = shape::doubled_area(&corners);
+        if area.abs() <= 1e-12 {
+            return self.fail(points.span(), key, "the outline encloses no area");
+        }
+        if area < 0.0 {
+            corners.reverse();
+        }
+        Ok(corners)
+    }
+
+    pub fn count(self, count: usize, limit: usize, key: &'static str) -> Result<(), WorldError> {
+        if count <= limit {
+            Ok(())
+        } else {
+            self.fail(0..0, key, format!("{count} of them: expected at most {limit}"))
+        }
+    }
+}
