@@ -17,6 +17,8 @@ use crate::failure::Failure;
 
 /// Where the router is unless told otherwise: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+/// Where the first robot of a machine listens itself unless told otherwise (`single.toml`).
+pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// How long to look for a robot that does not show at once: it may just be starting.
 const LOOK_FOR: Duration = Duration::from_millis(2000);
@@ -31,7 +33,7 @@ const STATE_ROUND: Duration = Duration::from_millis(300);
 #[derive(Clone, Debug, clap::Args)]
 pub struct LinkArgs {
     /// Router to connect to, or a robot's own endpoint; of several, separated by commas, one is enough
-    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT)]
+    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Longest wait for a connection or an answer, s
     #[arg(long, global = true, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
@@ -61,13 +63,24 @@ fn robot_name(text: &str) -> Result<String, String> {
     Id::robot(text).map(String::from).map_err(|error| error.to_string())
 }
 
+fn endpoint(text: &str) -> Result<String, String> {
+    match text.split_once('/') {
+        Some((protocol, address)) if !protocol.is_empty() && !address.is_empty() => Ok(text.to_owned()),
+        _ => Err(format!("expected an endpoint, such as {DEFAULT_ENDPOINT}")),
+    }
+}
+
 /// A finite number on the command line.
 ///
 /// # Errors
 /// With what was expected.
 pub fn finite(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "expected a number".to_owned())?;
-    if number.is_finite() { Ok(number) } else { Err("expected a finite number".to_owned()) }
+    if number.is_finite() {
+        Ok(number)
+    } else {
+        Err("expected a finite number".to_owned())
+    }
 }
 
 /// A positive, finite number on the command line.
@@ -76,7 +89,11 @@ pub fn finite(text: &str) -> Result<f64, String> {
 /// With what was expected.
 pub fn positive(text: &str) -> Result<f64, String> {
     let number = finite(text)?;
-    if number > 0.0 { Ok(number) } else { Err("expected a positive number".to_owned()) }
+    if number > 0.0 {
+        Ok(number)
+    } else {
+        Err("expected a positive number".to_owned())
+    }
 }
 
 /// Runs a command's work in a Tokio runtime of its own (a multi-threaded one: Zenoh needs it).
@@ -84,7 +101,10 @@ pub fn positive(text: &str) -> Result<f64, String> {
 /// # Errors
 /// The work's own, or when the system gives no threads.
 pub fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()?;
     let result = runtime.block_on(work);
     // A thread that blocks on the keyboard must not hold up the end.
     runtime.shutdown_background();
@@ -121,8 +141,20 @@ pub fn on_robot<T>(args: &RobotArgs, work: impl AsyncFnOnce(Bus, String) -> Resu
 /// [`exit_code::CANNOT_CONNECT`] when nobody is there, [`exit_code::USAGE`] for what is no endpoint.
 pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
     let endpoints = link.connect.join(", ");
-    let config = BusConfig { connect: link.connect.clone(), listen: Vec::new(), name: "zenav-cli".to_owned(), retry: false };
-    let nobody = || Failure::new(exit_code::CANNOT_CONNECT, format!("cannot connect to {endpoints}: nobody answers there (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"));
+    let config = BusConfig {
+        connect: link.connect.clone(),
+        listen: Vec::new(),
+        name: "zenav-cli".to_owned(),
+        retry: false,
+    };
+    let nobody = || {
+        Failure::new(
+            exit_code::CANNOT_CONNECT,
+            format!(
+                "cannot connect to {endpoints}: nobody answers there (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
+            ),
+        )
+    };
     match tokio::time::timeout(link.patience(), Bus::open(config)).await {
         Ok(Ok(bus)) => Ok(bus),
         Ok(Err(BusError::CannotConnect { .. })) | Err(_) => Err(nobody()),
@@ -136,9 +168,15 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
 /// When the bus was closed.
 pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Failure> {
     let mut robots = BTreeMap::<String, BTreeSet<String>>::new();
-    for key in bus.list_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]), GLANCE).await? {
+    for key in bus
+        .list_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]), GLANCE)
+        .await?
+    {
         if let Some([robot, component]) = topics::alive_chunks(topics::ALIVE_COMPONENT, &key).as_deref() {
-            robots.entry((*robot).to_owned()).or_default().insert((*component).to_owned());
+            robots
+                .entry((*robot).to_owned())
+                .or_default()
+                .insert((*component).to_owned());
         }
     }
     Ok(robots)
@@ -160,9 +198,19 @@ pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
             first_state.get_or_insert_with(Instant::now);
         }
         // A robot whose edge shows comes before one that only has a cloud waiting for it.
-        let with_edge: BTreeSet<String> = alive.iter().filter(|(_, components)| components.contains("edge")).map(|(robot, _)| robot.clone()).collect();
-        let known = if with_edge.is_empty() && seen.is_empty() { alive.keys().cloned().collect() } else { &with_edge | &seen };
-        let complete = !with_edge.is_empty() || first_state.is_some_and(|first| first.elapsed() > STATE_ROUND) || (seen.is_empty() && !known.is_empty());
+        let with_edge: BTreeSet<String> = alive
+            .iter()
+            .filter(|(_, components)| components.contains("edge"))
+            .map(|(robot, _)| robot.clone())
+            .collect();
+        let known = if with_edge.is_empty() && seen.is_empty() {
+            alive.keys().cloned().collect()
+        } else {
+            &with_edge | &seen
+        };
+        let complete = !with_edge.is_empty()
+            || first_state.is_some_and(|first| first.elapsed() > STATE_ROUND)
+            || (seen.is_empty() && !known.is_empty());
         match wanted {
             Some(name) if seen.contains(name) || alive.contains_key(name) => return Ok(name.to_owned()),
             None if complete => return choose(&known),
@@ -180,13 +228,20 @@ fn choose(known: &BTreeSet<String>) -> Result<String, Failure> {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
     match names.as_slice() {
         [one] => Ok((*one).to_owned()),
-        several => Err(Failure::usage(format!("there are several robots ({}): name one with --robot", several.join(", ")))),
+        several => Err(Failure::usage(format!(
+            "there are several robots ({}): name one with --robot",
+            several.join(", ")
+        ))),
     }
 }
 
 fn unknown(wanted: Option<&str>, known: &BTreeSet<String>) -> Failure {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
-    let found = if names.is_empty() { "no robot shows here".to_owned() } else { format!("there is {}", names.join(", ")) };
+    let found = if names.is_empty() {
+        "no robot shows here".to_owned()
+    } else {
+        format!("there is {}", names.join(", "))
+    };
     Failure::not_found(match wanted {
         Some(name) => format!("no robot `{name}`: {found}"),
         None => format!("{found} (`zenav up` or `zenav edge` starts one)"),
@@ -222,7 +277,10 @@ mod tests {
     fn an_unknown_robot_is_answered_with_the_known_ones() {
         let failure = unknown(Some("x"), &names(&["a", "b"]));
         assert_eq!(failure.code, exit_code::NOT_FOUND);
-        assert!(failure.message.contains('x') && failure.message.contains("a, b"), "{failure}");
+        assert!(
+            failure.message.contains('x') && failure.message.contains("a, b"),
+            "{failure}"
+        );
     }
 
     #[test]

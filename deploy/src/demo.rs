@@ -162,8 +162,9 @@ async fn play(args: &DemoArgs, deployment: &Deployment, world: &World, parts: &m
     let mut watch = Watch::new(&bus, id, referee)?;
     let request = GoalRequest { id: Some(format!("{}-{}", args.scenario.name(), args.seed)), tree: Some(args.scenario.name().to_owned()), ..GoalRequest::default() };
     watch.narrate("waiting for the parts");
+    let robot = [id.as_str()];
     let reply = tokio::select! {
-        reply = bus.ask(&topics::GOAL, &[id.as_str()], &request, START_UP) => reply?,
+        reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
     };
     if !args.no_ui && std::io::stderr().is_terminal() {
@@ -320,7 +321,7 @@ impl Watch {
     }
 
     fn see_goal(&mut self, goal: &GoalState) {
-        let begun = |goal: &GoalState| (goal.feedback.step.clone(), goal.feedback.legs.len());
+        let begun = |goal: &GoalState| (goal.feedback.step.clone(), goal.legs.len());
         let at_rest = self.state.as_ref().is_none_or(|state| state.velocity.v.abs() < MOVING && state.velocity.w.abs() < MOVING);
         if self.goal.as_ref().map(begun) != Some(begun(goal)) && at_rest {
             self.waiting_for_motion = Some(Instant::now());
@@ -367,7 +368,7 @@ impl Watch {
     fn report(&self, args: &DemoArgs, end: Option<GoalState>) -> DemoReport {
         let truth = self.referee.truth();
         let goal = end.clone().or_else(|| self.goal.clone());
-        let legs = goal.as_ref().map(|goal| goal.feedback.legs.clone()).unwrap_or_default();
+        let legs = goal.as_ref().map(|goal| goal.legs.clone()).unwrap_or_default();
         let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg)).collect();
         let reason = match &end {
             None => Some("it did not come to an end in time".to_owned()),

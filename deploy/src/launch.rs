@@ -175,7 +175,8 @@ impl Parts {
         let service = ServiceConfig { edge, state_dir: deployment.robot_dir(id), speed: deployment.simulation.speed, simulated: true };
         let bus = BusConfig { listen: vec![section.listen.clone()], ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect) };
         self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
-            tracing::info!(endpoints = ?bus.endpoints().await, "the robot's own endpoint");
+            let endpoints = bus.endpoints().await;
+            tracing::info!(?endpoints, "the robot's own endpoint");
             zenav_edge::run(bus, service, Box::new(body), shutdown).await.map_err(|error| Failure::failed(error.to_string()))
         });
         Ok(referee)
@@ -184,9 +185,12 @@ impl Parts {
     /// Starts the mapping of a robot.
     pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
-        let config = mapping::service::MappingConfig::new(id.clone(), deployment.mapping.resolution, deployment.robot_dir(id));
+        let mut config = mapping::service::MappingConfig::new(id.as_str());
+        config.mapper.resolution = deployment.mapping.resolution;
+        config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
-            mapping::service::run(bus, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            let clock = Clock::follow(&bus)?;
+            mapping::service::run(bus, clock, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
         });
     }
 
@@ -198,13 +202,13 @@ impl Parts {
         for number in 1..=deployment.planning.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
-            let planning = planning::service::PlanningConfig::new(worker.clone());
+            let name = worker.clone();
             self.spawn(format!("planning {worker}"), bus("planning"), move |bus, shutdown| async move {
-                planning::service::run(bus, planning, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+                planning::service::run(bus, name, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
             });
-            let smoothing = smoothing::service::SmoothingConfig::new(worker.clone());
+            let name = worker.clone();
             self.spawn(format!("smoothing {worker}"), bus("smoothing"), move |bus, shutdown| async move {
-                smoothing::service::run(bus, smoothing, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+                smoothing::service::run(bus, name, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
             });
         }
         Ok(())
@@ -276,7 +280,7 @@ impl Parts {
 /// A world's places as named goals.
 #[must_use]
 pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
-    world.places().iter().map(|place| (place.name.clone(), GoalPoint { x: place.x, y: place.y, yaw: place.yaw })).collect()
+    world.places().iter().map(|place| (place.name.to_string(), GoalPoint { x: place.x, y: place.y, yaw: place.yaw })).collect()
 }
 
 /// A runtime for services and commands.
@@ -358,7 +362,8 @@ pub fn up(args: &UpArgs) -> Outcome {
     runtime()?.block_on(async {
         let router = if deployment.router.enabled {
             let router = Router::open(&RouterConfig { listen: deployment.router.listen.clone(), connect: deployment.router.connect.clone(), ..RouterConfig::default() }).await?;
-            tracing::info!(endpoints = ?router.endpoints().await, "router up");
+            let endpoints = router.endpoints().await;
+            tracing::info!(?endpoints, "router up");
             Some(router)
         } else {
             None

@@ -8,6 +8,7 @@
 //! | `router` | the router |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
+//! | `connect` | how a command reaches the router and its robot |
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
 //! | `batch` | planning, smoothing and mapping offline |
@@ -17,6 +18,7 @@
 pub mod batch;
 pub mod cli;
 pub mod config;
+pub mod connect;
 pub mod demo;
 pub mod failure;
 pub mod files;

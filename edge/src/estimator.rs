@@ -344,8 +344,7 @@ impl Estimator {
             return Fusion::Rejected;
         };
         let distance = (innovation.transpose() * inverse * innovation)[0];
-        // Written so that NaN is rejected.
-        if !(distance <= gate) || !distance.is_finite() {
+        if !distance.is_finite() || distance > gate {
             return Fusion::Rejected;
         }
         let gain = self.covariance * jacobian.transpose() * inverse;

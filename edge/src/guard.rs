@@ -3,7 +3,7 @@
 //! The wanted twist is followed along its own arc to the first contact of the true footprint with anything seen. It is
 //! scaled down, curvature kept, until the robot can stop before that: reaction (scan age, tick, motor lag) plus braking
 //! distance `u tau + u²/(2 a)` within the free way. Where that would pin a robot that only grazes something within the
-//! margin, a time to collision of at least [`CREEP_TIME`] to the last centimetre allows it to go on slowly; motion that
+//! margin, a time to collision of at least a second with the last centimetre allows it to go on slowly; motion that
 //! does not reduce the clearance is always free. A stale scan, a command that is not finite, and contact stop it.
 
 use nalgebra::Point2;

@@ -4,12 +4,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use miette::{IntoDiagnostic, WrapErr, miette};
+use miette::{Report, miette};
 use zenav_edge::{Body, EdgeConfig, ServiceConfig};
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::messages::exit_code;
+use zenav_protocol::robot::{RobotModel, SHIPPED, shipped};
 
 /// The robot's side of zenav.
 #[derive(Debug, Parser)]
@@ -24,8 +25,8 @@ struct Arguments {
     /// Routers to connect to; the edge also works without one.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
     connect: Vec<String>,
-    /// The edge's own endpoint: an operator reaches it with no router.
-    #[arg(long, default_value = "tcp/127.0.0.1:0")]
+    /// The edge's own endpoint: whoever reaches it can stop the robot with no router; port 0 takes a free one.
+    #[arg(long, default_value = "tcp/127.0.0.1:7448")]
     listen: Vec<String>,
     /// Folder of the stored epoch and stop latch.
     #[arg(long, default_value = "zenav-state")]
@@ -69,27 +70,48 @@ fn main() -> ExitCode {
         .init();
     match start(Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(report) => {
-            tracing::error!("{report:?}");
-            ExitCode::FAILURE
+        Err(failure) => {
+            eprintln!("{:?}", failure.report);
+            ExitCode::from(failure.code)
         }
     }
 }
 
-fn start(arguments: Arguments) -> miette::Result<()> {
+/// What went wrong, and the exit code that says so.
+struct Failure {
+    code: u8,
+    report: Report,
+}
+
+impl Failure {
+    fn new(code: u8, error: impl std::fmt::Display) -> Self {
+        Self {
+            code,
+            report: miette!("{error}"),
+        }
+    }
+
+    fn usage(error: impl std::fmt::Display) -> Self {
+        Self::new(exit_code::USAGE, error)
+    }
+}
+
+/// The text of a file that stands for none of the shipped names.
+fn read_file(what: &str, path: &str, known: &[(&str, &str)]) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|error| {
+        let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
+        let reason = format!("{what} `{path}`: {error}; shipped ones are {}", names.join(", "));
+        Failure::new(exit_code::NOT_FOUND, reason)
+    })
+}
+
+fn start(arguments: Arguments) -> Result<(), Failure> {
     let model = match shipped(&arguments.robot) {
         Some(text) => RobotModel::from_toml(text, &arguments.robot),
-        None => {
-            let text = std::fs::read_to_string(&arguments.robot)
-                .into_diagnostic()
-                .wrap_err_with(|| arguments.robot.clone())?;
-            RobotModel::from_toml(&text, &arguments.robot)
-        }
+        None => RobotModel::from_toml(&read_file("robot", &arguments.robot, SHIPPED)?, &arguments.robot),
     };
-    let (model, id) = (
-        model.into_diagnostic()?,
-        Id::robot(arguments.id.clone()).into_diagnostic()?,
-    );
+    let model = model.map_err(Failure::usage)?;
+    let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
     let (body, start, speed, simulated) = body(&arguments, &model, &id)?;
     let config = ServiceConfig {
         edge: EdgeConfig::new(id, model, start),
@@ -107,22 +129,26 @@ fn start(arguments: Arguments) -> miette::Result<()> {
         .worker_threads(2)
         .enable_all()
         .build()
-        .into_diagnostic()?;
-    runtime.block_on(async {
-        let bus = Bus::open(bus).await.into_diagnostic()?;
-        tracing::info!(endpoints = ?bus.endpoints().await, "listening");
-        let shutdown = Shutdown::new();
-        tokio::spawn({
-            let shutdown = shutdown.clone();
-            async move {
-                interrupted().await;
-                shutdown.trigger();
-            }
-        });
-        let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
-        bus.close().await;
-        result.into_diagnostic()
-    })
+        .map_err(|error| Failure::new(exit_code::FAILED, error))?;
+    runtime.block_on(serve(bus, config, body))
+}
+
+async fn serve(bus: BusConfig, config: ServiceConfig, body: Box<dyn Body>) -> Result<(), Failure> {
+    let bus = Bus::open(bus)
+        .await
+        .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?;
+    tracing::info!(endpoints = ?bus.endpoints().await, "listening");
+    let shutdown = Shutdown::new();
+    tokio::spawn({
+        let shutdown = shutdown.clone();
+        async move {
+            interrupted().await;
+            shutdown.trigger();
+        }
+    });
+    let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
+    bus.close().await;
+    result.map_err(|error| Failure::new(exit_code::FAILED, error))
 }
 
 /// Waits for Ctrl-C, or the service manager's request to end.
@@ -141,39 +167,33 @@ async fn interrupted() {
 type Started = (Box<dyn Body>, Pose2, f64, bool);
 
 #[cfg(feature = "sim")]
-fn body(arguments: &Arguments, model: &RobotModel, id: &Id) -> miette::Result<Started> {
+fn body(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Started, Failure> {
     use zenav_sim::{RobotSpec, Simulation, World, world};
     let simulation = &arguments.simulation;
     let Some(name) = &simulation.world else {
-        return Err(miette!(
-            "no driver for a real body is built in: name a simulated `--world`"
-        ));
+        let reason = "no driver for a real body is built in: name a simulated `--world`";
+        return Err(Failure::usage(reason));
     };
     let world = if world::shipped(name).is_some() {
         World::shipped(name)
     } else {
-        let text = std::fs::read_to_string(name)
-            .into_diagnostic()
-            .wrap_err_with(|| name.clone())?;
-        World::from_toml(&text, name, &|_| {
-            Err("this binary reads no map images; use `zenav edge`".to_owned())
-        })
+        let no_images = |_: &str| Err("this binary reads no map images; use `zenav edge`".to_owned());
+        World::from_toml(&read_file("world", name, world::SHIPPED)?, name, &no_images)
     };
-    let world = world.into_diagnostic()?;
+    let world = world.map_err(Failure::usage)?;
     let start = arguments.start.unwrap_or_else(|| world.start());
     let spec = RobotSpec {
         id: id.clone(),
         model: model.clone(),
         start,
     };
-    let simulated = Simulation::new(&world, vec![spec], simulation.seed).into_diagnostic()?;
-    let (body, _) = zenav_edge::SimBody::new(simulated, 0).into_diagnostic()?;
+    let simulated = Simulation::new(&world, vec![spec], simulation.seed).map_err(Failure::usage)?;
+    let (body, _) = zenav_edge::SimBody::new(simulated, 0).map_err(Failure::usage)?;
     Ok((Box::new(body), start, simulation.speed, true))
 }
 
 #[cfg(not(feature = "sim"))]
-fn body(_: &Arguments, _: &RobotModel, _: &Id) -> miette::Result<Started> {
-    Err(miette!(
-        "no driver for a real body is built in, and this binary was built without the feature `sim`"
-    ))
+fn body(_: &Arguments, _: &RobotModel, _: &Id) -> Result<Started, Failure> {
+    let reason = "no driver for a real body is built in, and this binary was built without the feature `sim`";
+    Err(Failure::usage(reason))
 }

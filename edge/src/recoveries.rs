@@ -56,7 +56,7 @@ impl Behaviour {
     ) -> Result<Self, String> {
         let (motion, allowance) = match *action {
             BehaviourAction::Spin { angle } => {
-                if !(angle.abs() <= 4.0 * std::f64::consts::PI) {
+                if !angle.is_finite() || angle.abs() > 4.0 * std::f64::consts::PI {
                     return Err("expected an angle of at most 4 pi".into());
                 }
                 (
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_spin_turns_by_its_angle_and_more_than_half_a_circle() {
-        for angle in [1.57, -1.57, 6.28] {
+        for angle in [1.5, -1.5, 6.2] {
             let (report, pose) = run(&BehaviourAction::Spin { angle }, false);
             assert_eq!(report.state, BehaviourState::Succeeded);
             assert!(wrap_angle(pose.yaw - 3.0 - angle).abs() < 0.05, "{angle}: {pose:?}");

@@ -20,7 +20,11 @@ pub struct BeamOptions {
 
 impl Default for BeamOptions {
     fn default() -> Self {
-        Self { trim: 2, max_range: None, clear_without_return: true }
+        Self {
+            trim: 2,
+            max_range: None,
+            clear_without_return: true,
+        }
     }
 }
 
@@ -54,18 +58,39 @@ impl BeamReader {
         }
         let full_circle = scan.angle_increment * (count as f64 + 0.5) > TAU;
         let trim = if full_circle { 0 } else { options.trim.min(count) };
-        let usable = options.max_range.filter(|range| *range > 0.0).map_or(scan.range_max, |range| range.min(scan.range_max));
+        let usable = options
+            .max_range
+            .filter(|range| *range > 0.0)
+            .map_or(scan.range_max, |range| range.min(scan.range_max));
         let laser = scan.map_from_laser();
         let (yaw_sin, yaw_cos) = laser.yaw.sin_cos();
-        for (number, (range, [sin, cos])) in scan.ranges.iter().zip(&self.directions).enumerate().take(count - trim).skip(trim) {
+        for (number, (range, [sin, cos])) in scan
+            .ranges
+            .iter()
+            .zip(&self.directions)
+            .enumerate()
+            .take(count - trim)
+            .skip(trim)
+        {
             let measured = f64::from(*range);
             let hit = measured <= usable;
-            if measured.is_nan() || measured < scan.range_min || (measured > scan.range_max && !options.clear_without_return) {
+            if measured.is_nan()
+                || measured < scan.range_min
+                || (measured > scan.range_max && !options.clear_without_return)
+            {
                 continue;
             }
             let range = measured.min(usable);
-            let end = Point2::new(laser.x + range * (yaw_cos * cos - yaw_sin * sin), laser.y + range * (yaw_sin * cos + yaw_cos * sin));
-            beams.push(Beam { end, range, number, hit });
+            let end = Point2::new(
+                laser.x + range * (yaw_cos * cos - yaw_sin * sin),
+                laser.y + range * (yaw_sin * cos + yaw_cos * sin),
+            );
+            beams.push(Beam {
+                end,
+                range,
+                number,
+                hit,
+            });
         }
     }
 }
@@ -78,7 +103,17 @@ mod tests {
     use super::*;
 
     fn scan(angle_increment: f64, ranges: Vec<f32>) -> Scan {
-        Scan { stamp: Stamp(1), angle_min: 0.0, angle_increment, range_min: 0.1, range_max: 5.0, ranges, base_from_laser: Pose2::new(1.0, 0.0, 0.0), map_from_odom: Pose2::IDENTITY, odom_from_base: Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2) }
+        Scan {
+            stamp: Stamp(1),
+            angle_min: 0.0,
+            angle_increment,
+            range_min: 0.1,
+            range_max: 5.0,
+            ranges,
+            base_from_laser: Pose2::new(1.0, 0.0, 0.0),
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2),
+        }
     }
 
     fn read(scan: &Scan, options: &BeamOptions) -> Vec<Beam> {
@@ -89,22 +124,51 @@ mod tests {
 
     #[test]
     fn a_beam_ends_where_the_laser_stands_and_looks() {
-        let beams = read(&scan(0.1, vec![2.0]), &BeamOptions { trim: 0, ..BeamOptions::default() });
+        let beams = read(
+            &scan(0.1, vec![2.0]),
+            &BeamOptions {
+                trim: 0,
+                ..BeamOptions::default()
+            },
+        );
         assert!((beams[0].end - Point2::new(0.0, 5.0)).norm() < 1e-12 && beams[0].hit);
     }
 
     #[test]
     fn readings_that_mean_nothing_are_dropped_and_far_ones_clear() {
         let scan = scan(0.1, vec![0.05, f32::NAN, -1.0, 1.0, 4.5, f32::INFINITY]);
-        let options = BeamOptions { trim: 0, max_range: Some(4.0), clear_without_return: true };
+        let options = BeamOptions {
+            trim: 0,
+            max_range: Some(4.0),
+            clear_without_return: true,
+        };
         let beams = read(&scan, &options);
-        assert_eq!(beams.iter().map(|beam| (beam.number, beam.hit, beam.range)).collect::<Vec<_>>(), vec![(3, true, 1.0), (4, false, 4.0), (5, false, 4.0)]);
-        assert_eq!(read(&scan, &BeamOptions { clear_without_return: false, ..options }).len(), 2);
+        assert_eq!(
+            beams
+                .iter()
+                .map(|beam| (beam.number, beam.hit, beam.range))
+                .collect::<Vec<_>>(),
+            vec![(3, true, 1.0), (4, false, 4.0), (5, false, 4.0)]
+        );
+        assert_eq!(
+            read(
+                &scan,
+                &BeamOptions {
+                    clear_without_return: false,
+                    ..options
+                }
+            )
+            .len(),
+            2
+        );
     }
 
     #[test]
     fn only_an_open_sweep_is_trimmed() {
-        let options = BeamOptions { trim: 3, ..BeamOptions::default() };
+        let options = BeamOptions {
+            trim: 3,
+            ..BeamOptions::default()
+        };
         assert_eq!(read(&scan(0.1, vec![1.0; 10]), &options).len(), 4);
         assert_eq!(read(&scan(TAU / 10.0, vec![1.0; 10]), &options).len(), 10);
         assert_eq!(read(&scan(0.1, vec![1.0; 5]), &options).len(), 0);

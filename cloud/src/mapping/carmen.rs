@@ -64,21 +64,34 @@ pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> 
     let failed = |source| CarmenError::Io { line: 0, source };
     let mut file = BufReader::new(File::open(path).map_err(failed)?);
     let compressed = file.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]);
-    let input: Box<dyn BufRead> = if compressed { Box::new(BufReader::new(MultiGzDecoder::new(file))) } else { Box::new(file) };
+    let input: Box<dyn BufRead> = if compressed {
+        Box::new(BufReader::new(MultiGzDecoder::new(file)))
+    } else {
+        Box::new(file)
+    };
     Ok(CarmenReader::new(input))
 }
 
 impl<R: BufRead> CarmenReader<R> {
     /// Reads from plain text.
     pub fn new(input: R) -> Self {
-        Self { input, line: 0, buffer: Vec::new(), failed: false }
+        Self {
+            input,
+            line: 0,
+            buffer: Vec::new(),
+            failed: false,
+        }
     }
 
     fn next_scan(&mut self) -> Result<Option<Scan>, CarmenError> {
         loop {
             self.buffer.clear();
             let read = (&mut self.input).take(MAX_LINE).read_until(b'\n', &mut self.buffer);
-            if read.map_err(|source| CarmenError::Io { line: self.line, source })? == 0 {
+            if read.map_err(|source| CarmenError::Io {
+                line: self.line,
+                source,
+            })? == 0
+            {
                 return Ok(None);
             }
             self.line += 1;
@@ -90,7 +103,9 @@ impl<R: BufRead> CarmenReader<R> {
             let Ok(text) = std::str::from_utf8(&self.buffer) else {
                 return Err(wrong("expected text".to_owned()));
             };
-            let mut words = Words { words: text.split_ascii_whitespace() };
+            let mut words = Words {
+                words: text.split_ascii_whitespace(),
+            };
             let scan = match words.words.next() {
                 Some("FLASER") => words.front_laser(),
                 Some("ROBOTLASER1") => words.robot_laser(),
@@ -124,18 +139,30 @@ struct Words<'t> {
 
 impl Words<'_> {
     fn number(&mut self, what: &str) -> Result<f64, String> {
-        let word = self.words.next().ok_or_else(|| format!("expected {what}, found the end of the line"))?;
-        word.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| format!("expected {what}, found `{}`", word.chars().take(40).collect::<String>()))
+        let word = self
+            .words
+            .next()
+            .ok_or_else(|| format!("expected {what}, found the end of the line"))?;
+        word.parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite())
+            .ok_or_else(|| format!("expected {what}, found `{}`", word.chars().take(40).collect::<String>()))
     }
 
     fn count(&mut self, what: &str) -> Result<usize, String> {
         let number = self.number(what)?;
-        if number.fract() == 0.0 && (0.0..=MAX_BEAMS as f64).contains(&number) { Ok(number as usize) } else { Err(format!("expected {what} up to {MAX_BEAMS}, found {number}")) }
+        if number.fract() == 0.0 && (0.0..=MAX_BEAMS as f64).contains(&number) {
+            Ok(number as usize)
+        } else {
+            Err(format!("expected {what} up to {MAX_BEAMS}, found {number}"))
+        }
     }
 
     fn ranges(&mut self) -> Result<Vec<f32>, String> {
         let count = self.count("the number of readings")?;
-        (0..count).map(|_| self.number("a reading").map(|range| range as f32)).collect()
+        (0..count)
+            .map(|_| self.number("a reading").map(|range| range as f32))
+            .collect()
     }
 
     fn pose(&mut self) -> Result<Pose2, String> {
@@ -170,11 +197,24 @@ impl Words<'_> {
         }
         let laser = self.pose()?;
         self.pose()?;
-        for what in ["the forward speed", "the turning speed", "the forward safety distance", "the side safety distance", "the turn axis"] {
+        for what in [
+            "the forward speed",
+            "the turning speed",
+            "the forward safety distance",
+            "the side safety distance",
+            "the turn axis",
+        ] {
             self.number(what)?;
         }
         let time = self.number("the time")?;
-        Ok(scan(time, laser, angle_min, angle_increment, range_max.min(NOTHING_SEEN), ranges))
+        Ok(scan(
+            time,
+            laser,
+            angle_min,
+            angle_increment,
+            range_max.min(NOTHING_SEEN),
+            ranges,
+        ))
     }
 }
 
@@ -210,11 +250,20 @@ pub struct BuildReport {
 }
 
 /// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
-pub const LOG_BEAMS: BeamOptions = BeamOptions { trim: 0, max_range: None, clear_without_return: false };
+pub const LOG_BEAMS: BeamOptions = BeamOptions {
+    trim: 0,
+    max_range: None,
+    clear_without_return: false,
+};
 
 /// Builds a map of scans at known poses, in their order.
 #[must_use]
-pub fn build_map(scans: &[Scan], resolution: f64, mode: InsertMode, beams: &BeamOptions) -> (OccupancyGrid, BuildReport) {
+pub fn build_map(
+    scans: &[Scan],
+    resolution: f64,
+    mode: InsertMode,
+    beams: &BeamOptions,
+) -> (OccupancyGrid, BuildReport) {
     let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
     let drawn: usize = scans.iter().map(|scan| map.insert(scan, beams, mode, None)).sum();
     let counts = map.counts();
@@ -245,19 +294,36 @@ pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement 
     let share = |class: Occupancy| {
         let spec = reference.spec();
         let (mut both, mut in_reference) = (0_u64, 0_u64);
-        for (index, value) in reference.values().iter().enumerate().filter(|(_, value)| Occupancy::of(**value) == class) {
+        for (index, value) in reference
+            .values()
+            .iter()
+            .enumerate()
+            .filter(|(_, value)| Occupancy::of(**value) == class)
+        {
             in_reference += 1;
-            let theirs = if other.spec() == spec { other.values().get(index) } else { other.at(spec.center(spec.cell(index))) };
+            let theirs = if other.spec() == spec {
+                other.values().get(index)
+            } else {
+                other.at(spec.center(spec.cell(index)))
+            };
             both += u64::from(theirs.is_some_and(|theirs| Occupancy::of(*theirs) == Occupancy::of(*value)));
         }
-        let in_other = other.values().iter().filter(|value| Occupancy::of(**value) == class).count() as u64;
+        let in_other = other
+            .values()
+            .iter()
+            .filter(|value| Occupancy::of(**value) == class)
+            .count() as u64;
         let most = in_reference.max(in_other);
         if most == 0 { 1.0 } else { both as f64 / most as f64 }
     };
-    Agreement { occupied: share(Occupancy::Occupied), free: share(Occupancy::Free) }
+    Agreement {
+        occupied: share(Occupancy::Occupied),
+        free: share(Occupancy::Free),
+    }
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -267,25 +333,56 @@ mod tests {
     fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
         let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
         assert_eq!(scans.len(), 2);
-        assert_eq!((scans[0].ranges.as_slice(), scans[0].map_from_laser(), scans[0].stamp), ([1.0, 2.0, 81.9].as_slice(), Pose2::new(0.5, -0.5, 0.1), Stamp::from_secs(1.25)));
+        assert_eq!(
+            (scans[0].ranges.as_slice(), scans[0].map_from_laser(), scans[0].stamp),
+            (
+                [1.0, 2.0, 81.9].as_slice(),
+                Pose2::new(0.5, -0.5, 0.1),
+                Stamp::from_secs(1.25)
+            )
+        );
         assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
-        assert_eq!((scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()), (-1.5, 0.5, 2));
+        assert_eq!(
+            (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
+            (-1.5, 0.5, 2)
+        );
     }
 
     #[test]
     fn a_mistake_is_named_with_its_line() {
-        let error = |text: &str| CarmenReader::new(text.as_bytes()).find_map(Result::err).unwrap().to_string();
-        assert_eq!(error("ODOM\nFLASER 3 1.0 2.0\n"), "line 2: expected a reading, found the end of the line");
-        assert_eq!(error("FLASER many 1.0\n"), "line 1: expected the number of readings, found `many`");
-        assert_eq!(error("FLASER 1e9 1.0\n"), "line 1: expected the number of readings up to 10000, found 1000000000");
-        assert_eq!(error("FLASER 1 nan 0 0 0 0 0 0 1\n"), "line 1: expected a reading, found `nan`");
+        let error = |text: &str| {
+            CarmenReader::new(text.as_bytes())
+                .find_map(Result::err)
+                .unwrap()
+                .to_string()
+        };
+        assert_eq!(
+            error("ODOM\nFLASER 3 1.0 2.0\n"),
+            "line 2: expected a reading, found the end of the line"
+        );
+        assert_eq!(
+            error("FLASER many 1.0\n"),
+            "line 1: expected the number of readings, found `many`"
+        );
+        assert_eq!(
+            error("FLASER 1e9 1.0\n"),
+            "line 1: expected the number of readings up to 10000, found 1000000000"
+        );
+        assert_eq!(
+            error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
+            "line 1: expected a reading, found `nan`"
+        );
     }
 
     #[test]
     fn a_compressed_log_reads_like_a_plain_one_and_a_broken_one_is_an_error() {
         use std::io::Write;
         let folder = tempfile::tempdir().unwrap();
-        let (plain, packed, broken) = (folder.path().join("a.log"), folder.path().join("a.log.gz"), folder.path().join("b.log.gz"));
+        let (plain, packed, broken) = (
+            folder.path().join("a.log"),
+            folder.path().join("a.log.gz"),
+            folder.path().join("b.log.gz"),
+        );
         std::fs::write(&plain, LOG).unwrap();
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         encoder.write_all(LOG.as_bytes()).unwrap();
@@ -301,9 +398,28 @@ mod tests {
     fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
         let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
         let (map, report) = build_map(&scans, 0.05, InsertMode::Reference, &LOG_BEAMS);
-        assert_eq!((report.scans, report.beams, report.free + report.occupied + report.unknown), (2, 4, report.cells));
-        assert_eq!(agreement(&map, &map), Agreement { occupied: 1.0, free: 1.0 });
+        assert_eq!(
+            (
+                report.scans,
+                report.beams,
+                report.free + report.occupied + report.unknown
+            ),
+            (2, 4, report.cells)
+        );
+        assert_eq!(
+            agreement(&map, &map),
+            Agreement {
+                occupied: 1.0,
+                free: 1.0
+            }
+        );
         let (empty, _) = build_map(&[], 0.05, InsertMode::Reference, &LOG_BEAMS);
-        assert_eq!(agreement(&map, &empty), Agreement { occupied: 0.0, free: 0.0 });
+        assert_eq!(
+            agreement(&map, &empty),
+            Agreement {
+                occupied: 0.0,
+                free: 0.0
+            }
+        );
     }
 }

@@ -31,7 +31,13 @@ pub struct SensorModel {
 
 impl Default for SensorModel {
     fn default() -> Self {
-        Self { prior: 0.289, hit: 0.825, miss: 0.366, least: 0.119, most: 0.971 }
+        Self {
+            prior: 0.289,
+            hit: 0.825,
+            miss: 0.366,
+            least: 0.119,
+            most: 0.971,
+        }
     }
 }
 
@@ -46,8 +52,21 @@ pub(super) struct Evidence {
     pub(super) percent: [i8; 256],
 }
 
-/// The byte of a cell that nobody has seen.
+/// The byte of a cell that nobody has seen: zero, as memory comes.
 pub(super) const UNSEEN: u8 = 0;
+
+/// Eight bits as eight bytes, 255 for a set bit.
+const BYTES_OF_BITS: [[u8; 8]; 256] = {
+    let mut table = [[0; 8]; 256];
+    let mut at = 0;
+    while at < 256 * 8 {
+        if (at / 8) >> (at % 8) & 1 == 1 {
+            table[at / 8][at % 8] = 255;
+        }
+        at += 1;
+    }
+    table
+};
 
 impl Evidence {
     /// Probabilities outside (0, 1), and numbers that are not any, are brought inside.
@@ -60,22 +79,40 @@ impl Evidence {
         let steps = |probability: f64| log_odds_steps(probability).abs().clamp(1.0, 127.0) as u8;
         let least = level(model.least.min(0.5));
         let most = level(model.most.max(0.5));
-        Self { prior: level(model.prior), hit: steps(model.hit.max(0.5)), miss: steps(model.miss.min(0.5)), least, most, percent }
+        Self {
+            prior: level(model.prior),
+            hit: steps(model.hit.max(0.5)),
+            miss: steps(model.miss.min(0.5)),
+            least,
+            most,
+            percent,
+        }
     }
 
     /// The byte of an occupancy value.
     pub(super) fn of_percent(&self, percent: i8) -> u8 {
-        if percent < 0 { UNSEEN } else { level(f64::from(percent) / 100.0).clamp(self.least, self.most) }
+        if percent < 0 {
+            UNSEEN
+        } else {
+            level(f64::from(percent) / 100.0).clamp(self.least, self.most)
+        }
     }
 
-    /// Takes notice of a miss in every cell of a run; says whether anything changed.
-    pub(super) fn miss(&self, cells: &mut [u8]) -> bool {
+    /// Takes notice of a miss in every cell of 64 whose bit is set; says whether anything changed.
+    pub(super) fn miss(&self, cells: &mut [u8; 64], missed: u64) -> bool {
+        // Most of what is seen has been seen to be empty before.
+        if cells.iter().fold(0, |differs, cell| differs | (cell ^ self.least)) == 0 {
+            return false;
+        }
         let mut changed = 0;
-        for cell in cells {
-            let before = if *cell == UNSEEN { self.prior } else { *cell };
-            let after = before.saturating_sub(self.miss).max(self.least);
-            changed |= after ^ *cell;
-            *cell = after;
+        for (eight, bits) in cells.as_chunks_mut::<8>().0.iter_mut().zip(missed.to_le_bytes()) {
+            for (cell, mask) in eight.iter_mut().zip(&BYTES_OF_BITS[usize::from(bits)]) {
+                let before = if *cell == UNSEEN { self.prior } else { *cell };
+                let after = before.saturating_sub(self.miss).max(self.least);
+                let change = (after ^ *cell) & mask;
+                changed |= change;
+                *cell ^= change;
+            }
         }
         changed != 0
     }
@@ -89,7 +126,11 @@ impl Evidence {
 }
 
 fn log_odds_steps(probability: f64) -> f64 {
-    let p = if probability.is_nan() { 0.5 } else { probability.clamp(0.002, 0.998) };
+    let p = if probability.is_nan() {
+        0.5
+    } else {
+        probability.clamp(0.002, 0.998)
+    };
     ((p / (1.0 - p)).ln() / STEP).round()
 }
 
@@ -104,30 +145,47 @@ mod tests {
     #[test]
     fn one_look_decides_about_an_unknown_cell() {
         let evidence = Evidence::new(&SensorModel::default());
-        let mut cells = [UNSEEN; 2];
-        evidence.miss(&mut cells[..1]);
+        let mut cells = [UNSEEN; 64];
+        evidence.miss(&mut cells, 1);
         evidence.hit(&mut cells[1]);
+        assert_eq!(cells[2], UNSEEN);
         assert_eq!(Occupancy::of(evidence.percent[usize::from(cells[0])]), Occupancy::Free);
-        assert_eq!(Occupancy::of(evidence.percent[usize::from(cells[1])]), Occupancy::Occupied);
+        assert_eq!(
+            Occupancy::of(evidence.percent[usize::from(cells[1])]),
+            Occupancy::Occupied
+        );
     }
 
     #[test]
     fn a_wall_that_a_third_of_the_scans_hit_stays_and_a_passer_by_goes() {
         let evidence = Evidence::new(&SensorModel::default());
-        let mut wall = [UNSEEN];
+        let mut wall = [UNSEEN; 64];
         for scan in 0..300 {
-            if scan % 3 == 0 { evidence.hit(&mut wall[0]) } else { evidence.miss(&mut wall) };
+            if scan % 3 == 0 {
+                evidence.hit(&mut wall[0])
+            } else {
+                evidence.miss(&mut wall, 1)
+            };
         }
-        assert_eq!(Occupancy::of(evidence.percent[usize::from(wall[0])]), Occupancy::Occupied);
+        assert_eq!(
+            Occupancy::of(evidence.percent[usize::from(wall[0])]),
+            Occupancy::Occupied
+        );
         for _ in 0..12 {
-            evidence.miss(&mut wall);
+            evidence.miss(&mut wall, 1);
         }
         assert_eq!(Occupancy::of(evidence.percent[usize::from(wall[0])]), Occupancy::Free);
     }
 
     #[test]
     fn a_model_of_nonsense_still_keeps_within_bytes() {
-        let evidence = Evidence::new(&SensorModel { prior: f64::NAN, hit: 7.0, miss: -1.0, least: f64::INFINITY, most: f64::NAN });
+        let evidence = Evidence::new(&SensorModel {
+            prior: f64::NAN,
+            hit: 7.0,
+            miss: -1.0,
+            least: f64::INFINITY,
+            most: f64::NAN,
+        });
         let mut cells = [UNSEEN];
         for _ in 0..300 {
             evidence.hit(&mut cells[0]);

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use thiserror::Error;
 use zenav_protocol::grid::MAX_SIDE;
 
-use super::occupancy::MAX_CELLS;
+use super::tiles::MAX_CELLS;
 
 /// A grey picture, rows from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -101,7 +101,8 @@ impl<'b> Words<'b> {
                 let rest = &self.bytes[self.at + 1..];
                 let end = rest.iter().position(|byte| *byte == b'\n').unwrap_or(rest.len());
                 if self.comments.len() < 64 {
-                    self.comments.push(String::from_utf8_lossy(&rest[..end]).trim().to_owned());
+                    self.comments
+                        .push(String::from_utf8_lossy(&rest[..end]).trim().to_owned());
                 }
                 self.at += 1 + end;
             } else if byte.is_ascii_whitespace() {
@@ -112,39 +113,69 @@ impl<'b> Words<'b> {
             }
         }
         let rest = &self.bytes[self.at.min(self.bytes.len())..];
-        let end = rest.iter().position(|byte| byte.is_ascii_whitespace() || *byte == b'#').unwrap_or(rest.len());
+        let end = rest
+            .iter()
+            .position(|byte| byte.is_ascii_whitespace() || *byte == b'#')
+            .unwrap_or(rest.len());
         self.at += end;
         std::str::from_utf8(&rest[..end]).unwrap_or("bytes that are not text")
     }
 
     fn header(&mut self, expected: &'static str) -> Result<u32, ImageError> {
         let word = self.next();
-        word.parse().map_err(|_| ImageError::Header { expected, found: quote(word) })
+        word.parse().map_err(|_| ImageError::Header {
+            expected,
+            found: quote(word),
+        })
     }
 }
 
 fn quote(word: &str) -> String {
-    if word.is_empty() { "the end of the file".to_owned() } else { format!("`{}`", word.chars().take(40).collect::<String>()) }
+    if word.is_empty() {
+        "the end of the file".to_owned()
+    } else {
+        format!("`{}`", word.chars().take(40).collect::<String>())
+    }
 }
 
 fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, ImageError> {
-    let mut words = Words { bytes, at: 2, line: 1, comments: Vec::new() };
+    let mut words = Words {
+        bytes,
+        at: 2,
+        line: 1,
+        comments: Vec::new(),
+    };
     let (width, height) = (words.header("the width")?, words.header("the height")?);
     let limit = words.header("the largest value")?;
     if !(1..=65_535).contains(&limit) {
-        return Err(ImageError::Header { expected: "a largest value from 1 to 65535", found: limit.to_string() });
+        return Err(ImageError::Header {
+            expected: "a largest value from 1 to 65535",
+            found: limit.to_string(),
+        });
     }
     let count = checked_size(width.into(), height.into())?;
     // Values above the limit count as white.
-    let scaled = |value: u32| if limit == 255 { value.min(255) as u8 } else { ((value.min(limit) * 255 + limit / 2) / limit) as u8 };
+    let scaled = |value: u32| {
+        if limit == 255 {
+            value.min(255) as u8
+        } else {
+            ((value.min(limit) * 255 + limit / 2) / limit) as u8
+        }
+    };
     let gray = if bytes[1] == b'5' {
         // Exactly one white space character ends the header.
         let data = bytes.get(words.at + 1..).unwrap_or_default();
         let size = if limit > 255 { 2 } else { 1 };
-        let truncated = ImageError::Truncated { expected: count, found: data.len() / size };
+        let truncated = ImageError::Truncated {
+            expected: count,
+            found: data.len() / size,
+        };
         let data = data.get(..count * size).ok_or(truncated)?;
         match size {
-            2 => data.chunks_exact(2).map(|pair| scaled(u32::from(pair[0]) << 8 | u32::from(pair[1]))).collect(),
+            2 => data
+                .chunks_exact(2)
+                .map(|pair| scaled(u32::from(pair[0]) << 8 | u32::from(pair[1])))
+                .collect(),
             _ => data.iter().map(|value| scaled(u32::from(*value))).collect(),
         }
     } else {
@@ -152,19 +183,37 @@ fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, ImageError> {
         while gray.len() < count {
             let word = words.next();
             if word.is_empty() {
-                return Err(ImageError::Truncated { expected: count, found: gray.len() });
+                return Err(ImageError::Truncated {
+                    expected: count,
+                    found: gray.len(),
+                });
             }
             let value = word.parse().ok().filter(|value| *value <= limit);
-            gray.push(scaled(value.ok_or_else(|| ImageError::Value { line: words.line, limit, found: quote(word) })?));
+            gray.push(scaled(value.ok_or_else(|| ImageError::Value {
+                line: words.line,
+                limit,
+                found: quote(word),
+            })?));
         }
         gray
     };
-    Ok(GrayImage { width, height, gray, opacity: None, comments: words.comments })
+    Ok(GrayImage {
+        width,
+        height,
+        gray,
+        opacity: None,
+        comments: words.comments,
+    })
 }
 
 fn decode_png(bytes: &[u8]) -> Result<GrayImage, ImageError> {
     let broken = |error: png::DecodingError| ImageError::Png(error.to_string());
-    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), png::Limits { bytes: 4 * MAX_CELLS as usize + (1 << 20) });
+    let mut decoder = png::Decoder::new_with_limits(
+        Cursor::new(bytes),
+        png::Limits {
+            bytes: 4 * MAX_CELLS as usize + (1 << 20),
+        },
+    );
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let header = decoder.read_header_info().map_err(broken)?;
     let (width, height) = (header.width, header.height);
@@ -173,7 +222,11 @@ fn decode_png(bytes: &[u8]) -> Result<GrayImage, ImageError> {
     let channels = reader.output_color_type().0.samples();
     let mut row = vec![0_u8; reader.output_buffer_size().unwrap_or_default() / (height.max(1) as usize)];
     let mut gray = Vec::with_capacity(count);
-    let mut opacity = if channels % 2 == 0 { Some(Vec::with_capacity(count)) } else { None };
+    let mut opacity = if channels % 2 == 0 {
+        Some(Vec::with_capacity(count))
+    } else {
+        None
+    };
     let colors = if channels > 2 { 3 } else { 1 };
     let mut take = |pixels: &[u8]| {
         for pixel in pixels.chunks_exact(channels) {
@@ -195,9 +248,18 @@ fn decode_png(bytes: &[u8]) -> Result<GrayImage, ImageError> {
         }
     }
     if gray.len() != count {
-        return Err(ImageError::Truncated { expected: count, found: gray.len() });
+        return Err(ImageError::Truncated {
+            expected: count,
+            found: gray.len(),
+        });
     }
-    Ok(GrayImage { width, height, gray, opacity, comments: Vec::new() })
+    Ok(GrayImage {
+        width,
+        height,
+        gray,
+        opacity,
+        comments: Vec::new(),
+    })
 }
 
 /// A binary graymap (P5) with comments; opacity is lost.
@@ -222,12 +284,21 @@ pub fn encode_png(image: &GrayImage) -> Result<Vec<u8>, ImageError> {
     let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);
-    encoder.set_color(if image.opacity.is_some() { png::ColorType::GrayscaleAlpha } else { png::ColorType::Grayscale });
+    encoder.set_color(if image.opacity.is_some() {
+        png::ColorType::GrayscaleAlpha
+    } else {
+        png::ColorType::Grayscale
+    });
     let mut writer = encoder.write_header().map_err(failed)?;
     match &image.opacity {
         None => writer.write_image_data(&image.gray).map_err(failed)?,
         Some(opacity) => {
-            let pairs: Vec<u8> = image.gray.iter().zip(opacity).flat_map(|(gray, opacity)| [*gray, *opacity]).collect();
+            let pairs: Vec<u8> = image
+                .gray
+                .iter()
+                .zip(opacity)
+                .flat_map(|(gray, opacity)| [*gray, *opacity])
+                .collect();
             writer.write_image_data(&pairs).map_err(failed)?;
         }
     }
@@ -236,13 +307,20 @@ pub fn encode_png(image: &GrayImage) -> Result<Vec<u8>, ImageError> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
     fn image(width: u32, height: u32, gray: Vec<u8>) -> GrayImage {
-        GrayImage { width, height, gray, opacity: None, comments: vec!["a comment".to_owned()] }
+        GrayImage {
+            width,
+            height,
+            gray,
+            opacity: None,
+            comments: vec!["a comment".to_owned()],
+        }
     }
 
     proptest! {
@@ -269,23 +347,57 @@ mod tests {
     #[test]
     fn a_truncated_file_says_how_much_is_missing() {
         let whole = encode_pgm(&image(10, 10, vec![1; 100]));
-        assert_eq!(decode(&whole[..whole.len() - 30]), Err(ImageError::Truncated { expected: 100, found: 70 }));
-        assert_eq!(decode(b"P2 2 2 255 1 2 3"), Err(ImageError::Truncated { expected: 4, found: 3 }));
+        assert_eq!(
+            decode(&whole[..whole.len() - 30]),
+            Err(ImageError::Truncated {
+                expected: 100,
+                found: 70
+            })
+        );
+        assert_eq!(
+            decode(b"P2 2 2 255 1 2 3"),
+            Err(ImageError::Truncated { expected: 4, found: 3 })
+        );
         let png = encode_png(&image(10, 10, vec![1; 100])).unwrap();
         assert!(matches!(decode(&png[..png.len() / 2]), Err(ImageError::Png(_))));
     }
 
     #[test]
     fn text_and_wide_graymaps_are_read() {
-        assert_eq!(decode(b"P2\n# made by hand\n2 2\n# another\n10\n0 5\n10 1").unwrap(), GrayImage { width: 2, height: 2, gray: vec![0, 128, 255, 26], opacity: None, comments: vec!["made by hand".into(), "another".into()] });
+        assert_eq!(
+            decode(b"P2\n# made by hand\n2 2\n# another\n10\n0 5\n10 1").unwrap(),
+            GrayImage {
+                width: 2,
+                height: 2,
+                gray: vec![0, 128, 255, 26],
+                opacity: None,
+                comments: vec!["made by hand".into(), "another".into()]
+            }
+        );
         assert_eq!(decode(b"P5 1 2 65535 \xff\xff\x80\x00").unwrap().gray, vec![255, 128]);
-        assert_eq!(decode(b"P2 1 1 255\n\n 300"), Err(ImageError::Value { line: 3, limit: 255, found: "`300`".into() }));
+        assert_eq!(
+            decode(b"P2 1 1 255\n\n 300"),
+            Err(ImageError::Value {
+                line: 3,
+                limit: 255,
+                found: "`300`".into()
+            })
+        );
     }
 
     #[test]
     fn a_file_that_claims_too_much_is_refused_before_anything_is_allocated() {
-        assert!(matches!(decode(b"P5 4000000000 4000000000 255\n"), Err(ImageError::TooLarge { .. })));
-        assert!(matches!(decode(b"P5 x 1 255\n"), Err(ImageError::Header { expected: "the width", .. })));
+        assert!(matches!(
+            decode(b"P5 4000000000 4000000000 255\n"),
+            Err(ImageError::TooLarge { .. })
+        ));
+        assert!(matches!(
+            decode(b"P5 x 1 255\n"),
+            Err(ImageError::Header {
+                expected: "the width",
+                ..
+            })
+        ));
         assert_eq!(decode(b"GIF89a"), Err(ImageError::Format));
     }
 }

@@ -2,17 +2,18 @@
 //! after Nav2's `map_io`; plain pictures and Moving AI maps are read as well.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 use thiserror::Error;
 use zenav_protocol::grid::{GridError, GridSpec, Occupancy, OccupancyGrid};
 
+use super::atomic::Prepared;
 use super::image::{self, GrayImage, ImageError};
 use super::map_yaml::{MapMode, MapYaml, MapYamlError};
 use super::moving_ai::{self, MovingAiError};
-use super::occupancy::MAX_CELLS;
+use super::tiles::MAX_CELLS;
 
 /// Largest picture file that is read, bytes: the largest map as text.
 const MAX_FILE: u64 = 4 * MAX_CELLS + (1 << 20);
@@ -84,13 +85,27 @@ pub enum MapFileError {
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
 pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileError> {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
     match extension.as_str() {
         "yaml" | "yml" => read_described(path),
-        "pgm" | "png" => to_grid(&read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| MapFileError::Grid { path: path.to_owned(), source }),
+        "pgm" | "png" => {
+            to_grid(&read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
+                MapFileError::Grid {
+                    path: path.to_owned(),
+                    source,
+                }
+            })
+        }
         "map" => {
             let text = read_bytes(path, MAX_FILE)?;
-            moving_ai::parse_map(&text, resolution).map_err(|source| MapFileError::MovingAi { path: path.to_owned(), source })
+            moving_ai::parse_map(&text, resolution).map_err(|source| MapFileError::MovingAi {
+                path: path.to_owned(),
+                source,
+            })
         }
         _ => Err(MapFileError::Kind { path: path.to_owned() }),
     }
@@ -99,32 +114,50 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
 fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     let text = read_bytes(path, MAX_YAML)?;
     let text = String::from_utf8_lossy(&text);
-    let mut yaml = MapYaml::parse(&text).map_err(|source| MapFileError::Yaml { path: path.to_owned(), source })?;
+    let mut yaml = MapYaml::parse(&text).map_err(|source| MapFileError::Yaml {
+        path: path.to_owned(),
+        source,
+    })?;
     // `join` keeps an absolute path as it is.
     let image_path = path.parent().unwrap_or_else(|| Path::new("")).join(&yaml.image);
     let image = read_image(&image_path)?;
     // Our own pictures tell their place too: one that was replaced before a crash is not read with an older place.
     if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
-        && !text.lines().filter_map(|line| Tag::parse(line.trim_start_matches('#').trim())).any(|other| other == tag)
+        && !text
+            .lines()
+            .filter_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
+            .any(|other| other == tag)
         && text.contains(TAG)
     {
         (yaml.resolution, yaml.origin) = (tag.resolution, tag.origin);
     }
-    to_grid(&image, &yaml).map_err(|source| MapFileError::Grid { path: path.to_owned(), source })
+    to_grid(&image, &yaml).map_err(|source| MapFileError::Grid {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
-    image::decode(&read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image { path: path.to_owned(), source })
+    image::decode(&read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// Reads a file up to a limit.
 pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileError> {
-    let failed = |source| MapFileError::Io { path: path.to_owned(), source };
+    let failed = |source| MapFileError::Io {
+        path: path.to_owned(),
+        source,
+    };
     let file = File::open(path).map_err(failed)?;
     let mut bytes = Vec::new();
     file.take(limit + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > limit {
-        return Err(MapFileError::TooLarge { path: path.to_owned(), limit });
+        return Err(MapFileError::TooLarge {
+            path: path.to_owned(),
+            limit,
+        });
     }
     Ok(bytes)
 }
@@ -134,9 +167,18 @@ pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileErro
 /// # Errors
 /// [`GridError`] when the description or the picture is no grid.
 pub fn to_grid(image: &GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
-    let spec = GridSpec { origin: yaml.origin, resolution: yaml.resolution, width: image.width, height: image.height }.checked()?;
+    let spec = GridSpec {
+        origin: yaml.origin,
+        resolution: yaml.resolution,
+        width: image.width,
+        height: image.height,
+    }
+    .checked()?;
     if image.gray.len() != spec.len() {
-        return Err(GridError::Length { got: image.gray.len(), expected: spec.len() });
+        return Err(GridError::Length {
+            got: image.gray.len(),
+            expected: spec.len(),
+        });
     }
     let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
     let width = (image.width as usize).max(1);
@@ -145,12 +187,18 @@ pub fn to_grid(image: &GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridE
     for (gray, value) in opaque.iter_mut().enumerate() {
         *value = occupancy(gray as u8, 255, yaml);
     }
-    let (rows, sources) = (grid.values_mut().chunks_exact_mut(width).rev(), image.gray.chunks_exact(width));
+    let (rows, sources) = (
+        grid.values_mut().chunks_exact_mut(width).rev(),
+        image.gray.chunks_exact(width),
+    );
     for (row, (values, grays)) in rows.zip(sources).enumerate() {
         for (value, gray) in values.iter_mut().zip(grays) {
             *value = opaque[usize::from(*gray)];
         }
-        let opacity = image.opacity.as_ref().and_then(|opacity| opacity.get(row * width..(row + 1) * width));
+        let opacity = image
+            .opacity
+            .as_ref()
+            .and_then(|opacity| opacity.get(row * width..(row + 1) * width));
         for ((value, gray), opacity) in values.iter_mut().zip(grays).zip(opacity.unwrap_or_default()) {
             *value = occupancy(*gray, *opacity, yaml);
         }
@@ -172,7 +220,9 @@ fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
         MapMode::Scale if opacity < 255.0 => Occupancy::UNKNOWN,
         _ if p > yaml.occupied_thresh => Occupancy::OCCUPIED,
         _ if p < yaml.free_thresh => Occupancy::FREE,
-        MapMode::Scale => (100.0 * (p - yaml.free_thresh) / (yaml.occupied_thresh - yaml.free_thresh).max(1e-9)).round().clamp(0.0, 100.0) as i8,
+        MapMode::Scale => (100.0 * (p - yaml.free_thresh) / (yaml.occupied_thresh - yaml.free_thresh).max(1e-9))
+            .round()
+            .clamp(0.0, 100.0) as i8,
         MapMode::Trinary => Occupancy::UNKNOWN,
     }
 }
@@ -193,15 +243,36 @@ pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
         (MapMode::Scale, value) => (255.0 * (1.0 - f64::from(value) / 100.0)).round() as u8,
         (MapMode::Raw, value) => value.cast_unsigned(),
     };
-    let opacity = (mode == MapMode::Scale).then(|| rows().map(|value| if (0..=100).contains(value) { 255 } else { 0 }).collect());
-    GrayImage { width: spec.width, height: spec.height, gray: rows().map(gray).collect(), opacity, comments: Vec::new() }
+    let opacity = (mode == MapMode::Scale).then(|| {
+        rows()
+            .map(|value| if (0..=100).contains(value) { 255 } else { 0 })
+            .collect()
+    });
+    GrayImage {
+        width: spec.width,
+        height: spec.height,
+        gray: rows().map(gray).collect(),
+        opacity,
+        comments: Vec::new(),
+    }
 }
 
 /// The description that goes with [`to_image`]: in scale mode thresholds at both ends, so that every percentage comes back.
 #[must_use]
 pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
-    let yaml = MapYaml { mode, ..MapYaml::new(image, grid.spec().resolution, grid.spec().origin) };
-    if mode == MapMode::Scale { MapYaml { occupied_thresh: 1.0, free_thresh: 0.0, ..yaml } } else { yaml }
+    let yaml = MapYaml {
+        mode,
+        ..MapYaml::new(image, grid.spec().resolution, grid.spec().origin)
+    };
+    if mode == MapMode::Scale {
+        MapYaml {
+            occupied_thresh: 1.0,
+            free_thresh: 0.0,
+            ..yaml
+        }
+    } else {
+        yaml
+    }
 }
 
 /// The map as a binary graymap, trinary.
@@ -217,7 +288,13 @@ pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
 pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
     let mut picture = to_image(grid, MapMode::Trinary);
     if picture.gray.is_empty() {
-        picture = GrayImage { width: 1, height: 1, gray: vec![205], opacity: None, comments: Vec::new() };
+        picture = GrayImage {
+            width: 1,
+            height: 1,
+            gray: vec![205],
+            opacity: None,
+            comments: Vec::new(),
+        };
     }
     image::encode_png(&picture)
 }
@@ -238,11 +315,18 @@ impl Tag {
         let mut words = comment.strip_prefix(TAG)?.split_whitespace();
         let mut number = || words.next()?.parse().ok().filter(|value: &f64| value.is_finite());
         let (resolution, x, y) = (number()?, number()?, number()?);
-        Some(Self { resolution, origin: Point2::new(x, y), write: words.collect::<Vec<_>>().join(" ") })
+        Some(Self {
+            resolution,
+            origin: Point2::new(x, y),
+            write: words.collect::<Vec<_>>().join(" "),
+        })
     }
 
     fn text(&self) -> String {
-        format!("{TAG} {} {} {} {}", self.resolution, self.origin.x, self.origin.y, self.write)
+        format!(
+            "{TAG} {} {} {} {}",
+            self.resolution, self.origin.x, self.origin.y, self.write
+        )
     }
 }
 
@@ -253,65 +337,31 @@ impl Tag {
 /// # Errors
 /// [`MapFileError::Io`].
 pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -> Result<PathBuf, MapFileError> {
-    std::fs::create_dir_all(folder).map_err(|source| MapFileError::Io { path: folder.to_owned(), source })?;
-    let tag = Tag { resolution: grid.spec().resolution, origin: grid.spec().origin, write: label.split_whitespace().collect::<Vec<_>>().join(" ") }.text();
+    std::fs::create_dir_all(folder).map_err(|source| MapFileError::Io {
+        path: folder.to_owned(),
+        source,
+    })?;
+    let tag = Tag {
+        resolution: grid.spec().resolution,
+        origin: grid.spec().origin,
+        write: label.split_whitespace().collect::<Vec<_>>().join(" "),
+    }
+    .text();
     let (image_name, yaml_path) = (format!("{stem}.pgm"), folder.join(format!("{stem}.yaml")));
     let mut picture = to_image(grid, MapMode::Trinary);
     picture.comments.push(tag.clone());
     let image = Prepared::new(&folder.join(&image_name), &image::encode_pgm(&picture))?;
-    let yaml = Prepared::new(&yaml_path, to_yaml(grid, MapMode::Trinary, &image_name).to_text(&[tag]).as_bytes())?;
+    let yaml = Prepared::new(
+        &yaml_path,
+        to_yaml(grid, MapMode::Trinary, &image_name).to_text(&[tag]).as_bytes(),
+    )?;
     image.publish()?;
     yaml.publish()?;
     Ok(yaml_path)
 }
 
-/// Writes a file so that other readers, and a machine that fails, see the old content or the new one, never a part.
-///
-/// # Errors
-/// [`MapFileError::Io`].
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), MapFileError> {
-    Prepared::new(path, bytes)?.publish()
-}
-
-/// A file written beside its place and on disk, but not yet in its place.
-struct Prepared {
-    path: PathBuf,
-    temporary: PathBuf,
-}
-
-impl Prepared {
-    fn new(path: &Path, bytes: &[u8]) -> Result<Self, MapFileError> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let prepared = Self { path: path.to_owned(), temporary: path.with_file_name(format!(".{name}.{}.part", std::process::id())) };
-        let write = || {
-            let mut file = File::create(&prepared.temporary)?;
-            file.write_all(bytes)?;
-            file.sync_all()
-        };
-        write().map_err(|source| MapFileError::Io { path: prepared.temporary.clone(), source })?;
-        Ok(prepared)
-    }
-
-    fn publish(self) -> Result<(), MapFileError> {
-        std::fs::rename(&self.temporary, &self.path).map_err(|source| MapFileError::Io { path: self.path.clone(), source })?;
-        // The rename itself is on disk only when its folder is; where folders cannot be opened, that is as good as it gets.
-        if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty())
-            && let Ok(folder) = File::open(folder)
-        {
-            let _ = folder.sync_all();
-        }
-        Ok(())
-    }
-}
-
-impl Drop for Prepared {
-    fn drop(&mut self) {
-        // After publishing there is nothing left to remove.
-        let _ = std::fs::remove_file(&self.temporary);
-    }
-}
-
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
     use zenav_protocol::grid::Cell;
@@ -319,7 +369,16 @@ mod tests {
     use super::*;
 
     fn grid(width: u32, height: u32, values: Vec<i8>) -> OccupancyGrid {
-        OccupancyGrid::from_values(GridSpec { origin: Point2::new(-1.25, 3.1), resolution: 0.05, width, height }, values).unwrap()
+        OccupancyGrid::from_values(
+            GridSpec {
+                origin: Point2::new(-1.25, 3.1),
+                resolution: 0.05,
+                width,
+                height,
+            },
+            values,
+        )
+        .unwrap()
     }
 
     proptest! {
@@ -339,18 +398,41 @@ mod tests {
         let image = image::decode(b"P2 2 2 255  0 254  205 254").unwrap();
         let map = to_grid(&image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
         let class = |x, y| Occupancy::of(map[Cell::new(x, y)]);
-        assert_eq!((class(0, 1), class(1, 1), class(0, 0), class(1, 0)), (Occupancy::Occupied, Occupancy::Free, Occupancy::Unknown, Occupancy::Free));
+        assert_eq!(
+            (class(0, 1), class(1, 1), class(0, 0), class(1, 0)),
+            (
+                Occupancy::Occupied,
+                Occupancy::Free,
+                Occupancy::Unknown,
+                Occupancy::Free
+            )
+        );
     }
 
     #[test]
     fn every_mode_reads_brightness_as_map_server_does() {
         let yaml = MapYaml::new("", 0.1, Point2::origin());
-        let scale = MapYaml { mode: MapMode::Scale, ..yaml.clone() };
-        assert_eq!([0, 89, 90, 205, 206, 255].map(|gray| occupancy(gray, 255, &yaml)), [100, 100, -1, -1, 0, 0]);
-        assert_eq!([0, 89, 147, 206].map(|gray| occupancy(gray, 255, &scale)), [100, 100, 50, 0]);
+        let scale = MapYaml {
+            mode: MapMode::Scale,
+            ..yaml.clone()
+        };
+        assert_eq!(
+            [0, 89, 90, 205, 206, 255].map(|gray| occupancy(gray, 255, &yaml)),
+            [100, 100, -1, -1, 0, 0]
+        );
+        assert_eq!(
+            [0, 89, 147, 206].map(|gray| occupancy(gray, 255, &scale)),
+            [100, 100, 50, 0]
+        );
         assert_eq!(occupancy(147, 10, &scale), -1);
-        let raw = MapYaml { mode: MapMode::Raw, ..yaml.clone() };
-        assert_eq!([0, 37, 100, 101, 255].map(|gray| occupancy(gray, 255, &raw)), [0, 37, 100, -1, -1]);
+        let raw = MapYaml {
+            mode: MapMode::Raw,
+            ..yaml.clone()
+        };
+        assert_eq!(
+            [0, 37, 100, 101, 255].map(|gray| occupancy(gray, 255, &raw)),
+            [0, 37, 100, -1, -1]
+        );
         let negated = MapYaml { negate: true, ..yaml };
         assert_eq!([0, 255].map(|gray| occupancy(gray, 255, &negated)), [0, 100]);
     }
@@ -362,7 +444,10 @@ mod tests {
         let path = write_map(folder.path(), "map", &map, "kitchen 7").unwrap();
         assert_eq!(read_map(&path, 1.0).unwrap(), map);
         write_map(folder.path(), "map", &map, "kitchen 8").unwrap();
-        let mut names: Vec<String> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<String> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         assert_eq!(names, ["map.pgm", "map.yaml"]);
     }
@@ -373,7 +458,16 @@ mod tests {
         let old = grid(3, 2, vec![0; 6]);
         let path = write_map(folder.path(), "map", &old, "1").unwrap();
         let old_yaml = std::fs::read(&path).unwrap();
-        let grown = OccupancyGrid::from_values(GridSpec { origin: Point2::new(-9.0, -9.0), resolution: 0.05, width: 4, height: 2 }, vec![100; 8]).unwrap();
+        let grown = OccupancyGrid::from_values(
+            GridSpec {
+                origin: Point2::new(-9.0, -9.0),
+                resolution: 0.05,
+                width: 4,
+                height: 2,
+            },
+            vec![100; 8],
+        )
+        .unwrap();
         write_map(folder.path(), "map", &grown, "2").unwrap();
         std::fs::write(&path, old_yaml).unwrap();
         assert_eq!(read_map(&path, 1.0).unwrap(), grown);
@@ -390,9 +484,21 @@ mod tests {
         let whole = std::fs::read(&picture).unwrap();
         std::fs::write(&picture, &whole[..whole.len() - 2]).unwrap();
         let message = read_map(&path, 1.0).unwrap_err().to_string();
-        assert!(message.ends_with("map.pgm: truncated: 6 pixels expected, 4 found"), "{message}");
-        assert!(matches!(read_map(&folder.path().join("none.yaml"), 1.0), Err(MapFileError::Io { .. })));
-        assert!(matches!(read_map(&folder.path().join("map.txt"), 1.0), Err(MapFileError::Kind { .. })));
-        assert!(matches!(read_map(&picture, f64::NAN), Err(MapFileError::Image { .. } | MapFileError::Grid { .. })));
+        assert!(
+            message.ends_with("map.pgm: truncated: 6 pixels expected, 4 found"),
+            "{message}"
+        );
+        assert!(matches!(
+            read_map(&folder.path().join("none.yaml"), 1.0),
+            Err(MapFileError::Io { .. })
+        ));
+        assert!(matches!(
+            read_map(&folder.path().join("map.txt"), 1.0),
+            Err(MapFileError::Kind { .. })
+        ));
+        assert!(matches!(
+            read_map(&picture, f64::NAN),
+            Err(MapFileError::Image { .. } | MapFileError::Grid { .. })
+        ));
     }
 }

@@ -75,7 +75,10 @@ struct Entry {
 impl Entry {
     fn wrong(&self, expected: &str) -> MapYamlError {
         let found: String = self.values.join(", ").chars().take(80).collect();
-        MapYamlError::Line { line: self.line, what: format!("`{}`: expected {expected}, found `{found}`", self.key) }
+        MapYamlError::Line {
+            line: self.line,
+            what: format!("`{}`: expected {expected}, found `{found}`", self.key),
+        }
     }
 
     fn text(&self) -> Result<&str, MapYamlError> {
@@ -86,7 +89,11 @@ impl Entry {
     }
 
     fn number(&self, expected: &str, is_good: impl Fn(f64) -> bool) -> Result<f64, MapYamlError> {
-        self.text()?.parse().ok().filter(|value: &f64| value.is_finite() && is_good(*value)).ok_or_else(|| self.wrong(expected))
+        self.text()?
+            .parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite() && is_good(*value))
+            .ok_or_else(|| self.wrong(expected))
     }
 }
 
@@ -94,7 +101,15 @@ impl MapYaml {
     /// A description with `map_server`'s usual thresholds.
     #[must_use]
     pub fn new(image: impl Into<String>, resolution: f64, origin: Point2<f64>) -> Self {
-        Self { image: image.into(), resolution, origin, negate: false, occupied_thresh: 0.65, free_thresh: 0.196, mode: MapMode::Trinary }
+        Self {
+            image: image.into(),
+            resolution,
+            origin,
+            negate: false,
+            occupied_thresh: 0.65,
+            free_thresh: 0.196,
+            mode: MapMode::Trinary,
+        }
     }
 
     /// Reads a description.
@@ -110,11 +125,20 @@ impl MapYaml {
                 "image" => yaml.image = entry.text()?.to_owned(),
                 "resolution" => yaml.resolution = entry.number("a positive number of metres", |value| value > 0.0)?,
                 "origin" => {
-                    let numbers: Vec<f64> = entry.values.iter().filter_map(|value| value.parse().ok()).filter(|value: &f64| value.is_finite()).collect();
+                    let numbers: Vec<f64> = entry
+                        .values
+                        .iter()
+                        .filter_map(|value| value.parse().ok())
+                        .filter(|value: &f64| value.is_finite())
+                        .collect();
                     match (numbers.as_slice(), entry.values.len()) {
                         ([x, y], 2) => yaml.origin = Point2::new(*x, *y),
                         ([x, y, yaw], 3) if yaw.abs() < 1e-9 => yaml.origin = Point2::new(*x, *y),
-                        ([_, _, _], 3) => return Err(entry.wrong("a yaw of 0 (maps that are turned are not supported: turn the picture)")),
+                        ([_, _, _], 3) => {
+                            return Err(
+                                entry.wrong("a yaw of 0 (maps that are turned are not supported: turn the picture)")
+                            );
+                        }
                         _ => return Err(entry.wrong("[x, y, yaw]")),
                     }
                     has_origin = true;
@@ -126,12 +150,19 @@ impl MapYaml {
                         _ => return Err(entry.wrong("0 or 1")),
                     }
                 }
-                "occupied_thresh" => yaml.occupied_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?,
-                "free_thresh" => yaml.free_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?,
+                "occupied_thresh" => {
+                    yaml.occupied_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?
+                }
+                "free_thresh" => {
+                    yaml.free_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?
+                }
                 "mode" => {
                     let modes = [MapMode::Trinary, MapMode::Scale, MapMode::Raw];
                     let name = entry.text()?;
-                    yaml.mode = *modes.iter().find(|mode| mode.name() == name).ok_or_else(|| entry.wrong("trinary, scale or raw"))?;
+                    yaml.mode = *modes
+                        .iter()
+                        .find(|mode| mode.name() == name)
+                        .ok_or_else(|| entry.wrong("trinary, scale or raw"))?;
                 }
                 _ => {}
             }
@@ -151,7 +182,10 @@ impl MapYaml {
     /// The description as text, numbers in full; `comments` come first.
     #[must_use]
     pub fn to_text(&self, comments: &[String]) -> String {
-        let comments: String = comments.iter().map(|comment| format!("# {}\n", comment.replace('\n', " "))).collect();
+        let comments: String = comments
+            .iter()
+            .map(|comment| format!("# {}\n", comment.replace('\n', " ")))
+            .collect();
         format!(
             "{comments}image: {}\nmode: {}\nresolution: {}\norigin: [{}, {}, 0]\nnegate: {}\noccupied_thresh: {}\nfree_thresh: {}\n",
             self.image,
@@ -177,24 +211,39 @@ fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
         if let Some(item) = content.strip_prefix("- ").or_else(|| (content == "-").then_some("")) {
             match entries.last_mut() {
                 Some(entry) => entry.values.push(unquoted(item)),
-                None => return Err(MapYamlError::Line { line: line_number, what: "a list item without a key".to_owned() }),
+                None => {
+                    return Err(MapYamlError::Line {
+                        line: line_number,
+                        what: "a list item without a key".to_owned(),
+                    });
+                }
             }
             continue;
         }
         let Some((key, value)) = content.split_once(':') else {
             let found: String = content.chars().take(60).collect();
-            return Err(MapYamlError::Line { line: line_number, what: format!("expected `key: value`, found `{found}`") });
+            return Err(MapYamlError::Line {
+                line: line_number,
+                what: format!("expected `key: value`, found `{found}`"),
+            });
         };
         let value = value.trim();
         let values = match value.strip_prefix('[') {
             Some(list) => {
-                let list = list.strip_suffix(']').ok_or_else(|| MapYamlError::Line { line: line_number, what: "`[` without `]`".to_owned() })?;
+                let list = list.strip_suffix(']').ok_or_else(|| MapYamlError::Line {
+                    line: line_number,
+                    what: "`[` without `]`".to_owned(),
+                })?;
                 list.split(',').map(unquoted).collect()
             }
             None if value.is_empty() => Vec::new(),
             None => vec![unquoted(value)],
         };
-        entries.push(Entry { key: unquoted(key), values, line: line_number });
+        entries.push(Entry {
+            key: unquoted(key),
+            values,
+            line: line_number,
+        });
     }
     Ok(entries)
 }
@@ -217,11 +266,14 @@ fn without_comment(line: &str) -> &str {
 
 fn unquoted(value: &str) -> String {
     let value = value.trim();
-    let inner = ['"', '\''].iter().find_map(|quote| value.strip_prefix(*quote)?.strip_suffix(*quote));
+    let inner = ['"', '\'']
+        .iter()
+        .find_map(|quote| value.strip_prefix(*quote)?.strip_suffix(*quote));
     inner.unwrap_or(value).to_owned()
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
 
@@ -231,7 +283,17 @@ mod tests {
     fn every_way_of_writing_a_description_is_read() {
         let bracketed = "# saved by a tool\nimage: 'my map.pgm'  # the picture\nmode: scale\nresolution: 5.0e-2\norigin: [-10.0, 2, 0.0]\nnegate: 1\noccupied_thresh: 0.65\nfree_thresh: 0.25\nextra: whatever\n";
         let yaml = MapYaml::parse(bracketed).unwrap();
-        assert_eq!((yaml.image.as_str(), yaml.mode, yaml.resolution, yaml.origin, yaml.negate, yaml.free_thresh), ("my map.pgm", MapMode::Scale, 0.05, Point2::new(-10.0, 2.0), true, 0.25));
+        assert_eq!(
+            (
+                yaml.image.as_str(),
+                yaml.mode,
+                yaml.resolution,
+                yaml.origin,
+                yaml.negate,
+                yaml.free_thresh
+            ),
+            ("my map.pgm", MapMode::Scale, 0.05, Point2::new(-10.0, 2.0), true, 0.25)
+        );
         let listed = "---\nfree_thresh: 0.25\nimage: \"my map.pgm\"\nmode: scale\nnegate: 1\noccupied_thresh: 0.65\norigin:\n- -10.0\n- 2.0\n- 0\nresolution: 0.05\n";
         assert_eq!(MapYaml::parse(listed).unwrap(), yaml);
     }
@@ -239,11 +301,23 @@ mod tests {
     #[test]
     fn a_mistake_is_named_with_its_line() {
         let error = |text: &str| MapYaml::parse(text).unwrap_err().to_string();
-        assert_eq!(error("image: a.pgm\nresolution: -1\n"), "line 2: `resolution`: expected a positive number of metres, found `-1`");
-        assert_eq!(error("image: a.pgm\nresolution 0.1\n"), "line 2: expected `key: value`, found `resolution 0.1`");
-        assert_eq!(error("image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0.7]"), "line 3: `origin`: expected a yaw of 0 (maps that are turned are not supported: turn the picture), found `1, 2, 0.7`");
+        assert_eq!(
+            error("image: a.pgm\nresolution: -1\n"),
+            "line 2: `resolution`: expected a positive number of metres, found `-1`"
+        );
+        assert_eq!(
+            error("image: a.pgm\nresolution 0.1\n"),
+            "line 2: expected `key: value`, found `resolution 0.1`"
+        );
+        assert_eq!(
+            error("image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0.7]"),
+            "line 3: `origin`: expected a yaw of 0 (maps that are turned are not supported: turn the picture), found `1, 2, 0.7`"
+        );
         assert_eq!(error("image: a.pgm\nresolution: 0.1\n"), "`origin` is missing");
-        assert_eq!(error("mode: grey\n"), "line 1: `mode`: expected trinary, scale or raw, found `grey`");
+        assert_eq!(
+            error("mode: grey\n"),
+            "line 1: `mode`: expected trinary, scale or raw, found `grey`"
+        );
         assert_eq!(error("- 3\n"), "line 1: a list item without a key");
     }
 

@@ -86,7 +86,10 @@ impl Mapper {
     pub fn new(config: MapperConfig, map_id: impl Into<String>) -> Self {
         Self {
             grid: LogOddsGrid::new(config.resolution, &config.model),
-            map: MapRef { id: map_id.into(), revision: 0 },
+            map: MapRef {
+                id: map_id.into(),
+                revision: 0,
+            },
             stamp: Stamp::ZERO,
             scans: 0,
             trajectory: Vec::new(),
@@ -99,9 +102,23 @@ impl Mapper {
 
     /// A stored map: it counts as existing, and is held until it is resumed. All of it is in the first patches.
     #[must_use]
-    pub fn with_stored(config: MapperConfig, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) -> Self {
+    pub fn with_stored(
+        config: MapperConfig,
+        map: MapRef,
+        grid: &OccupancyGrid,
+        trajectory: Vec<Point2<f64>>,
+        scans: u64,
+    ) -> Self {
         let log_odds = LogOddsGrid::from_occupancy(grid, &config.model);
-        Self { grid: log_odds, trajectory, scans, stored: true, held: true, map: map.clone(), ..Self::new(config, map.id) }
+        Self {
+            grid: log_odds,
+            trajectory,
+            scans,
+            stored: true,
+            held: true,
+            map: map.clone(),
+            ..Self::new(config, map.id)
+        }
     }
 
     /// Takes in a scan.
@@ -115,7 +132,14 @@ impl Mapper {
         if self.scans > 0 && scan.stamp <= self.stamp && self.stamp.secs_since(scan.stamp) < ANOTHER_CLOCK {
             return Insertion::OutOfOrder;
         }
-        if self.grid.insert(scan, &self.config.beams, self.config.mode, self.config.footprint.as_ref()) == 0 && !self.grid.is_dirty() {
+        if self.grid.insert(
+            scan,
+            &self.config.beams,
+            self.config.mode,
+            self.config.footprint.as_ref(),
+        ) == 0
+            && !self.grid.is_dirty()
+        {
             return Insertion::OutOfMap;
         }
         self.stamp = scan.stamp;
@@ -125,7 +149,11 @@ impl Mapper {
     }
 
     fn keep_trajectory(&mut self, position: Point2<f64>) {
-        if self.trajectory.last().is_some_and(|last| (position - last).norm() < self.trajectory_step) {
+        if self
+            .trajectory
+            .last()
+            .is_some_and(|last| (position - last).norm() < self.trajectory_step)
+        {
             return;
         }
         self.trajectory.push(position);
@@ -147,7 +175,13 @@ impl Mapper {
         }
         let base_revision = self.map.revision;
         self.map.revision += 1;
-        Some(MapPatch { stamp: self.stamp, map: self.map.clone(), base_revision, spec: self.grid.spec(), tiles })
+        Some(MapPatch {
+            stamp: self.stamp,
+            map: self.map.clone(),
+            base_revision,
+            spec: self.grid.spec(),
+            tiles,
+        })
     }
 
     /// Whether the next patch has anything to say.
@@ -180,7 +214,11 @@ impl Mapper {
     /// The whole map. It may already hold changes that follow in the next patch, which does no harm: patches carry values, not differences.
     #[must_use]
     pub fn reply(&self) -> MapReply {
-        MapReply { info: self.info(), values: self.grid.values(), trajectory: self.trajectory.clone() }
+        MapReply {
+            info: self.info(),
+            values: self.grid.values(),
+            trajectory: self.trajectory.clone(),
+        }
     }
 
     /// The map with ROS's occupancy values.
@@ -235,6 +273,7 @@ impl Mapper {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::grid::Occupancy;
@@ -308,10 +347,23 @@ mod tests {
         let mut first = Mapper::new(MapperConfig::default(), "kitchen");
         first.insert(&scan(1, 0.0));
         first.take_patch();
-        let mut second = Mapper::with_stored(MapperConfig::default(), first.map().clone(), &first.grid(), first.trajectory().to_vec(), 1);
+        let mut second = Mapper::with_stored(
+            MapperConfig::default(),
+            first.map().clone(),
+            &first.grid(),
+            first.trajectory().to_vec(),
+            1,
+        );
         assert!(second.is_stored() && second.info().map == *first.map());
         assert_eq!(second.insert(&scan(2, 1.0)), Insertion::Held);
-        let class = |mapper: &Mapper| mapper.grid().values().iter().map(|value| Occupancy::of(*value)).collect::<Vec<_>>();
+        let class = |mapper: &Mapper| {
+            mapper
+                .grid()
+                .values()
+                .iter()
+                .map(|value| Occupancy::of(*value))
+                .collect::<Vec<_>>()
+        };
         assert_eq!(class(&second), class(&first));
         assert_eq!(second.take_patch().unwrap().base_revision, 1);
         second.resume();

@@ -5,7 +5,7 @@ use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::time::Stamp;
 
-use super::occupancy::MAX_CELLS;
+use super::tiles::MAX_CELLS;
 
 /// What became of a patch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,8 +37,17 @@ impl MapMirror {
     /// A copy of nothing: no map, no cells.
     #[must_use]
     pub fn new() -> Self {
-        let nothing = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 0, height: 0 };
-        Self { map: MapRef::default(), stamp: Stamp::ZERO, grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN) }
+        let nothing = GridSpec {
+            origin: Point2::origin(),
+            resolution: 1.0,
+            width: 0,
+            height: 0,
+        };
+        Self {
+            map: MapRef::default(),
+            stamp: Stamp::ZERO,
+            grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN),
+        }
     }
 
     /// Brings the copy to a patch's revision.
@@ -110,7 +119,10 @@ impl MapMirror {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
         let (x, y) = (shift.x.round(), shift.y.round());
-        if (old.resolution - spec.resolution).abs() > 1e-9 * spec.resolution || (shift.x - x).abs() > 1e-3 || (shift.y - y).abs() > 1e-3 {
+        if (old.resolution - spec.resolution).abs() > 1e-9 * spec.resolution
+            || (shift.x - x).abs() > 1e-3
+            || (shift.y - y).abs() > 1e-3
+        {
             return false;
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
@@ -137,7 +149,12 @@ impl MapMirror {
         let side = TILE as usize;
         let (x, y) = (tile.x as usize * side, tile.y as usize * side);
         let length = side.min(width.saturating_sub(x));
-        for (row, values) in tile.values.chunks_exact(side).enumerate().take(height.saturating_sub(y)) {
+        for (row, values) in tile
+            .values
+            .chunks_exact(side)
+            .enumerate()
+            .take(height.saturating_sub(y))
+        {
             let start = (y + row) * width + x;
             if let Some(cells) = self.grid.values_mut().get_mut(start..start + length) {
                 cells.copy_from_slice(&values[..length]);
@@ -160,6 +177,7 @@ fn makes_sense(patch: &MapPatch) -> bool {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
     use zenav_protocol::geometry::Pose2;
@@ -252,7 +270,13 @@ mod tests {
             mapper.insert(&scan(1, 3.0, 4.0));
             assert_eq!(mirror.apply(&mapper.take_patch().unwrap()), Mirrored::Applied);
             assert_eq!(mirror.grid(), &mapper.grid());
-            assert!(mirror.holds(mapper.map()) && !mirror.holds(&MapRef { id: id.into(), revision: 2 }));
+            assert!(
+                mirror.holds(mapper.map())
+                    && !mirror.holds(&MapRef {
+                        id: id.into(),
+                        revision: 2
+                    })
+            );
         }
     }
 }

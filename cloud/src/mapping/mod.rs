@@ -5,17 +5,21 @@
 //! | [`beams`] | which beams of a scan tell something, and what? |
 //! | [`evidence`] | what does one look at a cell say? |
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
+//! | `tiles`, `window` | how does it grow, and which cells did one scan look at? |
 //! | [`mapper`] | how do a robot's scans become its map? |
 //! | [`mirror`] | how does another machine keep a copy? |
-//! | [`map_file`], [`map_yaml`], [`image`] | how are maps kept in `map_server` files? |
+//! | [`follower`] | how does a service keep up with every robot's map? |
+//! | [`map_file`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
 //! | [`moving_ai`] | what do the Moving AI benchmarks say? |
 //! | [`store`] | what of a map outlives its service? |
 //! | [`service`] | how does mapping live on the network? |
 //! | [`carmen`] | what did a robot of the CARMEN days see? |
 
+pub mod atomic;
 pub mod beams;
 pub mod carmen;
 pub mod evidence;
+pub mod follower;
 pub mod image;
 pub mod map_file;
 pub mod map_yaml;
@@ -25,11 +29,14 @@ pub mod moving_ai;
 pub mod occupancy;
 pub mod service;
 pub mod store;
+mod tiles;
 mod window;
 
 pub use beams::BeamOptions;
 pub use evidence::SensorModel;
+pub use follower::MapFollower;
 pub use mapper::{Insertion, Mapper, MapperConfig};
 pub use mirror::{MapMirror, Mirrored};
 pub use occupancy::{CellCounts, InsertMode, LogOddsGrid};
 pub use service::MappingConfig;
+pub use tiles::MAX_CELLS;

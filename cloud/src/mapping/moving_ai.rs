@@ -47,11 +47,21 @@ pub fn cell_from_top(spec: &GridSpec, [x, y]: [u32; 2]) -> Option<Cell> {
 
 fn wrong(index: usize, expected: impl Into<String>, found: &[u8]) -> MovingAiError {
     let found: String = String::from_utf8_lossy(found).chars().take(60).collect();
-    MovingAiError::Line { line: index + 1, expected: expected.into(), found: if found.is_empty() { "nothing".to_owned() } else { format!("`{found}`") } }
+    MovingAiError::Line {
+        line: index + 1,
+        expected: expected.into(),
+        found: if found.is_empty() {
+            "nothing".to_owned()
+        } else {
+            format!("`{found}`")
+        },
+    }
 }
 
 fn lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
-    text.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii_end).enumerate()
+    text.split(|byte| *byte == b'\n')
+        .map(<[u8]>::trim_ascii_end)
+        .enumerate()
 }
 
 /// Reads a `.map`; cells get this side (m), the lower left corner is the origin.
@@ -63,7 +73,10 @@ pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAi
     let (mut width, mut height) = (None, None);
     loop {
         let (index, line) = lines.next().ok_or_else(|| wrong(0, "a line `map`", b""))?;
-        let words: Vec<&[u8]> = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).collect();
+        let words: Vec<&[u8]> = line
+            .split(u8::is_ascii_whitespace)
+            .filter(|word| !word.is_empty())
+            .collect();
         let number = |word: &[u8]| std::str::from_utf8(word).ok().and_then(|word| word.parse::<u32>().ok());
         match words.as_slice() {
             [] | [b"type", ..] => {}
@@ -76,9 +89,19 @@ pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAi
     let (Some(width), Some(height)) = (width, height) else {
         return Err(wrong(0, "`width N` and `height N` before `map`", b""));
     };
-    let spec = GridSpec { origin: Point2::origin(), resolution, width, height }.checked()?;
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution,
+        width,
+        height,
+    }
+    .checked()?;
     if spec.len() > text.len() {
-        return Err(wrong(lines.count(), format!("{height} rows of {width} cells"), b"the end of the file"));
+        return Err(wrong(
+            lines.count(),
+            format!("{height} rows of {width} cells"),
+            b"the end of the file",
+        ));
     }
     let mut grid = OccupancyGrid::filled(spec, Occupancy::OCCUPIED);
     let columns = (width as usize).max(1);
@@ -108,7 +131,11 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
             continue;
         }
         // Tabs in the files; spaces where somebody edited them, but then names have none.
-        let words: Vec<&str> = if content.contains('\t') { content.split('\t').map(str::trim).collect() } else { content.split_whitespace().collect() };
+        let words: Vec<&str> = if content.contains('\t') {
+            content.split('\t').map(str::trim).collect()
+        } else {
+            content.split_whitespace().collect()
+        };
         let expected = "bucket, map, width, height, start x, start y, goal x, goal y, optimum";
         let [bucket, map, _, _, sx, sy, gx, gy, optimum] = words.as_slice() else {
             return Err(wrong(index, expected, line));
@@ -116,7 +143,13 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
         let number = |word: &str| word.parse::<u32>().ok().filter(|value| *value <= MAX_SIDE);
         let read = || {
             let optimum = optimum.parse().ok().filter(|value: &f64| value.is_finite())?;
-            Some(Scenario { bucket: bucket.parse().ok()?, map: (*map).to_owned(), start: [number(sx)?, number(sy)?], goal: [number(gx)?, number(gy)?], optimum })
+            Some(Scenario {
+                bucket: bucket.parse().ok()?,
+                map: (*map).to_owned(),
+                start: [number(sx)?, number(sy)?],
+                goal: [number(gx)?, number(gy)?],
+                optimum,
+            })
         };
         scenarios.push(read().ok_or_else(|| wrong(index, expected, line))?);
     }
@@ -124,6 +157,7 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -139,16 +173,36 @@ mod tests {
     #[test]
     fn a_mistake_is_named_with_its_line() {
         let error = |text: &[u8]| parse_map(text, 1.0).unwrap_err().to_string();
-        assert_eq!(error(b"type octile\nheight 2\nwidth 3\nmap\n...\n..\n"), "line 6: expected a row of 3 cells, found `..`");
-        assert_eq!(error(b"type octile\nheight x\n"), "line 2: expected `height N`, found `height x`");
+        assert_eq!(
+            error(b"type octile\nheight 2\nwidth 3\nmap\n...\n..\n"),
+            "line 6: expected a row of 3 cells, found `..`"
+        );
+        assert_eq!(
+            error(b"type octile\nheight x\n"),
+            "line 2: expected `height N`, found `height x`"
+        );
         assert!(error(b"height 30000\nwidth 30000\nmap\n.").contains("30000 rows of 30000 cells"));
         assert!(error(b"height 4000000000\nwidth 1\nmap\n").contains("at most"));
-        assert!(parse_scenarios(b"version 1\n0\tm\t1\t1\t0\t0\t0\tx\t1.5\n").unwrap_err().to_string().starts_with("line 2"));
+        assert!(
+            parse_scenarios(b"version 1\n0\tm\t1\t1\t0\t0\t0\tx\t1.5\n")
+                .unwrap_err()
+                .to_string()
+                .starts_with("line 2")
+        );
     }
 
     #[test]
     fn queries_are_read_as_they_stand() {
-        let scenarios = parse_scenarios(b"version 1\n7\tmaps/a b.map\t49\t49\t1\t11\t2\t12\t1.41421356\n").unwrap();
-        assert_eq!(scenarios, vec![Scenario { bucket: 7, map: "maps/a b.map".into(), start: [1, 11], goal: [2, 12], optimum: 1.414_213_56 }]);
+        let scenarios = parse_scenarios(b"version 1\n7\tmaps/a b.map\t49\t49\t1\t11\t2\t12\t2.82842712\n").unwrap();
+        assert_eq!(
+            scenarios,
+            vec![Scenario {
+                bucket: 7,
+                map: "maps/a b.map".into(),
+                start: [1, 11],
+                goal: [2, 12],
+                optimum: 2.828_427_12
+            }]
+        );
     }
 }

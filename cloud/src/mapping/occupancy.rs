@@ -7,13 +7,14 @@
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{GridSpec, MAX_SIDE, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{Scan, TILE, Tile};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{Scan, Tile};
 use zenav_protocol::robot::Footprint;
 
 use super::beams::{Beam, BeamOptions, BeamReader};
-use super::evidence::{Evidence, SensorModel, UNSEEN};
-use super::window::Window;
+use super::evidence::{Evidence, SensorModel};
+use super::tiles::{Bounds, TILE_SIDE, TiledBytes};
+use super::window::{Ray, Window};
 
 /// How scans are drawn into the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,11 +27,6 @@ pub enum InsertMode {
     /// beyond is drawn beam by beam.
     Fast,
 }
-
-/// Most cells of a map.
-pub const MAX_CELLS: u64 = 1 << 28;
-
-const TILE_SIDE: usize = TILE as usize;
 
 /// Free, occupied and unknown cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,17 +59,7 @@ impl CellCounts {
 #[derive(Clone, Debug)]
 pub struct LogOddsGrid {
     evidence: Evidence,
-    resolution: f64,
-    /// Where tile (0, 0) begins, whatever the grid grows to, m.
-    anchor: Point2<f64>,
-    /// Tile column and row of the grid's lower-left corner, counted from the anchor.
-    first_tile: [i64; 2],
-    /// Tiles in each direction.
-    tiles: [usize; 2],
-    /// Row-major from the lowest row, whole tiles.
-    cells: Vec<u8>,
-    /// Tiles that changed since they were last taken.
-    dirty: Vec<bool>,
+    map: TiledBytes,
     reader: BeamReader,
     beams: Vec<Beam>,
     window: Window,
@@ -85,12 +71,7 @@ impl LogOddsGrid {
     pub fn new(resolution: f64, model: &SensorModel) -> Self {
         Self {
             evidence: Evidence::new(model),
-            resolution,
-            anchor: Point2::origin(),
-            first_tile: [0, 0],
-            tiles: [0, 0],
-            cells: Vec::new(),
-            dirty: Vec::new(),
+            map: TiledBytes::new(resolution, Point2::origin()),
             reader: BeamReader::default(),
             beams: Vec::new(),
             window: Window::default(),
@@ -102,14 +83,11 @@ impl LogOddsGrid {
     pub fn from_occupancy(grid: &OccupancyGrid, model: &SensorModel) -> Self {
         let spec = *grid.spec();
         let mut map = Self::new(spec.resolution, model);
-        map.anchor = spec.origin;
-        map.tiles = [spec.width.div_ceil(TILE) as usize, spec.height.div_ceil(TILE) as usize];
-        map.cells = vec![UNSEEN; map.tiles[0] * map.tiles[1] * TILE_SIDE * TILE_SIDE];
-        map.dirty = vec![true; map.tiles[0] * map.tiles[1]];
-        let (width, stride) = (spec.width as usize, map.tiles[0] * TILE_SIDE);
+        map.map = TiledBytes::with_size(spec.resolution, spec.origin, spec.width, spec.height);
+        let (width, stride) = (spec.width as usize, map.map.stride());
         if width > 0 {
             for (row, values) in grid.values().chunks_exact(width).enumerate() {
-                for (cell, value) in map.cells[row * stride..].iter_mut().zip(values) {
+                for (cell, value) in map.map.cells[row * stride..].iter_mut().zip(values) {
                     *cell = map.evidence.of_percent(*value);
                 }
             }
@@ -120,50 +98,63 @@ impl LogOddsGrid {
     /// Where the grid lies now.
     #[must_use]
     pub fn spec(&self) -> GridSpec {
-        let tile = self.resolution * f64::from(TILE);
-        GridSpec {
-            origin: Point2::new(self.anchor.x + self.first_tile[0] as f64 * tile, self.anchor.y + self.first_tile[1] as f64 * tile),
-            resolution: self.resolution,
-            width: (self.tiles[0] * TILE_SIDE) as u32,
-            height: (self.tiles[1] * TILE_SIDE) as u32,
-        }
+        self.map.spec()
     }
 
     /// Inserts a sane scan, and clears the cells under the robot's own footprint, where one is given. Beams that end
     /// beyond the largest map are left out. Returns how many beams were drawn.
-    pub fn insert(&mut self, scan: &Scan, options: &BeamOptions, mode: InsertMode, footprint: Option<&Footprint>) -> usize {
+    pub fn insert(
+        &mut self,
+        scan: &Scan,
+        options: &BeamOptions,
+        mode: InsertMode,
+        footprint: Option<&Footprint>,
+    ) -> usize {
         let mut beams = std::mem::take(&mut self.beams);
         beams.clear();
         self.reader.read(scan, options, &mut beams);
         let laser = scan.map_from_laser().position();
         let base = scan.map_from_odom * scan.odom_from_base;
         let body = footprint.map_or(0.0, Footprint::circumscribed_radius);
-        let drawn = self.draw(laser, &mut beams, mode, footprint.map(|footprint| (footprint, base, body)), scan.angle_increment);
+        let drawn = self.draw(
+            laser,
+            &mut beams,
+            mode,
+            footprint.map(|footprint| (footprint, base, body)),
+            scan.angle_increment,
+        );
         self.beams = beams;
         drawn
     }
 
-    fn draw(&mut self, laser: Point2<f64>, beams: &mut Vec<Beam>, mode: InsertMode, body: Option<(&Footprint, Pose2, f64)>, spacing: f64) -> usize {
+    fn draw(
+        &mut self,
+        laser: Point2<f64>,
+        beams: &mut Vec<Beam>,
+        mode: InsertMode,
+        body: Option<(&Footprint, Pose2, f64)>,
+        spacing: f64,
+    ) -> usize {
         let mut bounds = Bounds::at(laser);
         if let Some((_, base, radius)) = body {
             bounds.add(Point2::new(base.x - radius, base.y - radius));
             bounds.add(Point2::new(base.x + radius, base.y + radius));
         }
-        if !self.cover(&bounds) {
+        if !self.map.cover(&bounds) {
             return 0;
         }
         let mut all = bounds;
         for beam in beams.iter() {
             all.add(beam.end);
         }
-        if self.cover(&all) {
+        if self.map.cover(&all) {
             bounds = all;
         } else {
             // Slow but rare: some beam leaves the largest map.
             beams.retain(|beam| {
                 let mut with = bounds;
                 with.add(beam.end);
-                let covered = self.cover(&with);
+                let covered = self.map.cover(&with);
                 if covered {
                     bounds = with;
                 }
@@ -172,9 +163,12 @@ impl LogOddsGrid {
         }
         let spec = self.spec();
         let (low, high) = (spec.to_cells(bounds.low), spec.to_cells(bounds.high));
-        let (words, rows) = (low.x as usize / TILE_SIDE..high.x as usize / TILE_SIDE + 1, low.y as usize..high.y as usize + 1);
-        let words = words.start..words.end.min(self.tiles[0]);
-        let rows = rows.start..rows.end.min(self.tiles[1] * TILE_SIDE);
+        let (words, rows) = (
+            low.x as usize / TILE_SIDE..high.x as usize / TILE_SIDE + 1,
+            low.y as usize..high.y as usize + 1,
+        );
+        let words = words.start..words.end.min(self.map.tiles[0]);
+        let rows = rows.start..rows.end.min(self.map.tiles[1] * TILE_SIDE);
         if words.is_empty() || rows.is_empty() {
             return 0;
         }
@@ -185,23 +179,9 @@ impl LogOddsGrid {
             (p.x - corner.0, p.y - corner.1)
         };
         let origin = in_window(laser);
-        for beam in beams.iter().filter(|beam| beam.hit) {
-            let (x, y) = in_window(beam.end);
-            self.window.hit(x, y);
-        }
-        match mode {
-            InsertMode::Reference => {
-                for beam in beams.iter() {
-                    self.window.ray(origin, in_window(beam.end));
-                }
-            }
-            InsertMode::Fast => {
-                let _ = spacing;
-                for beam in beams.iter() {
-                    self.window.ray(origin, in_window(beam.end));
-                }
-            }
-        }
+        let rays = beams.iter().map(|beam| Ray::new(origin, in_window(beam.end), beam));
+        self.window
+            .draw(origin, rays, (mode == InsertMode::Fast).then_some(1.0 / spacing));
         if let Some((footprint, base, radius)) = body {
             self.vacate(footprint, base, radius, &spec, corner);
         }
@@ -212,12 +192,18 @@ impl LogOddsGrid {
     /// Marks the cells whose centre the robot itself covers as empty.
     fn vacate(&mut self, footprint: &Footprint, base: Pose2, radius: f64, spec: &GridSpec, corner: (f64, f64)) {
         let base_from_map = base.inverse();
-        let (low, high) = (spec.to_cells(Point2::new(base.x - radius, base.y - radius)), spec.to_cells(Point2::new(base.x + radius, base.y + radius)));
+        let (low, high) = (
+            spec.to_cells(Point2::new(base.x - radius, base.y - radius)),
+            spec.to_cells(Point2::new(base.x + radius, base.y + radius)),
+        );
         for y in low.y as u32..=high.y as u32 {
             for x in low.x as u32..=high.x as u32 {
-                let center = spec.center(zenav_protocol::grid::Cell::new(x, y));
+                let center = spec.center(Cell::new(x, y));
                 if footprint.distance(base_from_map.transform_point(center)) <= 0.0 {
-                    self.window.vacate((x as usize).saturating_sub(corner.0 as usize), (y as usize).saturating_sub(corner.1 as usize));
+                    self.window.vacate(
+                        (x as usize).saturating_sub(corner.0 as usize),
+                        (y as usize).saturating_sub(corner.1 as usize),
+                    );
                 }
             }
         }
@@ -225,120 +211,79 @@ impl LogOddsGrid {
 
     /// Carries the window's bits over into the map.
     fn apply(&mut self) {
-        let stride = self.tiles[0] * TILE_SIDE;
+        let stride = self.map.stride();
         let window = &self.window;
         for row in 0..window.rows {
             let y = window.first_row + row;
             let (cleared, hits) = window.row(row);
             for (column, (cleared, hits)) in cleared.iter().zip(hits).enumerate() {
-                let (mut missed, mut hit) = (cleared & !hits, *hits);
+                let (missed, mut hit) = (cleared & !hits, *hits);
                 if missed | hit == 0 {
                     continue;
                 }
                 let word = window.first_word + column;
-                let cells = &mut self.cells[y * stride + word * TILE_SIDE..][..TILE_SIDE];
-                let mut changed = false;
-                while missed != 0 {
-                    let start = missed.trailing_zeros();
-                    let length = (!(missed >> start)).trailing_zeros();
-                    changed |= self.evidence.miss(&mut cells[start as usize..(start + length) as usize]);
-                    missed &= !((u64::MAX >> (64 - length)) << start);
-                }
+                let Some(cells) = self.map.cells[y * stride + word * TILE_SIDE..].first_chunk_mut::<TILE_SIDE>() else {
+                    continue;
+                };
+                let mut changed = missed != 0 && self.evidence.miss(cells, missed);
                 while hit != 0 {
                     changed |= self.evidence.hit(&mut cells[hit.trailing_zeros() as usize]);
                     hit &= hit - 1;
                 }
-                self.dirty[y / TILE_SIDE * self.tiles[0] + word] |= changed;
+                self.map.dirty[y / TILE_SIDE * self.map.tiles[0] + word] |= changed;
             }
         }
-    }
-
-    /// Grows the grid, by whole tiles, until it holds a rectangle; `false` when the map would become too large.
-    fn cover(&mut self, bounds: &Bounds) -> bool {
-        let tile = self.resolution * f64::from(TILE);
-        let tile_of = |p: Point2<f64>| [((p.x - self.anchor.x) / tile).floor(), ((p.y - self.anchor.y) / tile).floor()];
-        let (low, high) = (tile_of(bounds.low), tile_of(bounds.high));
-        if ![low, high].iter().flatten().all(|at| at.abs() < 1e9) {
-            return false;
-        }
-        let empty = self.tiles[0] == 0 || self.tiles[1] == 0;
-        let (mut first, mut end) = ([0_i64; 2], [0_i64; 2]);
-        for axis in 0..2 {
-            let (now_first, now_end) = (self.first_tile[axis], self.first_tile[axis] + self.tiles[axis] as i64);
-            (first[axis], end[axis]) = (low[axis] as i64, high[axis] as i64 + 1);
-            if !empty {
-                first[axis] = first[axis].min(now_first);
-                end[axis] = end[axis].max(now_end);
-            }
-        }
-        let tiles = [end[0] - first[0], end[1] - first[1]];
-        if tiles.iter().any(|side| *side > i64::from(MAX_SIDE / TILE)) || (tiles[0] * tiles[1]).cast_unsigned() * u64::from(TILE * TILE) > MAX_CELLS {
-            return false;
-        }
-        let tiles = [tiles[0] as usize, tiles[1] as usize];
-        if tiles != self.tiles || first != self.first_tile {
-            self.grow(first, tiles);
-        }
-        true
-    }
-
-    fn grow(&mut self, first: [i64; 2], tiles: [usize; 2]) {
-        let mut cells = vec![UNSEEN; tiles[0] * tiles[1] * TILE_SIDE * TILE_SIDE];
-        let mut dirty = vec![false; tiles[0] * tiles[1]];
-        let shift = [(self.first_tile[0] - first[0]).max(0) as usize, (self.first_tile[1] - first[1]).max(0) as usize];
-        let (old, new) = (self.tiles[0] * TILE_SIDE, tiles[0] * TILE_SIDE);
-        if old > 0 {
-            for (y, row) in self.cells.chunks_exact(old).enumerate() {
-                cells[(y + shift[1] * TILE_SIDE) * new + shift[0] * TILE_SIDE..][..old].copy_from_slice(row);
-            }
-            for (y, row) in self.dirty.chunks_exact(self.tiles[0]).enumerate() {
-                dirty[(y + shift[1]) * tiles[0] + shift[0]..][..self.tiles[0]].copy_from_slice(row);
-            }
-        }
-        (self.cells, self.dirty, self.first_tile, self.tiles) = (cells, dirty, first, tiles);
     }
 
     /// Whether any tile changed since it was last taken.
     #[must_use]
     pub fn is_dirty(&self) -> bool {
-        self.dirty.contains(&true)
+        self.map.dirty.contains(&true)
     }
 
     /// Takes changed tiles, at most so many, in row-major order; the rest stays for the next time.
     pub fn take_dirty(&mut self, at_most: usize) -> Vec<Tile> {
         let mut tiles = Vec::new();
-        for index in 0..self.dirty.len() {
+        for index in 0..self.map.dirty.len() {
             if tiles.len() == at_most {
                 break;
             }
-            if std::mem::take(&mut self.dirty[index]) {
-                tiles.push(self.tile(index % self.tiles[0], index / self.tiles[0]));
+            if std::mem::take(&mut self.map.dirty[index]) {
+                tiles.push(self.tile(index % self.map.tiles[0], index / self.map.tiles[0]));
             }
         }
         tiles
     }
 
     fn tile(&self, x: usize, y: usize) -> Tile {
-        let stride = self.tiles[0] * TILE_SIDE;
+        let stride = self.map.stride();
         let mut values = Vec::with_capacity(TILE_SIDE * TILE_SIDE);
         for row in y * TILE_SIDE..(y + 1) * TILE_SIDE {
-            let cells = &self.cells[row * stride + x * TILE_SIDE..][..TILE_SIDE];
+            let cells = &self.map.cells[row * stride + x * TILE_SIDE..][..TILE_SIDE];
             values.extend(cells.iter().map(|cell| self.evidence.percent[usize::from(*cell)]));
         }
-        Tile { x: x as u32, y: y as u32, values }
+        Tile {
+            x: x as u32,
+            y: y as u32,
+            values,
+        }
     }
 
     /// All occupancy values, row-major from the lowest row.
     #[must_use]
     pub fn values(&self) -> Vec<i8> {
-        self.cells.iter().map(|cell| self.evidence.percent[usize::from(*cell)]).collect()
+        self.map
+            .cells
+            .iter()
+            .map(|cell| self.evidence.percent[usize::from(*cell)])
+            .collect()
     }
 
     /// The map with ROS's occupancy values.
     #[must_use]
     pub fn to_occupancy(&self) -> OccupancyGrid {
         let mut grid = OccupancyGrid::filled(self.spec(), Occupancy::UNKNOWN);
-        for (value, cell) in grid.values_mut().iter_mut().zip(&self.cells) {
+        for (value, cell) in grid.values_mut().iter_mut().zip(&self.map.cells) {
             *value = self.evidence.percent[usize::from(*cell)];
         }
         grid
@@ -348,7 +293,7 @@ impl LogOddsGrid {
     #[must_use]
     pub fn counts(&self) -> CellCounts {
         let mut histogram = [0_u64; 256];
-        for cell in &self.cells {
+        for cell in &self.map.cells {
             histogram[usize::from(*cell)] += 1;
         }
         let mut counts = CellCounts::default();
@@ -363,36 +308,32 @@ impl LogOddsGrid {
     }
 }
 
-/// A rectangle that holds points.
-#[derive(Clone, Copy)]
-struct Bounds {
-    low: Point2<f64>,
-    high: Point2<f64>,
-}
-
-impl Bounds {
-    fn at(p: Point2<f64>) -> Self {
-        Self { low: p, high: p }
-    }
-
-    fn add(&mut self, p: Point2<f64>) {
-        self.low = Point2::new(self.low.x.min(p.x), self.low.y.min(p.y));
-        self.high = Point2::new(self.high.x.max(p.x), self.high.y.max(p.y));
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use zenav_protocol::grid::Cell;
+    use zenav_protocol::messages::TILE;
     use zenav_protocol::time::Stamp;
 
     use super::*;
 
-    const OPTIONS: BeamOptions = BeamOptions { trim: 0, max_range: None, clear_without_return: true };
+    const OPTIONS: BeamOptions = BeamOptions {
+        trim: 0,
+        max_range: None,
+        clear_without_return: true,
+    };
 
     /// A scan from a pose whose beams start straight ahead and go counter-clockwise by `step`.
     fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
-        Scan { stamp: Stamp(1), angle_min: 0.0, angle_increment: step, range_min: 0.02, range_max: 5.0, ranges, base_from_laser: Pose2::IDENTITY, map_from_odom: Pose2::IDENTITY, odom_from_base: pose }
+        Scan {
+            stamp: Stamp(1),
+            angle_min: 0.0,
+            angle_increment: step,
+            range_min: 0.02,
+            range_max: 5.0,
+            ranges,
+            base_from_laser: Pose2::IDENTITY,
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: pose,
+        }
     }
 
     fn empty() -> LogOddsGrid {
@@ -400,13 +341,37 @@ mod tests {
     }
 
     fn at(map: &LogOddsGrid, x: f64, y: f64) -> Occupancy {
-        map.to_occupancy().at(Point2::new(x, y)).map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+        map.to_occupancy()
+            .at(Point2::new(x, y))
+            .map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn the_fast_way_marks_what_the_exact_way_marks(ranges in proptest::collection::vec((0.3_f32..5.0, 1_usize..60), 5..40), x in -1.0..1.0, yaw in -3.0..3.0, step in 0.005..0.02) {
+            let ranges: Vec<f32> = ranges.iter().flat_map(|(range, times)| (0..*times).map(move |i| range + 0.003 * i as f32)).collect();
+            let count = ranges.len().min((std::f64::consts::TAU / step) as usize);
+            let scan = scan(Pose2::new(x, 0.4, yaw), step, ranges[..count].to_vec());
+            let [exact, fast] = [InsertMode::Reference, InsertMode::Fast].map(|mode| {
+                let mut map = empty();
+                map.insert(&scan, &OPTIONS, mode, None);
+                map.to_occupancy()
+            });
+            let differ = exact.values().iter().zip(fast.values()).filter(|(exact, fast)| exact != fast).count();
+            let known = exact.values().iter().filter(|value| **value >= 0).count();
+            proptest::prop_assert!(differ * 200 <= known, "{differ} of {known} cells differ");
+        }
     }
 
     #[test]
     fn a_beam_frees_its_way_and_fills_its_end_and_leaves_the_rest_unknown() {
         let mut map = empty();
-        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![2.0]), &OPTIONS, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![2.0]),
+            &OPTIONS,
+            InsertMode::Reference,
+            None,
+        );
         assert_eq!(at(&map, 1.0, 0.01), Occupancy::Free);
         assert_eq!(at(&map, 2.01, 0.01), Occupancy::Occupied);
         assert_eq!(at(&map, 2.06, 0.01), Occupancy::Unknown);
@@ -417,10 +382,23 @@ mod tests {
     #[test]
     fn a_beam_without_a_return_frees_its_whole_range() {
         let mut map = empty();
-        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]), &OPTIONS, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]),
+            &OPTIONS,
+            InsertMode::Reference,
+            None,
+        );
         assert_eq!((at(&map, 4.9, 0.01), map.counts().occupied), (Occupancy::Free, 0));
         let mut map = empty();
-        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]), &BeamOptions { clear_without_return: false, ..OPTIONS }, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]),
+            &BeamOptions {
+                clear_without_return: false,
+                ..OPTIONS
+            },
+            InsertMode::Reference,
+            None,
+        );
         assert_eq!(map.counts().free, 0);
     }
 
@@ -428,11 +406,21 @@ mod tests {
     fn a_hit_is_not_wiped_out_by_another_beam_of_its_scan() {
         let mut map = empty();
         // The second beam goes on through the cell that the first one ended in.
-        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![1.0, 2.0]), &OPTIONS, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![1.0, 2.0]),
+            &OPTIONS,
+            InsertMode::Reference,
+            None,
+        );
         assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
         // The next scan does wipe it out.
         for _ in 0..5 {
-            map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![2.0, 2.0]), &OPTIONS, InsertMode::Reference, None);
+            map.insert(
+                &scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![2.0, 2.0]),
+                &OPTIONS,
+                InsertMode::Reference,
+                None,
+            );
         }
         assert_eq!(at(&map, 1.01, 0.01), Occupancy::Free);
     }
@@ -440,7 +428,12 @@ mod tests {
     #[test]
     fn the_place_where_the_robot_stands_is_free() {
         let mut map = empty();
-        map.insert(&scan(Pose2::new(3.0, -2.0, 0.3), 0.1, vec![0.1; 40]), &OPTIONS, InsertMode::Reference, Some(&Footprint::Radius(0.25)));
+        map.insert(
+            &scan(Pose2::new(3.0, -2.0, 0.3), 0.1, vec![0.1; 40]),
+            &OPTIONS,
+            InsertMode::Reference,
+            Some(&Footprint::Radius(0.25)),
+        );
         for (x, y) in [(3.0, -2.0), (3.2, -2.0), (2.8, -2.0), (3.0, -1.8), (3.1, -2.0)] {
             assert_eq!(at(&map, x, y), Occupancy::Free);
         }
@@ -449,13 +442,29 @@ mod tests {
     #[test]
     fn growing_keeps_what_was_known_where_it_was() {
         let mut map = empty();
-        map.insert(&scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]), &OPTIONS, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]),
+            &OPTIONS,
+            InsertMode::Reference,
+            None,
+        );
         let before = map.spec();
-        map.insert(&scan(Pose2::new(-20.0, -30.0, 0.0), 0.1, vec![1.0]), &OPTIONS, InsertMode::Reference, None);
+        map.insert(
+            &scan(Pose2::new(-20.0, -30.0, 0.0), 0.1, vec![1.0]),
+            &OPTIONS,
+            InsertMode::Reference,
+            None,
+        );
         let after = map.spec();
-        assert!(after.len() > before.len() && after.width % TILE == 0 && after.height % TILE == 0);
-        assert_eq!((at(&map, 0.5, 0.01), at(&map, 1.01, 0.01)), (Occupancy::Free, Occupancy::Occupied));
-        assert_eq!((at(&map, -19.5, -30.0), at(&map, -18.99, -29.99)), (Occupancy::Free, Occupancy::Occupied));
+        assert!(after.len() > before.len() && after.width.is_multiple_of(TILE) && after.height.is_multiple_of(TILE));
+        assert_eq!(
+            (at(&map, 0.5, 0.01), at(&map, 1.01, 0.01)),
+            (Occupancy::Free, Occupancy::Occupied)
+        );
+        assert_eq!(
+            (at(&map, -19.5, -30.0), at(&map, -18.99, -29.99)),
+            (Occupancy::Free, Occupancy::Occupied)
+        );
     }
 
     #[test]
@@ -489,12 +498,27 @@ mod tests {
 
     #[test]
     fn known_values_are_taken_over_and_padded() {
-        let spec = GridSpec { origin: Point2::new(0.3, -0.7), resolution: 0.1, width: 70, height: 3 };
+        let spec = GridSpec {
+            origin: Point2::new(0.3, -0.7),
+            resolution: 0.1,
+            width: 70,
+            height: 3,
+        };
         let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
         grid[Cell::new(69, 2)] = Occupancy::OCCUPIED;
         let map = LogOddsGrid::from_occupancy(&grid, &SensorModel::default());
-        assert_eq!((map.spec().width, map.spec().height, map.spec().origin), (128, 64, spec.origin));
-        assert_eq!(map.counts(), CellCounts { free: 209, occupied: 1, unknown: 128 * 64 - 210 });
+        assert_eq!(
+            (map.spec().width, map.spec().height, map.spec().origin),
+            (128, 64, spec.origin)
+        );
+        assert_eq!(
+            map.counts(),
+            CellCounts {
+                free: 209,
+                occupied: 1,
+                unknown: 128 * 64 - 210
+            }
+        );
         assert_eq!(Occupancy::of(map.to_occupancy()[Cell::new(69, 2)]), Occupancy::Occupied);
     }
 }

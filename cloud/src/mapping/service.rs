@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Request, Shutdown};
 use zenav_protocol::grid::OccupancyGrid;
-use zenav_protocol::messages::{EdgeState, InfoRequest, MapAction, MapInfo, MapPatch, MapRef, MapReply, MapRequest, Refusal, Scan};
+use zenav_protocol::messages::{
+    EdgeState, InfoRequest, MapAction, MapInfo, MapPatch, MapRef, MapReply, MapRequest, Refusal, Scan,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key};
 
@@ -42,7 +44,12 @@ impl MappingConfig {
     /// Mapping for a robot with everything else as usual.
     #[must_use]
     pub fn new(robot: impl Into<String>) -> Self {
-        Self { robot: robot.into(), mapper: MapperConfig::default(), folder: None, publish_hz: default_publish_hz() }
+        Self {
+            robot: robot.into(),
+            mapper: MapperConfig::default(),
+            folder: None,
+            publish_hz: default_publish_hz(),
+        }
     }
 }
 
@@ -119,7 +126,10 @@ async fn ask_outline(bus: &Bus, robot: &str, known: bool) -> Option<zenav_protoc
         return None;
     }
     loop {
-        match bus.ask(&EDGE_INFO, &[robot], &InfoRequest::default(), OUTLINE_DEADLINE).await {
+        match bus
+            .ask(&EDGE_INFO, &[robot], &InfoRequest::default(), OUTLINE_DEADLINE)
+            .await
+        {
             Ok(info) => return info.model.map(|model| model.footprint),
             Err(zenav_protocol::bus::AskError::Timeout { .. }) => {}
             Err(error) => {
@@ -136,14 +146,26 @@ async fn begin(config: &MappingConfig) -> Mapper {
         let loaded = tokio::task::spawn_blocking(move || store::load(&folder)).await;
         match loaded {
             Ok(Ok(Some(StoredMap { grid, record }))) => {
-                tracing::info!(robot = config.robot, stored = record.map.id, revision = record.map.revision, "stored map loaded");
+                tracing::info!(
+                    robot = config.robot,
+                    stored = record.map.id,
+                    revision = record.map.revision,
+                    "stored map loaded"
+                );
                 // A new name: revisions of an earlier life that were never stored must not be taken for these.
-                let map = MapRef { id: new_map_id(&config.robot), revision: 0 };
+                let map = MapRef {
+                    id: new_map_id(&config.robot),
+                    revision: 0,
+                };
                 return Mapper::with_stored(config.mapper.clone(), map, &grid, record.trajectory, record.scans);
             }
             Ok(Ok(None)) => {}
-            Ok(Err(error)) => tracing::error!(robot = config.robot, %error, "the stored map cannot be read; a new one is begun"),
-            Err(error) => tracing::error!(robot = config.robot, %error, "loading the stored map failed; a new one is begun"),
+            Ok(Err(error)) => {
+                tracing::error!(robot = config.robot, %error, "the stored map cannot be read; a new one is begun")
+            }
+            Err(error) => {
+                tracing::error!(robot = config.robot, %error, "loading the stored map failed; a new one is begun")
+            }
         }
     }
     Mapper::new(config.mapper.clone(), new_map_id(&config.robot))
@@ -200,7 +222,10 @@ impl Service {
             self.hand_out(request);
             return;
         }
-        let known = asked.request_id.as_ref().and_then(|id| self.answered.iter().find(|(known, _)| known == id));
+        let known = asked
+            .request_id
+            .as_ref()
+            .and_then(|id| self.answered.iter().find(|(known, _)| known == id));
         let result = match known {
             Some((_, result)) => result.clone(),
             None => {
@@ -232,19 +257,33 @@ impl Service {
         self.publish(now);
         let info = self.mapper.info();
         self.info.put(&info);
-        Ok(MapReply { info, values: Vec::new(), trajectory: Vec::new() })
+        Ok(MapReply {
+            info,
+            values: Vec::new(),
+            trajectory: Vec::new(),
+        })
     }
 
     async fn save(&mut self) -> Result<(), Refusal> {
         let Some(folder) = self.config.folder.clone() else {
-            return Err(Refusal::rejected("this mapping service was given no folder to store maps in"));
+            return Err(Refusal::rejected(
+                "this mapping service was given no folder to store maps in",
+            ));
         };
         let info = self.mapper.info();
         if info.spec.is_empty() {
             return Err(Refusal::rejected("there is no map yet: no scan was inserted"));
         }
-        let record = MapRecord { map: info.map, stamp: info.stamp, scans: info.scans, trajectory: self.mapper.trajectory().to_vec() };
-        let stored = StoredMap { grid: self.mapper.grid(), record };
+        let record = MapRecord {
+            map: info.map,
+            stamp: info.stamp,
+            scans: info.scans,
+            trajectory: self.mapper.trajectory().to_vec(),
+        };
+        let stored = StoredMap {
+            grid: self.mapper.grid(),
+            record,
+        };
         let saved = tokio::task::spawn_blocking(move || store::save(&folder, &stored)).await;
         match saved {
             Ok(Ok(path)) => {
@@ -252,15 +291,21 @@ impl Service {
                 self.mapper.mark_stored();
                 Ok(())
             }
-            Ok(Err(error)) => Err(Refusal::Internal { reason: error.to_string() }),
-            Err(error) => Err(Refusal::Internal { reason: error.to_string() }),
+            Ok(Err(error)) => Err(Refusal::Internal {
+                reason: error.to_string(),
+            }),
+            Err(error) => Err(Refusal::Internal {
+                reason: error.to_string(),
+            }),
         }
     }
 
     /// Answers with the whole map, encoded beside the service's own work.
     fn hand_out(&mut self, request: Request<MapRequest, MapReply>) {
         if self.encoding.len() >= MAX_ENCODING {
-            request.refuse(&Refusal::Busy { reason: format!("{MAX_ENCODING} maps are being encoded") });
+            request.refuse(&Refusal::Busy {
+                reason: format!("{MAX_ENCODING} maps are being encoded"),
+            });
             return;
         }
         let format = request.parameters.get("format").map(String::as_str).unwrap_or("json");
@@ -277,7 +322,10 @@ impl Service {
                 });
             }
             other => {
-                let reason = format!("format `{}`: expected json, cbor, png, pgm or yaml", other.chars().take(40).collect::<String>());
+                let reason = format!(
+                    "format `{}`: expected json, cbor, png, pgm or yaml",
+                    other.chars().take(40).collect::<String>()
+                );
                 request.refuse(&Refusal::bad_request(reason));
             }
         }
@@ -288,12 +336,22 @@ impl Service {
 fn picture(grid: &OccupancyGrid, format: &str) -> Result<(Vec<u8>, &'static str), Refusal> {
     match format {
         "pgm" => Ok((map_file::to_pgm(grid), "image/x-portable-graymap")),
-        "yaml" => Ok((map_file::to_yaml(grid, MapMode::Trinary, "map.pgm").to_text(&[]).into_bytes(), "application/yaml")),
-        _ => map_file::to_png(grid).map(|bytes| (bytes, "image/png")).map_err(|error| Refusal::Internal { reason: error.to_string() }),
+        "yaml" => Ok((
+            map_file::to_yaml(grid, MapMode::Trinary, "map.pgm")
+                .to_text(&[])
+                .into_bytes(),
+            "application/yaml",
+        )),
+        _ => map_file::to_png(grid)
+            .map(|bytes| (bytes, "image/png"))
+            .map_err(|error| Refusal::Internal {
+                reason: error.to_string(),
+            }),
     }
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
     use zenav_protocol::geometry::Pose2;
@@ -318,25 +376,47 @@ mod tests {
     }
 
     fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
-        MapRequest { action, request_id: Some(id.to_owned()), epoch }
+        MapRequest {
+            action,
+            request_id: Some(id.to_owned()),
+            epoch,
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_scan_becomes_a_patch_and_a_saved_map_is_there_after_a_restart() {
-        let router = Router::open(&RouterConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..RouterConfig::default() }).await.unwrap();
+        let router = Router::open(&RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..RouterConfig::default()
+        })
+        .await
+        .unwrap();
         let endpoint = router.endpoints().await.remove(0);
         let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
         let folder = tempfile::tempdir().unwrap();
-        let config = MappingConfig { folder: Some(folder.path().to_owned()), ..MappingConfig::new("tiago") };
+        let config = MappingConfig {
+            folder: Some(folder.path().to_owned()),
+            ..MappingConfig::new("tiago")
+        };
         let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
         let mut patches = client.subscribe(&MAP_PATCH, &chunks, 16).unwrap();
         let scans = client.publisher(&SCAN, &chunks).unwrap();
 
         let shutdown = Shutdown::new();
-        let service = tokio::spawn(run(open("mapping").await.unwrap(), Clock::wall(), config.clone(), shutdown.clone()));
-        let empty = client.ask(&MAP, &chunks, &MapRequest::default(), DEADLINE).await.unwrap();
+        let service = tokio::spawn(run(
+            open("mapping").await.unwrap(),
+            Clock::wall(),
+            config.clone(),
+            shutdown.clone(),
+        ));
+        let empty = client
+            .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+            .await
+            .unwrap();
         assert!(!empty.info.stored && empty.values.is_empty());
-        let refused = client.ask(&MAP, &chunks, &request(MapAction::Save, "too early", None), DEADLINE).await;
+        let refused = client
+            .ask(&MAP, &chunks, &request(MapAction::Save, "too early", None), DEADLINE)
+            .await;
         assert!(refused.is_err());
 
         // The scan's way to the service may not be declared yet: a robot sends again and again.
@@ -349,19 +429,39 @@ mod tests {
                 assert_eq!(mirror.apply(&patch.message), Mirrored::Applied);
             }
         }
-        let saved = client.ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE).await.unwrap();
+        let saved = client
+            .ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE)
+            .await
+            .unwrap();
         assert!(saved.info.stored && saved.values.is_empty());
-        let again = client.ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE).await.unwrap();
+        let again = client
+            .ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE)
+            .await
+            .unwrap();
         assert_eq!(again, saved);
         shutdown.trigger();
         service.await.unwrap().unwrap();
 
         let shutdown = Shutdown::new();
-        let service = tokio::spawn(run(open("mapping").await.unwrap(), Clock::wall(), config, shutdown.clone()));
-        let loaded = client.ask(&MAP, &chunks, &MapRequest::default(), DEADLINE).await.unwrap();
+        let service = tokio::spawn(run(
+            open("mapping").await.unwrap(),
+            Clock::wall(),
+            config,
+            shutdown.clone(),
+        ));
+        let loaded = client
+            .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+            .await
+            .unwrap();
         assert!(loaded.info.stored && loaded.info.free > 0 && loaded.trajectory.len() == 1);
-        assert_eq!((loaded.info.free, loaded.info.occupied), (saved.info.free, saved.info.occupied));
-        let reset = client.ask(&MAP, &chunks, &request(MapAction::Reset, "reset", None), DEADLINE).await.unwrap();
+        assert_eq!(
+            (loaded.info.free, loaded.info.occupied),
+            (saved.info.free, saved.info.occupied)
+        );
+        let reset = client
+            .ask(&MAP, &chunks, &request(MapAction::Reset, "reset", None), DEADLINE)
+            .await
+            .unwrap();
         assert!(!reset.info.stored && reset.info.map.id != loaded.info.map.id);
         shutdown.trigger();
         service.await.unwrap().unwrap();

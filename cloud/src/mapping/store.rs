@@ -8,7 +8,8 @@ use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::MapRef;
 use zenav_protocol::time::Stamp;
 
-use super::map_file::{MapFileError, read_bytes, read_map, write_atomically, write_map};
+use super::atomic::write_atomically;
+use super::map_file::{MapFileError, read_bytes, read_map, write_map};
 
 /// Name of the files, without their endings.
 const STEM: &str = "map";
@@ -46,7 +47,10 @@ pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> 
     let map = &stored.record.map;
     let path = write_map(folder, STEM, &stored.grid, &format!("{} {}", map.id, map.revision))?;
     let sidecar = sidecar(folder);
-    let text = serde_json::to_vec(&stored.record).map_err(|error| MapFileError::Io { path: sidecar.clone(), source: error.into() })?;
+    let text = serde_json::to_vec(&stored.record).map_err(|error| MapFileError::Io {
+        path: sidecar.clone(),
+        source: error.into(),
+    })?;
     write_atomically(&sidecar, &text)?;
     Ok(path)
 }
@@ -77,15 +81,32 @@ fn sidecar(folder: &Path) -> PathBuf {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::GridSpec;
 
     use super::*;
 
     fn stored() -> StoredMap {
-        let spec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.05, width: 3, height: 1 };
-        let record = MapRecord { map: MapRef { id: "kitchen".into(), revision: 12 }, stamp: Stamp(7), scans: 40, trajectory: vec![Point2::new(0.5, 0.25)] };
-        StoredMap { grid: OccupancyGrid::from_values(spec, vec![0, 100, -1]).unwrap(), record }
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, 2.0),
+            resolution: 0.05,
+            width: 3,
+            height: 1,
+        };
+        let record = MapRecord {
+            map: MapRef {
+                id: "kitchen".into(),
+                revision: 12,
+            },
+            stamp: Stamp(7),
+            scans: 40,
+            trajectory: vec![Point2::new(0.5, 0.25)],
+        };
+        StoredMap {
+            grid: OccupancyGrid::from_values(spec, vec![0, 100, -1]).unwrap(),
+            record,
+        }
     }
 
     #[test]
@@ -103,6 +124,11 @@ mod tests {
         std::fs::write(sidecar(folder.path()), "{").unwrap();
         assert_eq!(load(folder.path()).unwrap().unwrap().record, MapRecord::default());
         std::fs::write(folder.path().join("map.pgm"), "P5 3 1 255\n\0").unwrap();
-        assert!(load(folder.path()).unwrap_err().to_string().contains("map.pgm: truncated"));
+        assert!(
+            load(folder.path())
+                .unwrap_err()
+                .to_string()
+                .contains("map.pgm: truncated")
+        );
     }
 }

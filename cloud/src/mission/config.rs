@@ -21,6 +21,8 @@ pub struct MissionConfig {
     pub search_budget_ms: u64,
     /// Whether ways may lead through unknown cells. Cells that turn out to be occupied lead to another plan.
     pub unknown_is_free: bool,
+    /// Goals may lie so far outside a map that is still growing, m.
+    pub explore: f64,
     /// How far ahead of the robot a replan begins, s.
     pub latency_budget: f64,
     /// Validity of a plan, s.
@@ -48,6 +50,7 @@ impl MissionConfig {
             planner: "astar".to_owned(),
             search_budget_ms: 2000,
             unknown_is_free: true,
+            explore: 20.0,
             latency_budget: 0.5,
             plan_valid: 5.0,
             renew_period: 1.0,

@@ -183,6 +183,7 @@ impl Context {
         match self.robot.state().map(|state| state.mode) {
             Some(Mode::Stopped) => Some("the robot is stopped by hand".to_owned()),
             Some(Mode::Teleop) => Some("the robot is driven by hand".to_owned()),
+            Some(Mode::Behaviour) => Some("a behaviour of the robot's own runs".to_owned()),
             _ => None,
         }
     }
@@ -232,8 +233,20 @@ impl Context {
         }
     }
 
-    /// A drive begins; one that is still open (after a restart) goes on.
+    /// A drive begins, or the one that failed last begins again.
     pub fn begin_leg(&mut self, name: &str, goal: Option<GoalPoint>, planned_length: f64) {
+        if let Some(leg) = self
+            .goal
+            .legs
+            .last_mut()
+            .filter(|leg| leg.name == name && leg.goal == goal && leg.state == GoalPhase::Aborted)
+        {
+            // The same drive, tried again.
+            (leg.state, leg.reason, leg.ended) = (GoalPhase::Active, None, None);
+            self.goal.leg_changes += 1;
+            self.goal.feedback.recoveries += 1;
+            return;
+        }
         self.motion.was_begun_for_leg = false;
         if self.goal.legs.len() == MAX_LEGS {
             self.goal.legs.remove(0);

@@ -1,6 +1,7 @@
 //! Is this a goal, and can it be reached? Answered when it is asked for, with the reason and the nearest place that would do.
 
 use nalgebra::Point2;
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 
@@ -153,12 +154,18 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let Some(model) = ctx.robot.model().cloned() else {
         return Ok(());
     };
+    let explore = ctx.config.explore;
+    let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let Some(space) = ctx.map.space(&model.footprint) else {
         return Ok(());
     };
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
-        let outside = space.spec().cell_at(point).is_none();
+        let spec = space.spec();
+        let outside = spec.cell_at(point).is_none();
+        if outside && growing && distance(spec, point) <= explore {
+            continue;
+        }
         if !outside && space.clearance(point) > model.footprint.inscribed_radius() {
             continue;
         }
@@ -178,4 +185,11 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         });
     }
     Ok(())
+}
+
+/// Distance from a grid's rectangle, m.
+fn distance(spec: &GridSpec, point: Point2<f64>) -> f64 {
+    let p = spec.to_cells(point);
+    let outside = |value: f64, size: u32| (-value).max(value - f64::from(size)).max(0.0);
+    outside(p.x, spec.width).hypot(outside(p.y, spec.height)) * spec.resolution
 }

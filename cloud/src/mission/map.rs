@@ -1,6 +1,9 @@
 //! What is known of the robot's map? A copy kept by patches, and where the robot may be by it.
 
-use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
+use std::collections::BTreeSet;
+
+use zenav_protocol::grid::GridSpec;
+use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest, TILE, Tile};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
@@ -23,7 +26,9 @@ pub struct MapBook {
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
-    space: Option<(MapRef, ConfigurationSpace)>,
+    space: Option<ConfigurationSpace>,
+    /// Tiles that have changed since the space was brought up to date, by column and row.
+    stale: BTreeSet<(u32, u32)>,
 }
 
 impl MapBook {
@@ -33,7 +38,14 @@ impl MapBook {
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.mirror.apply(patch) {
-                Mirrored::Applied => false,
+                Mirrored::Applied => {
+                    self.stale
+                        .extend(patch.tiles.iter().map(|tile: &Tile| (tile.x, tile.y)));
+                    if patch.base_revision == 0 {
+                        self.space = None;
+                    }
+                    false
+                }
                 Mirrored::Old => gap,
                 Mirrored::Gap => true,
             };
@@ -54,6 +66,7 @@ impl MapBook {
                 && self.mirror.replace(&reply)
             {
                 self.behind = None;
+                self.space = None;
                 self.info = Some(reply.info);
             }
         }
@@ -72,6 +85,12 @@ impl MapBook {
         self.info.as_ref()
     }
 
+    /// Where the copy's grid lies; `None` while there is no copy.
+    #[must_use]
+    pub fn spec(&self) -> Option<GridSpec> {
+        self.mirror.has_map().then(|| *self.mirror.grid().spec())
+    }
+
     /// The copy's map and revision; `None` while there is no copy.
     #[must_use]
     pub fn newest(&self) -> Option<MapRef> {
@@ -83,14 +102,85 @@ impl MapBook {
         if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
             return None;
         }
-        let current = self
-            .space
-            .as_ref()
-            .is_some_and(|(map, space)| map == self.mirror.map() && space.footprint() == footprint);
-        if !current {
-            let space = ConfigurationSpace::new(self.mirror.grid(), footprint, UnknownPolicy::Free, 0.0);
-            self.space = Some((self.mirror.map().clone(), space));
+        let grid = self.mirror.grid();
+        let tile = |first: u32| first.saturating_mul(TILE)..first.saturating_add(1).saturating_mul(TILE);
+        if let Some(space) = self.space.as_mut().filter(|space| space.footprint() == footprint)
+            && self
+                .stale
+                .iter()
+                .all(|(x, y)| space.update(grid, tile(*x), tile(*y)).is_ok())
+            && space.spec() == grid.spec()
+        {
+            self.stale.clear();
+        } else {
+            self.stale.clear();
+            self.space = Some(ConfigurationSpace::new(grid, footprint, UnknownPolicy::Free, 0.0));
         }
-        self.space.as_ref().map(|(_, space)| space)
+        self.space.as_ref()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use nalgebra::Point2;
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::messages::Scan;
+
+    use crate::mapping::{Mapper, MapperConfig};
+
+    fn scan(stamp: u64, x: f64) -> Scan {
+        Scan {
+            stamp: Stamp(stamp),
+            angle_min: -3.0,
+            angle_increment: 0.05,
+            range_min: 0.02,
+            range_max: 8.0,
+            ranges: (0..120).map(|beam| 1.0 + 0.03 * beam as f32).collect(),
+            base_from_laser: Pose2::IDENTITY,
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: Pose2::new(x, 0.3 * x, 0.0),
+        }
+    }
+
+    #[test]
+    fn a_space_kept_by_patches_is_that_of_the_map() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut book = MapBook::default();
+        let footprint = Footprint::Radius(0.3);
+        for step in 1..30 {
+            mapper.insert(&scan(step, 0.4 * step as f64));
+            let patches: Vec<MapPatch> = std::iter::from_fn(|| mapper.take_patch()).collect();
+            book.observe(Stamp(step), Some(mapper.info()), &patches);
+            if step % 3 == 0 {
+                let anew = ConfigurationSpace::new(&mapper.grid(), &footprint, UnknownPolicy::Free, 0.0);
+                let kept = book.space(&footprint).unwrap();
+                assert_eq!(
+                    (kept.spec(), kept.free(), kept.obstacles()),
+                    (anew.spec(), anew.free(), anew.obstacles())
+                );
+            }
+        }
+        let larger = Footprint::Radius(0.6);
+        assert!(book.space(&larger).unwrap().clearance(Point2::origin()) >= 0.0);
+        assert_eq!(book.space(&larger).unwrap().footprint(), &larger);
+    }
+
+    #[test]
+    fn a_copy_with_a_gap_asks_for_the_whole() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let (mut book, mut asks) = (MapBook::default(), Asks::new(1));
+        mapper.insert(&scan(1, 0.0));
+        while mapper.take_patch().is_some() {}
+        book.observe(Stamp::from_secs(1.0), Some(mapper.info()), &[]);
+        book.step(Stamp::from_secs(1.0), &mut asks);
+        assert!(asks.take_new().is_empty(), "a patch may still be on its way");
+        book.observe(Stamp::from_secs(2.0), None, &[]);
+        book.step(Stamp::from_secs(2.0), &mut asks);
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        asks.answer(ticket, Ok(Answer::Map(Box::new(mapper.reply()))));
+        book.step(Stamp::from_secs(2.1), &mut asks);
+        assert_eq!(book.newest().as_ref(), Some(mapper.map()));
     }
 }

@@ -15,6 +15,8 @@ use crate::space::ConfigurationSpace;
 const SPACING: (f64, f64) = (0.05, 0.1);
 /// The way this near to the robot is not rechecked: what stands there is its guard's business, m.
 const NEAR: f64 = 0.1;
+/// What the map has where the robot stands may be left for so far, m.
+const ESCAPE: f64 = 0.6;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
 /// A robot that says nothing of an accepted motion for this long has dropped it, s.
@@ -77,6 +79,8 @@ pub struct MotionKeeper {
     revisions: u64,
     motions: u64,
     current: Option<InForce>,
+    /// What was in force before, while the robot has not taken the new motion.
+    previous: Option<InForce>,
     changed: bool,
     /// Whether the present drive has had a motion already: the next one replaces it.
     pub was_begun_for_leg: bool,
@@ -91,6 +95,7 @@ impl MotionKeeper {
             revisions: 0,
             motions: 0,
             current: None,
+            previous: None,
             changed: false,
             was_begun_for_leg: false,
         }
@@ -171,6 +176,10 @@ impl MotionKeeper {
             splice: course.splice,
             statistics: course.statistics,
         };
+        self.previous = self
+            .current
+            .take()
+            .filter(|current| current.standing == Standing::Taken);
         self.current = Some(InForce {
             plan: plan.clone(),
             standing: Standing::Sent,
@@ -215,8 +224,18 @@ impl MotionKeeper {
         Some(current.plan.clone())
     }
 
+    /// The robot has refused the motion: what was in force before still is, if it drove. Whether there is such.
+    pub fn revert(&mut self) -> bool {
+        let previous = self.previous.take();
+        self.changed |= previous.is_some();
+        let reverts = previous.is_some();
+        self.current = previous.or(self.current.take());
+        reverts
+    }
+
     /// Nothing is in force any more.
     pub fn clear(&mut self) {
+        self.previous = None;
         self.changed |= self.current.take().is_some();
     }
 
@@ -319,10 +338,16 @@ pub fn recheck(trajectory: &[TrajectoryPoint], space: &ConfigurationSpace, from:
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
     let mut way = 0.0;
     let mut before: Option<Pose2> = None;
+    let mut leaving = true;
     for (index, point) in trajectory.iter().enumerate().filter(|(_, point)| point.t >= from) {
         let pose = point.pose();
         way += before.map_or(0.0, |before: Pose2| before.distance(&pose));
         before = Some(pose);
+        // A robot that by the map stands in something must be let out of it.
+        leaving = leaving && way < ESCAPE && space.footprint_clearance(pose) <= 0.0;
+        if leaving {
+            continue;
+        }
         let last = index + 1 == trajectory.len();
         let spaced = poses.last().is_none_or(|(_, kept)| {
             kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
@@ -346,4 +371,64 @@ pub fn recheck(trajectory: &[TrajectoryPoint], space: &ConfigurationSpace, from:
         first = end - 1;
     }
     Recheck::Free
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::space::UnknownPolicy;
+    use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::robot::Footprint;
+
+    fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, -1.0),
+            resolution: 0.05,
+            width: 200,
+            height: 60,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        for (x, y) in occupied {
+            grid[spec.cell_at(Point2::new(*x, *y)).unwrap()] = Occupancy::OCCUPIED;
+        }
+        ConfigurationSpace::new(&grid, &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0)
+    }
+
+    /// Straight on at 0.5 m/s for 8 m.
+    fn straight() -> Vec<TrajectoryPoint> {
+        (0..=320)
+            .map(|i| f64::from(i) * 0.05)
+            .map(|t| TrajectoryPoint {
+                t,
+                x: 0.5 * t,
+                v: 0.5,
+                ..TrajectoryPoint::default()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_lies_ahead_is_found_and_what_lies_behind_is_not() {
+        let (way, space) = (straight(), space(&[(4.0, 0.2)]));
+        let Recheck::Blocked(ahead) = recheck(&way, &space, 0.0) else {
+            panic!("missed")
+        };
+        assert!((5.5..7.6).contains(&ahead), "{ahead}");
+        assert_eq!(recheck(&way, &space, 9.0), Recheck::Free);
+        assert_eq!(recheck(&way, &self::space(&[(4.0, 0.3)]), 0.0), Recheck::Free);
+    }
+
+    #[test]
+    fn a_robot_that_stands_in_something_is_let_out_of_it() {
+        assert_eq!(recheck(&straight(), &space(&[(-0.1, 0.1)]), 0.0), Recheck::Free);
+        assert!(matches!(
+            recheck(&straight(), &space(&[(-0.1, 0.1), (1.0, 0.0)]), 0.0),
+            Recheck::Blocked(_)
+        ));
+        assert!(matches!(
+            recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0),
+            Recheck::Blocked(_)
+        ));
+    }
 }

@@ -4,9 +4,10 @@
 //! from where it stands; one that moves otherwise is waited for. Smoothing never fails a plan: without it the way goes
 //! out with a safe time law.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 
@@ -41,6 +42,10 @@ const MAP_PATIENCE: f64 = 20.0;
 const REST_PATIENCE: f64 = 10.0;
 /// Less than this left of a motion is driven to its end before the next begins, s.
 const SHORT_REST: f64 = 0.4;
+/// Nearer to the border of the map than this nothing is gained by going on, m.
+const LEAST_STEP: f64 = 0.15;
+/// A way shorter than this is none, m.
+const AT_GOAL: f64 = 0.05;
 /// A start that the map has occupied may be left by this much, m.
 const ESCAPE: f64 = 0.6;
 
@@ -57,6 +62,8 @@ pub struct Route {
     pub length: f64,
     /// Where it begins.
     pub begin: Pose2,
+    /// It ends where the map does: the goal lies beyond.
+    pub partial: bool,
     /// What is to be published.
     pub course: Course,
 }
@@ -120,6 +127,10 @@ pub struct Search {
     begun: Stamp,
     /// The planner has said that the start is occupied, and where it is not.
     escape: Option<Point2<f64>>,
+    /// Where the way leads while the goal lies outside the map.
+    aim: Option<Point2<f64>>,
+    /// The aim was occupied; this is the nearest place that is not.
+    near_aim: Option<Point2<f64>>,
 }
 
 impl Search {
@@ -135,6 +146,8 @@ impl Search {
             stage: Stage::Idle(from),
             begun: from,
             escape: None,
+            aim: None,
+            near_aim: None,
         }
     }
 
@@ -174,6 +187,28 @@ impl Search {
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
+        self.aim = match ctx
+            .map
+            .spec()
+            .filter(|spec| spec.cell_at(Point2::new(self.goal.x, self.goal.y)).is_none())
+        {
+            Some(spec) if self.unknown_is_free => {
+                let inset = model.footprint.circumscribed_radius() + 2.0 * spec.resolution;
+                match self.near_aim.or_else(|| {
+                    border(
+                        &spec,
+                        begin.pose.position(),
+                        Point2::new(self.goal.x, self.goal.y),
+                        inset,
+                    )
+                }) {
+                    Some(aim) => Some(aim),
+                    None => return self.failed(error_code::OUTSIDE_MAP, "the goal lies outside the map".to_owned()),
+                }
+            }
+            _ => None,
+        };
+        let aim = self.aim.unwrap_or_else(|| Point2::new(self.goal.x, self.goal.y));
         let start = self
             .escape
             .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
@@ -182,7 +217,7 @@ impl Search {
             model,
             map,
             start,
-            goal: Pose2::new(self.goal.x, self.goal.y, self.goal.yaw.unwrap_or(0.0)),
+            goal: Pose2::new(aim.x, aim.y, self.goal.yaw.unwrap_or(0.0)),
             planner: self.planner.clone(),
             unknown_is_free: self.unknown_is_free,
             budget_ms: ctx.config.search_budget_ms,
@@ -219,6 +254,10 @@ impl Search {
                 if self.escape.is_some() {
                     path.insert(0, begin.pose.position());
                 }
+                if path.len() == 1 {
+                    // The robot is there.
+                    path.insert(0, begin.pose.position());
+                }
                 if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
                     return self.failed(error_code::UNKNOWN, "the planner's way is not one".to_owned());
                 }
@@ -232,12 +271,19 @@ impl Search {
                     path: path.clone(),
                     start: begin.pose,
                     start_velocity: begin.twist,
-                    goal_yaw: self.goal.yaw,
+                    goal_yaw: self.goal.yaw.filter(|_| self.aim.is_none()),
                     unknown_is_free: self.unknown_is_free,
                 };
                 let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
                 self.stage = Stage::Smooth(ticket, begin, reply.map, path, statistics);
                 Searching::Wait("smooths")
+            }
+            PlanOutcome::GoalOccupied {
+                nearest_free: Some(free),
+            } if self.aim.is_some() && self.near_aim.is_none() => {
+                self.near_aim = Some(free);
+                self.stage = Stage::Idle(ctx.now);
+                Searching::Wait("plans towards the goal")
             }
             PlanOutcome::GoalOccupied { nearest_free } => {
                 let near = nearest_free
@@ -257,7 +303,7 @@ impl Search {
                 "by the map the robot does not fit where it stands".to_owned(),
             ),
             PlanOutcome::NoPath => {
-                self.failed(error_code::NO_VALID_PATH, "start and goal are not connected".to_owned())
+                self.failed(error_code::NO_VALID_PATH, "no path: start and goal are not connected".to_owned())
             }
             PlanOutcome::OutOfMap => {
                 self.failed(error_code::OUTSIDE_MAP, "start or goal lie outside the map".to_owned())
@@ -280,11 +326,13 @@ impl Search {
         planned: PlanStatistics,
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
-        let length = path
+        let length: f64 = path
             .windows(2)
             .map(|pair| pair.first().zip(pair.last()).map_or(0.0, |(a, b)| (b - a).norm()))
             .sum();
         let (map, trajectory, statistics) = match answer {
+            // Where there is no way, none can be driven: the goal itself is the one waypoint.
+            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && length < AT_GOAL => (map, Vec::new(), planned),
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
                 // The way itself is blocked by now.
                 return self.failed(
@@ -335,6 +383,7 @@ impl Search {
             path,
             length,
             begin: begin.pose,
+            partial: self.aim.is_some(),
             course,
         }))
     }
@@ -353,6 +402,14 @@ fn predicted(ctx: &mut Context) -> Result<Begin, &'static str> {
     let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
         return Err("waits for the robot");
     };
+    // Also in the middle of a motion: something may hold the robot there.
+    if ctx.robot.is_at_rest() {
+        return Ok(Begin {
+            pose,
+            twist: Twist2::ZERO,
+            splice: None,
+        });
+    }
     let ahead = ctx
         .motion
         .time(state, ctx.robot.state_age(ctx.now))
@@ -373,13 +430,6 @@ fn predicted(ctx: &mut Context) -> Result<Begin, &'static str> {
                 splice: Some(splice),
             });
         }
-    }
-    if ctx.robot.is_at_rest() {
-        return Ok(Begin {
-            pose,
-            twist: Twist2::ZERO,
-            splice: None,
-        });
     }
     Err("waits for the robot to stand")
 }
@@ -404,5 +454,60 @@ pub fn sample(trajectory: &[TrajectoryPoint], t: f64) -> TrajectoryPoint {
         yaw: zenav_protocol::geometry::wrap_angle(from.yaw + share * turn),
         v: between(from.v, to.v),
         w: between(from.w, to.w),
+    }
+}
+
+/// The last place on the straight way to a goal outside the grid that lies at least `inset` (m) inside; `None` where the
+/// robot is there already.
+fn border(spec: &GridSpec, from: Point2<f64>, to: Point2<f64>, inset: f64) -> Option<Point2<f64>> {
+    let size = Vector2::new(f64::from(spec.width), f64::from(spec.height)) * spec.resolution;
+    let (low, high) = (
+        spec.origin + Vector2::repeat(inset),
+        spec.origin + size - Vector2::repeat(inset),
+    );
+    let way = to - from;
+    let mut share: f64 = 1.0;
+    for axis in 0..2 {
+        let end = if way[axis] > 0.0 { high[axis] } else { low[axis] };
+        if way[axis] != 0.0 {
+            share = share.min((end - from[axis]) / way[axis]);
+        }
+    }
+    (share.is_finite() && share * way.norm() > LEAST_STEP).then(|| from + way * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_goal_beyond_the_map_is_aimed_at_up_to_its_border() {
+        let spec = GridSpec {
+            origin: Point2::new(-2.0, -2.0),
+            resolution: 0.1,
+            width: 40,
+            height: 40,
+        };
+        let aim = border(&spec, Point2::origin(), Point2::new(10.0, 5.0), 0.5);
+        assert!(
+            aim.is_some_and(|aim| (aim - Point2::new(1.5, 0.75)).norm() < 1e-9),
+            "{aim:?}"
+        );
+        assert_eq!(border(&spec, Point2::new(1.45, 0.0), Point2::new(10.0, 0.0), 0.5), None);
+        assert_eq!(border(&spec, Point2::new(1.9, 0.0), Point2::new(10.0, 0.0), 0.5), None);
+    }
+
+    #[test]
+    fn a_trajectory_is_held_at_both_ends() {
+        let points = [0.0, 1.0].map(|t| TrajectoryPoint {
+            t,
+            x: 2.0 * t,
+            ..TrajectoryPoint::default()
+        });
+        assert!((sample(&points, 0.25).x - 0.5).abs() < 1e-12);
+        assert_eq!(
+            (sample(&points, -1.0).x, sample(&points, 5.0).x, sample(&[], 1.0).x),
+            (0.0, 2.0, 0.0)
+        );
     }
 }

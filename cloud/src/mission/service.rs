@@ -58,7 +58,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
         tokio::select! {
             () = shutdown.wait() => break,
             _ = ticks.tick() => {}
-            Some(request) = shell.desk.next() => shell.receive(request, &mut inputs),
+            request = shell.desk.next() => match request {
+                Some(request) => shell.receive(request, &mut inputs),
+                None => return Err(BusError::Closed.into()),
+            },
             Some(answer) = shell.answers.recv() => inputs.answers.push(answer),
         }
         shell.drain(&mut inputs);
@@ -420,5 +423,99 @@ impl Workers {
             .failed
             .insert(worker.to_owned());
         why
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
+    use zenav_protocol::id::Id;
+
+    const DEADLINE: Duration = Duration::from_secs(10);
+
+    fn to(id: &str) -> GoalRequest {
+        GoalRequest {
+            id: Some(id.into()),
+            x: Some(1.0),
+            y: Some(2.0),
+            ..GoalRequest::default()
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_goal_is_answered_kept_over_a_restart_and_told_to_whoever_listens() {
+        let config = RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..RouterConfig::default()
+        };
+        let router = Router::open(&config).await.unwrap();
+        let endpoint = router.endpoints().await.remove(0);
+        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+        let folder = tempfile::tempdir().unwrap();
+        let config = MissionConfig::new(
+            Id::robot("tiago").unwrap(),
+            "mission",
+            folder.path().join("mission.redb"),
+        );
+        let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
+        let begin = async || {
+            let shutdown = Shutdown::new();
+            let bus = open("mission").await.unwrap();
+            (
+                tokio::spawn(run(bus, Clock::wall(), config.clone(), shutdown.clone())),
+                shutdown,
+            )
+        };
+
+        let (service, shutdown) = begin().await;
+        let reply = client.ask(&topics::GOAL, &chunks, &to("a"), DEADLINE).await.unwrap();
+        assert_eq!((reply.id.as_str(), reply.state), ("a", GoalPhase::Accepted));
+        let second = run(
+            open("second").await.unwrap(),
+            Clock::wall(),
+            config.clone(),
+            Shutdown::new(),
+        )
+        .await;
+        assert!(matches!(second, Err(MissionError::Store(StoreError::Locked { .. }))));
+        let bad = client
+            .ask(&topics::GOAL, &chunks, &GoalRequest::default(), DEADLINE)
+            .await;
+        assert!(matches!(bad, Err(AskError::Refused(Refusal::BadRequest { .. }))));
+        shutdown.trigger();
+        service.await.unwrap().unwrap();
+
+        let (service, shutdown) = begin().await;
+        let again = client.ask(&topics::GOAL, &chunks, &to("a"), DEADLINE).await.unwrap();
+        assert_eq!(again.state, GoalPhase::Active);
+        let mut states = client.latest(&topics::GOAL_STATE, &["tiago", "a"]).unwrap();
+        let cancel = CancelRequest {
+            id: None,
+            request_id: Some("c".into()),
+        };
+        let ended = client.ask(&topics::CANCEL, &chunks, &cancel, DEADLINE).await.unwrap();
+        assert_eq!(ended.state, GoalPhase::Canceled);
+        let told = async {
+            loop {
+                let state = states.next().await.unwrap().message;
+                if state.state.is_end() {
+                    return state;
+                }
+            }
+        };
+        assert_eq!(
+            tokio::time::timeout(DEADLINE, told).await.unwrap().state,
+            GoalPhase::Canceled
+        );
+        let goals = client
+            .ask(&topics::GOALS, &chunks, &GoalsRequest::default(), DEADLINE)
+            .await
+            .unwrap();
+        assert_eq!(goals.goals.len(), 1);
+        shutdown.trigger();
+        service.await.unwrap().unwrap();
+        router.close().await;
     }
 }

@@ -98,7 +98,14 @@ const RING: usize = 256;
 const _: () = assert!((DIAGONAL as usize * (2 + 256 / PARTS as usize)) >> BUCKET_BITS < RING - 2);
 
 /// The cheapest way from one cell to another. Deterministic.
-pub fn search(lattice: &Lattice, costs: &impl CellCost, start: Cell, goal: Cell, memory: &mut Memory, budget: Budget<'_>) -> Searched {
+pub fn search(
+    lattice: &Lattice,
+    costs: &impl CellCost,
+    start: Cell,
+    goal: Cell,
+    memory: &mut Memory,
+    budget: Budget<'_>,
+) -> Searched {
     let mut expansions = 0;
     let result = expand(lattice, costs, start, goal, memory, budget, &mut expansions);
     Searched { result, expansions }
@@ -165,7 +172,13 @@ fn expand(
     if memory.cost[goal_node as usize] == UNREACHED {
         return Err(NotFound::NoPath);
     }
-    Ok(GridPath::through(&trace(lattice, costs, start_node, goal_node, &memory.cost)))
+    Ok(GridPath::through(&trace(
+        lattice,
+        costs,
+        start_node,
+        goal_node,
+        &memory.cost,
+    )))
 }
 
 /// The nodes of free ends.
@@ -208,7 +221,10 @@ fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, cost: 
             if known == UNREACHED {
                 continue;
             }
-            let to = Cell::new(cell.x.wrapping_add_signed(STEPS[i].x), cell.y.wrapping_add_signed(STEPS[i].y));
+            let to = Cell::new(
+                cell.x.wrapping_add_signed(STEPS[i].x),
+                cell.y.wrapping_add_signed(STEPS[i].y),
+            );
             let total = known.saturating_add(weighted(STEPS[i].cost, here, costs.extra(to)));
             // Among equals, straight on: fewer corners.
             if total < best.0 || (total == best.0 && i == last_step && !best.2) {
@@ -238,7 +254,13 @@ mod tests {
     fn reference(free: &BitGrid, extra: &impl CellCost, start: Cell, goal: Cell) -> Option<f64> {
         let (w, h) = (free.width(), free.height());
         let mut cost = vec![f64::INFINITY; (w * h) as usize];
-        let at = |x: i64, y: i64| if x < 0 || y < 0 { false } else { free.get(Cell::new(x as u32, y as u32)) };
+        let at = |x: i64, y: i64| {
+            if x < 0 || y < 0 {
+                false
+            } else {
+                free.get(Cell::new(x as u32, y as u32))
+            }
+        };
         cost[(start.y * w + start.x) as usize] = 0.0;
         let mut changed = at(start.x.into(), start.y.into());
         while changed {
@@ -255,7 +277,8 @@ mod tests {
                             continue;
                         }
                         let length = if dx != 0 && dy != 0 { 2.0_f64.sqrt() } else { 1.0 };
-                        let both = extra.extra(Cell::new(x as u32, y as u32)) as f64 + extra.extra(Cell::new((x + dx) as u32, (y + dy) as u32)) as f64;
+                        let both = extra.extra(Cell::new(x as u32, y as u32)) as f64
+                            + extra.extra(Cell::new((x + dx) as u32, (y + dy) as u32)) as f64;
                         let total = here + length * (1.0 + both / (2.0 * f64::from(PARTS)));
                         let next = &mut cost[((y + dy) * i64::from(w) + x + dx) as usize];
                         if total < *next - 1e-9 {
@@ -279,13 +302,19 @@ mod tests {
     }
 
     fn random_map() -> impl Strategy<Value = (BitGrid, Cell, Cell)> {
-        (2_u32..24, 2_u32..24, prop::collection::vec(0_u8..4, 24 * 24), any::<(u32, u32, u32, u32)>()).prop_map(|(w, h, cells, ends)| {
-            let mut free = BitGrid::from_fn(w, h, |cell| cells[(cell.y * 24 + cell.x) as usize] != 0);
-            let (start, goal) = (Cell::new(ends.0 % w, ends.1 % h), Cell::new(ends.2 % w, ends.3 % h));
-            free.set(start, true);
-            free.set(goal, true);
-            (free, start, goal)
-        })
+        (
+            2_u32..24,
+            2_u32..24,
+            prop::collection::vec(0_u8..4, 24 * 24),
+            any::<(u32, u32, u32, u32)>(),
+        )
+            .prop_map(|(w, h, cells, ends)| {
+                let mut free = BitGrid::from_fn(w, h, |cell| cells[(cell.y * 24 + cell.x) as usize] != 0);
+                let (start, goal) = (Cell::new(ends.0 % w, ends.1 % h), Cell::new(ends.2 % w, ends.3 % h));
+                free.set(start, true);
+                free.set(goal, true);
+                (free, start, goal)
+            })
     }
 
     proptest! {
@@ -343,14 +372,41 @@ mod tests {
     fn every_way_not_to_find_one_is_told() {
         let mut free = BitGrid::from_fn(3, 1, |_| true);
         let (a, b, c) = (Cell::new(0, 0), Cell::new(1, 0), Cell::new(2, 0));
-        let run = |free: &BitGrid, start, goal, budget| search(&Lattice::new(free).unwrap(), &Uniform, start, goal, &mut Memory::default(), budget).result;
-        assert_eq!(run(&free, a, Cell::new(3, 0), Budget::UNLIMITED), Err(NotFound::OutOfMap));
-        assert_eq!(run(&free, a, c, Budget { max_expansions: 1, cancel: None }), Err(NotFound::TimedOut));
+        let run = |free: &BitGrid, start, goal, budget| {
+            search(
+                &Lattice::new(free).unwrap(),
+                &Uniform,
+                start,
+                goal,
+                &mut Memory::default(),
+                budget,
+            )
+            .result
+        };
+        assert_eq!(
+            run(&free, a, Cell::new(3, 0), Budget::UNLIMITED),
+            Err(NotFound::OutOfMap)
+        );
+        assert_eq!(
+            run(
+                &free,
+                a,
+                c,
+                Budget {
+                    max_expansions: 1,
+                    cancel: None
+                }
+            ),
+            Err(NotFound::TimedOut)
+        );
         assert_eq!(run(&free, b, b, Budget::UNLIMITED).unwrap().corners, [b]);
         free.set(b, false);
         assert_eq!(run(&free, a, c, Budget::UNLIMITED), Err(NotFound::NoPath));
         assert_eq!(run(&free, b, c, Budget::UNLIMITED), Err(NotFound::StartBlocked));
         assert_eq!(run(&free, a, b, Budget::UNLIMITED), Err(NotFound::GoalBlocked));
-        assert_eq!(run(&BitGrid::new(0, 0), a, a, Budget::UNLIMITED), Err(NotFound::OutOfMap));
+        assert_eq!(
+            run(&BitGrid::new(0, 0), a, a, Budget::UNLIMITED),
+            Err(NotFound::OutOfMap)
+        );
     }
 }

@@ -16,11 +16,15 @@ pub struct Budget<'a> {
 
 impl Budget<'_> {
     /// As long as it takes.
-    pub const UNLIMITED: Budget<'static> = Budget { max_expansions: u64::MAX, cancel: None };
+    pub const UNLIMITED: Budget<'static> = Budget {
+        max_expansions: u64::MAX,
+        cancel: None,
+    };
 
     /// Whether the search must end after this many expansions.
     #[must_use]
     pub fn is_spent(&self, expansions: u64) -> bool {
-        expansions >= self.max_expansions || (expansions.is_multiple_of(PERIOD) && self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)))
+        expansions >= self.max_expansions
+            || (expansions.is_multiple_of(PERIOD) && self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)))
     }
 }

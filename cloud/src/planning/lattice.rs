@@ -54,7 +54,12 @@ impl Lattice {
                 carry = from >> 63;
             }
         }
-        Ok(Self { words, width, height, pitch: (stride * 64) as u32 })
+        Ok(Self {
+            words,
+            width,
+            height,
+            pitch: (stride * 64) as u32,
+        })
     }
 
     /// Number of nodes, the border included.
@@ -87,6 +92,12 @@ impl Lattice {
         self.pitch
     }
 
+    /// The bitmap, the border included.
+    #[must_use]
+    pub(super) fn words(&self) -> &[u64] {
+        &self.words
+    }
+
     /// Whether a node is free.
     #[must_use]
     pub fn is_free(&self, node: u32) -> bool {
@@ -101,7 +112,10 @@ impl Lattice {
         let above = self.three(node + self.pitch);
         let (west, east) = (here & 1, here >> 2);
         let (south, north) = (below >> 1 & 1, above >> 1 & 1);
-        let diagonals = (below >> 2 & south & east) << 4 | (below & south & west & 1) << 5 | (above >> 2 & north & east) << 6 | (above & north & west & 1) << 7;
+        let diagonals = (below >> 2 & south & east) << 4
+            | (below & south & west & 1) << 5
+            | (above >> 2 & north & east) << 6
+            | (above & north & west & 1) << 7;
         east | west << 1 | north << 2 | south << 3 | diagonals
     }
 
@@ -126,11 +140,24 @@ pub struct Step {
 }
 
 const fn step(x: i32, y: i32) -> Step {
-    Step { x, y, cost: if x != 0 && y != 0 { DIAGONAL } else { STRAIGHT } }
+    Step {
+        x,
+        y,
+        cost: if x != 0 && y != 0 { DIAGONAL } else { STRAIGHT },
+    }
 }
 
 /// The eight steps: east, west, north, south, south-east, south-west, north-east, north-west.
-pub const STEPS: [Step; 8] = [step(1, 0), step(-1, 0), step(0, 1), step(0, -1), step(1, -1), step(-1, -1), step(1, 1), step(-1, 1)];
+pub const STEPS: [Step; 8] = [
+    step(1, 0),
+    step(-1, 0),
+    step(0, 1),
+    step(0, -1),
+    step(1, -1),
+    step(-1, -1),
+    step(1, 1),
+    step(-1, 1),
+];
 
 /// Cost between two cells on an empty map: never above the true one.
 #[must_use]
@@ -156,14 +183,23 @@ impl GridPath {
     /// A way through cells that are straight or exactly diagonal to one another.
     #[must_use]
     pub fn through(cells: &[Cell]) -> Self {
-        let mut path = Self { corners: Vec::new(), straight: 0, diagonal: 0 };
+        let mut path = Self {
+            corners: Vec::new(),
+            straight: 0,
+            diagonal: 0,
+        };
         for (i, cell) in cells.iter().enumerate() {
             if let Some(before) = i.checked_sub(1).map(|j| cells[j]) {
                 let (dx, dy) = (before.x.abs_diff(cell.x), before.y.abs_diff(cell.y));
                 path.diagonal += u64::from(dx.min(dy));
                 path.straight += u64::from(dx.abs_diff(dy));
             }
-            let direction = |a: Cell, b: Cell| ((i64::from(b.x) - i64::from(a.x)).signum(), (i64::from(b.y) - i64::from(a.y)).signum());
+            let direction = |a: Cell, b: Cell| {
+                (
+                    (i64::from(b.x) - i64::from(a.x)).signum(),
+                    (i64::from(b.y) - i64::from(a.y)).signum(),
+                )
+            };
             if let [.., a, b] = path.corners[..]
                 && direction(a, b) == direction(b, *cell)
             {
@@ -216,7 +252,13 @@ mod tests {
 
     #[test]
     fn corners_are_where_the_direction_changes() {
-        let path = GridPath::through(&[Cell::new(0, 0), Cell::new(1, 0), Cell::new(2, 0), Cell::new(3, 1), Cell::new(5, 3)]);
+        let path = GridPath::through(&[
+            Cell::new(0, 0),
+            Cell::new(1, 0),
+            Cell::new(2, 0),
+            Cell::new(3, 1),
+            Cell::new(5, 3),
+        ]);
         assert_eq!(path.corners, [Cell::new(0, 0), Cell::new(2, 0), Cell::new(5, 3)]);
         assert_eq!((path.straight, path.diagonal), (2, 3));
     }

@@ -13,6 +13,7 @@ use zenav_protocol::messages::PlanOutcome;
 
 use super::astar::{self, CellCost, Memory, NotFound, PARTS, Searched, Uniform};
 use super::budget::Budget;
+use super::jps::{self, JumpGrid};
 use super::lattice::{Lattice, TooManyCells};
 use crate::space::{BitGrid, ConfigurationSpace};
 
@@ -22,16 +23,21 @@ pub enum Planner {
     /// A* over eight neighbours; takes costs.
     #[default]
     AStar,
+    /// Jump point search: the shortest way, fastest where the map is open; takes no costs.
+    Jps,
 }
 
 impl Planner {
     /// Every planner, in the order in which they are listed to users.
-    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar)];
+    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar), ("jps", Self::Jps)];
 
     /// Its name, as in requests and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
-        Self::ALL.iter().find(|(_, planner)| *planner == self).map_or("", |(name, _)| name)
+        Self::ALL
+            .iter()
+            .find(|(_, planner)| *planner == self)
+            .map_or("", |(name, _)| name)
     }
 }
 
@@ -50,14 +56,22 @@ pub struct UnknownPlanner {
 }
 
 fn names() -> String {
-    Planner::ALL.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
+    Planner::ALL
+        .iter()
+        .map(|(name, _)| *name)
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 impl FromStr for Planner {
     type Err = UnknownPlanner;
 
     fn from_str(name: &str) -> Result<Self, UnknownPlanner> {
-        Self::ALL.iter().find(|(known, _)| *known == name).map(|(_, planner)| *planner).ok_or_else(|| UnknownPlanner { name: name.to_owned() })
+        Self::ALL
+            .iter()
+            .find(|(known, _)| *known == name)
+            .map(|(_, planner)| *planner)
+            .ok_or_else(|| UnknownPlanner { name: name.to_owned() })
     }
 }
 
@@ -74,7 +88,11 @@ pub struct PlanOptions {
 
 impl Default for PlanOptions {
     fn default() -> Self {
-        Self { planner: Planner::AStar, comfort: 0.4, comfort_weight: 3.0 }
+        Self {
+            planner: Planner::AStar,
+            comfort: 0.4,
+            comfort_weight: 3.0,
+        }
     }
 }
 
@@ -82,7 +100,11 @@ impl PlanOptions {
     /// The shortest way on the grid, whatever its clearance.
     #[must_use]
     pub fn shortest(planner: Planner) -> Self {
-        Self { planner, comfort: 0.0, comfort_weight: 0.0 }
+        Self {
+            planner,
+            comfort: 0.0,
+            comfort_weight: 0.0,
+        }
     }
 }
 
@@ -91,6 +113,8 @@ impl PlanOptions {
 pub struct Searcher {
     lattice: Lattice,
     memory: Memory,
+    /// Prepared when it is first asked for.
+    jumps: Option<JumpGrid>,
 }
 
 impl Searcher {
@@ -99,13 +123,21 @@ impl Searcher {
     /// # Errors
     /// [`TooManyCells`].
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
-        Ok(Self { lattice: Lattice::new(free)?, memory: Memory::default() })
+        Ok(Self {
+            lattice: Lattice::new(free)?,
+            memory: Memory::default(),
+            jumps: None,
+        })
     }
 
     /// The shortest way between two cells, for a point that does not cut corners.
     pub fn search(&mut self, planner: Planner, start: Cell, goal: Cell, budget: Budget<'_>) -> Searched {
         match planner {
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget),
+            Planner::Jps => {
+                let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
+                jps::search(&self.lattice, jumps, start, goal, &mut self.memory, budget)
+            }
         }
     }
 
@@ -127,9 +159,24 @@ pub struct Planned {
 ///
 /// The way leads from the exact start over cell centres to the exact goal. A robot that stands a little inside the margin that its
 /// footprint asks for leaves by the nearest free cell; it is refused only where it stands in an obstacle.
-pub fn plan(space: &ConfigurationSpace, searcher: &mut Searcher, start: Pose2, goal: Pose2, options: &PlanOptions, budget: Budget<'_>) -> Planned {
+pub fn plan(
+    space: &ConfigurationSpace,
+    searcher: &mut Searcher,
+    start: Pose2,
+    goal: Pose2,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+) -> Planned {
     let mut expansions = 0;
-    let outcome = outcome(space, searcher, start.position(), goal.position(), options, budget, &mut expansions);
+    let outcome = outcome(
+        space,
+        searcher,
+        start.position(),
+        goal.position(),
+        options,
+        budget,
+        &mut expansions,
+    );
     Planned { outcome, expansions }
 }
 
@@ -146,13 +193,20 @@ fn outcome(
         return PlanOutcome::OutOfMap;
     }
     let Some(first) = leaving(space, start) else {
-        return PlanOutcome::StartOccupied { nearest_free: space.nearest_free(start) };
+        return PlanOutcome::StartOccupied {
+            nearest_free: space.nearest_free(start),
+        };
     };
     let Some(last) = cell_beside(space, goal, space.radius()) else {
-        return PlanOutcome::GoalOccupied { nearest_free: space.nearest_free(goal) };
+        return PlanOutcome::GoalOccupied {
+            nearest_free: space.nearest_free(goal),
+        };
     };
     if start == goal {
-        return PlanOutcome::Found { path: vec![start, goal], length: 0.0 };
+        return PlanOutcome::Found {
+            path: vec![start, goal],
+            length: 0.0,
+        };
     }
     let searched = if options.comfort_weight > 0.0 && options.comfort > 0.0 && options.planner == Planner::AStar {
         searcher.search_with(&Comfort::new(space, options), first, last, budget)
@@ -219,7 +273,10 @@ fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64
         }
     }
     around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    around.into_iter().map(|(_, cell)| cell).find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
+    around
+        .into_iter()
+        .map(|(_, cell)| cell)
+        .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
 }
 
 /// What it costs to be near obstacles, by the distance of a cell's centre.
@@ -247,7 +304,10 @@ impl<'a> Comfort<'a> {
 
 impl CellCost for Comfort<'_> {
     fn extra(&self, cell: Cell) -> u8 {
-        self.by_distance.get(usize::from(self.space.field().squared(cell))).copied().unwrap_or(0)
+        self.by_distance
+            .get(usize::from(self.space.field().squared(cell)))
+            .copied()
+            .unwrap_or(0)
     }
 }
 
@@ -263,7 +323,12 @@ mod tests {
 
     /// A room of 5 m by 4 m, 5 cm cells, with walls and a wall across that leaves a door of 1 m at the top.
     fn room() -> OccupancyGrid {
-        let spec = GridSpec { origin: Point2::new(-1.0, -1.0), resolution: 0.05, width: 100, height: 80 };
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, -1.0),
+            resolution: 0.05,
+            width: 100,
+            height: 80,
+        };
         let mut grid = Grid::filled(spec, Occupancy::FREE);
         for y in 0..80 {
             for x in 0..100 {
@@ -278,16 +343,32 @@ mod tests {
     fn ask(grid: &OccupancyGrid, start: (f64, f64), goal: (f64, f64), options: &PlanOptions) -> PlanOutcome {
         let space = ConfigurationSpace::new(grid, &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
         let mut searcher = Searcher::new(space.free()).unwrap();
-        plan(&space, &mut searcher, Pose2::new(start.0, start.1, 0.0), Pose2::new(goal.0, goal.1, 0.0), options, Budget::UNLIMITED).outcome
+        plan(
+            &space,
+            &mut searcher,
+            Pose2::new(start.0, start.1, 0.0),
+            Pose2::new(goal.0, goal.1, 0.0),
+            options,
+            Budget::UNLIMITED,
+        )
+        .outcome
     }
 
     #[test]
     fn a_way_leads_from_start_to_goal_and_the_robot_fits_all_along() {
         let space = ConfigurationSpace::new(&room(), &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
         for options in [PlanOptions::default(), PlanOptions::shortest(Planner::AStar)] {
-            let PlanOutcome::Found { path, length } = ask(&room(), (0.013, 0.027), (3.011, 0.049), &options) else { panic!("no way") };
-            assert_eq!((path[0], path[path.len() - 1]), (Point2::new(0.013, 0.027), Point2::new(3.011, 0.049)));
-            assert!(path.windows(2).all(|pair| space.segment_is_free(pair[0], pair[1], RADIUS)));
+            let PlanOutcome::Found { path, length } = ask(&room(), (0.013, 0.027), (3.011, 0.049), &options) else {
+                panic!("no way")
+            };
+            assert_eq!(
+                (path[0], path[path.len() - 1]),
+                (Point2::new(0.013, 0.027), Point2::new(3.011, 0.049))
+            );
+            assert!(
+                path.windows(2)
+                    .all(|pair| space.segment_is_free(pair[0], pair[1], RADIUS))
+            );
             assert!(length > 4.5 && length < 7.0, "{length}");
         }
     }
@@ -296,21 +377,41 @@ mod tests {
     fn with_room_to_spare_a_way_keeps_off_the_walls() {
         let space = ConfigurationSpace::new(&room(), &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
         let least = |options: &PlanOptions| {
-            let PlanOutcome::Found { path, .. } = ask(&room(), (0.0, 0.0), (3.0, 0.0), options) else { panic!("no way") };
-            path.windows(2).map(|pair| space.segment_clearance(pair[0], pair[1])).fold(f64::INFINITY, f64::min) - RADIUS
+            let PlanOutcome::Found { path, .. } = ask(&room(), (0.0, 0.0), (3.0, 0.0), options) else {
+                panic!("no way")
+            };
+            path.windows(2)
+                .map(|pair| space.segment_clearance(pair[0], pair[1]))
+                .fold(f64::INFINITY, f64::min)
+                - RADIUS
         };
         assert!(least(&PlanOptions::shortest(Planner::AStar)) < 0.05);
-        assert!(least(&PlanOptions::default()) > 0.12, "{}", least(&PlanOptions::default()));
+        assert!(
+            least(&PlanOptions::default()) > 0.12,
+            "{}",
+            least(&PlanOptions::default())
+        );
     }
 
     #[test]
     fn places_where_the_robot_does_not_fit_are_named_with_the_nearest_that_do() {
         let options = PlanOptions::default();
-        let PlanOutcome::GoalOccupied { nearest_free: Some(near) } = ask(&room(), (0.0, 0.0), (1.52, 0.0), &options) else { panic!() };
+        let PlanOutcome::GoalOccupied {
+            nearest_free: Some(near),
+        } = ask(&room(), (0.0, 0.0), (1.52, 0.0), &options)
+        else {
+            panic!()
+        };
         assert!((near - Point2::new(1.52, 0.0)).norm() < 0.4);
-        assert!(matches!(ask(&room(), (1.52, 0.0), (0.0, 0.0), &options), PlanOutcome::StartOccupied { nearest_free: Some(_) }));
+        assert!(matches!(
+            ask(&room(), (1.52, 0.0), (0.0, 0.0), &options),
+            PlanOutcome::StartOccupied { nearest_free: Some(_) }
+        ));
         assert_eq!(ask(&room(), (0.0, 0.0), (9.0, 0.0), &options), PlanOutcome::OutOfMap);
-        assert_eq!(ask(&room(), (f64::NAN, 0.0), (0.0, 0.0), &options), PlanOutcome::OutOfMap);
+        assert_eq!(
+            ask(&room(), (f64::NAN, 0.0), (0.0, 0.0), &options),
+            PlanOutcome::OutOfMap
+        );
         let mut closed = room();
         for y in 60..80 {
             closed[Cell::new(50, y)] = Occupancy::OCCUPIED;
@@ -321,15 +422,30 @@ mod tests {
     #[test]
     fn to_stay_where_it_is_is_a_way_without_length() {
         let outcome = ask(&room(), (0.0, 0.0), (0.0, 0.0), &PlanOptions::default());
-        assert_eq!(outcome, PlanOutcome::Found { path: vec![Point2::origin(); 2], length: 0.0 });
+        assert_eq!(
+            outcome,
+            PlanOutcome::Found {
+                path: vec![Point2::origin(); 2],
+                length: 0.0
+            }
+        );
     }
 
     #[test]
     fn a_robot_close_to_a_wall_leaves_it() {
         // The wall's face is at x = -0.95: 1 cm between robot and wall, then 1 cm of the robot in the wall's cell.
         for x in [-0.95 + RADIUS + 0.01, -0.95 + RADIUS - 0.01] {
-            assert!(matches!(ask(&room(), (x, 0.0), (1.0, 0.0), &PlanOptions::default()), PlanOutcome::Found { .. }), "{x}");
+            assert!(
+                matches!(
+                    ask(&room(), (x, 0.0), (1.0, 0.0), &PlanOptions::default()),
+                    PlanOutcome::Found { .. }
+                ),
+                "{x}"
+            );
         }
-        assert!(matches!(ask(&room(), (-0.9, 0.0), (1.0, 0.0), &PlanOptions::default()), PlanOutcome::StartOccupied { .. }));
+        assert!(matches!(
+            ask(&room(), (-0.9, 0.0), (1.0, 0.0), &PlanOptions::default()),
+            PlanOutcome::StartOccupied { .. }
+        ));
     }
 }

@@ -21,18 +21,33 @@ pub struct Collision;
 ///
 /// # Errors
 /// [`Collision`].
-pub fn clearance(space: &ConfigurationSpace, motion: &Motion, limits: &Limits, exempt: f64) -> Result<Option<f64>, Collision> {
+pub fn clearance(
+    space: &ConfigurationSpace,
+    motion: &Motion,
+    limits: &Limits,
+    exempt: f64,
+) -> Result<Option<f64>, Collision> {
     let period = (STEP / limits.speed).min(TURN / limits.yaw_rate);
     // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
     let bulge = limits.lateral_acceleration * period * period / 8.0;
-    let mut poses: Vec<Pose2> = motion.states(period).into_iter().map(|state| state.point.pose()).collect();
+    let mut poses: Vec<Pose2> = motion
+        .states(period)
+        .into_iter()
+        .map(|state| state.point.pose())
+        .collect();
     if exempt > 0.0
         && let Some(start) = poses.first().copied()
     {
-        let left = poses.iter().position(|pose| pose.distance(&start) > exempt).unwrap_or(poses.len());
+        let left = poses
+            .iter()
+            .position(|pose| pose.distance(&start) > exempt)
+            .unwrap_or(poses.len());
         poses.drain(..left);
     }
-    if poses.windows(2).any(|pair| !is_permitted_along(space, pair[0].position(), pair[1].position())) {
+    if poses
+        .windows(2)
+        .any(|pair| !is_permitted_along(space, pair[0].position(), pair[1].position()))
+    {
         return Err(Collision);
     }
     let least = sweep(space, &poses);
@@ -49,13 +64,18 @@ const CHUNK: usize = 16;
 fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
     let radius = space.footprint().circumscribed_radius();
     let bound = |pose: &Pose2| {
-        let Some(cell) = space.spec().cell_at(pose.position()) else { return 0.0 };
+        let Some(cell) = space.spec().cell_at(pose.position()) else {
+            return 0.0;
+        };
         space.field().distance(cell) - (space.spec().center(cell) - pose.position()).norm() - radius
     };
     // Between two poses that both count, no place is farther from the nearer one than half a step.
     let bounds = (0..poses.len()).step_by(CHUNK).map(|begin| {
         let chunk = &poses[begin..(begin + CHUNK + 1).min(poses.len())];
-        (chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * STEP - radius * 0.5 * TURN, chunk)
+        (
+            chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * STEP - radius * 0.5 * TURN,
+            chunk,
+        )
     });
     let mut chunks: Vec<_> = bounds.collect();
     chunks.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -103,32 +103,72 @@ fn split(way: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
 
 fn room_around(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, size: &RoomSize) -> Room {
     let spec = space.spec();
-    let (mut low, mut high) = (from.inf(&to) - Vector2::repeat(size.reach), from.sup(&to) + Vector2::repeat(size.reach));
+    let (mut low, mut high) = (
+        from.inf(&to) - Vector2::repeat(size.reach),
+        from.sup(&to) + Vector2::repeat(size.reach),
+    );
     if space.unknown_policy() != UnknownPolicy::Free {
         (low, high) = (low.sup(&spec.origin), high.inf(&spec.upper()));
     }
-    let side = |x: f64, y: f64, offset: f64| HalfPlane { normal: Vector2::new(x, y), offset };
-    let mut sides = vec![side(1.0, 0.0, high.x), side(0.0, 1.0, high.y), side(-1.0, 0.0, -low.x), side(0.0, -1.0, -low.y)];
+    let side = |x: f64, y: f64, offset: f64| HalfPlane {
+        normal: Vector2::new(x, y),
+        offset,
+    };
+    let mut sides = vec![
+        side(1.0, 0.0, high.x),
+        side(0.0, 1.0, high.y),
+        side(-1.0, 0.0, -low.x),
+        side(0.0, -1.0, -low.y),
+    ];
     let radius = space.radius() + HAIR;
     let mut squares = Vec::new();
-    gather(space, space.obstacles(), (from, to), (low, high), [radius, radius + size.comfort.max(0.0)], &mut squares);
+    gather(
+        space,
+        space.obstacles(),
+        (from, to),
+        (low, high),
+        [radius, radius + size.comfort.max(0.0)],
+        &mut squares,
+    );
     if space.unknown_policy() == UnknownPolicy::Blocked {
         // The centre alone stays off these.
-        gather(space, space.forbidden(), (from, to), (low, high), [HAIR, HAIR], &mut squares);
+        gather(
+            space,
+            space.forbidden(),
+            (from, to),
+            (low, high),
+            [HAIR, HAIR],
+            &mut squares,
+        );
     }
     let half = 0.5 * spec.resolution;
     while let Some(closest) = (0..squares.len()).min_by(|a, b| squares[*a].slack().total_cmp(&squares[*b].slack())) {
-        let Square { nearest, outwards, distance, least, wanted, .. } = squares.swap_remove(closest);
+        let Square {
+            nearest,
+            outwards,
+            distance,
+            least,
+            wanted,
+            ..
+        } = squares.swap_remove(closest);
         // The piece itself stays inside, however close it is.
         let kept = wanted.min(least + (distance - least) * SHARE).min(distance);
-        let side = HalfPlane { normal: outwards, offset: outwards.dot(&nearest.coords) - kept };
+        let side = HalfPlane {
+            normal: outwards,
+            offset: outwards.dot(&nearest.coords) - kept,
+        };
         squares.retain(|other| {
             let nearest_corner = outwards.dot(&other.center.coords) - half * (outwards.x.abs() + outwards.y.abs());
             nearest_corner < side.offset + other.least - 1e-9
         });
         sides.push(side);
     }
-    Room { sides: needed(&sides), from, to, length: (to - from).norm() }
+    Room {
+        sides: needed(&sides),
+        from,
+        to,
+        length: (to - from).norm(),
+    }
 }
 
 /// An obstacle's square near a piece of the way, m.
@@ -161,13 +201,20 @@ fn gather(
 ) {
     let spec = space.spec();
     let margin = Vector2::repeat(wanted);
-    let (Some(first), Some(last)) = (spec.clamped_cell(low - margin), spec.clamped_cell(high + margin)) else { return };
+    let (Some(first), Some(last)) = (spec.clamped_cell(low - margin), spec.clamped_cell(high + margin)) else {
+        return;
+    };
     let half = 0.5 * spec.resolution;
     for y in first.y..=last.y {
         let row = bits.row(y);
         let other = |y: Option<u32>, word: usize| y.filter(|y| *y < spec.height).map_or(0, |y| bits.row(y)[word]);
-        for word in first.x as usize / 64..=last.x as usize / 64 {
-            let here = row[word];
+        for (word, here) in row
+            .iter()
+            .copied()
+            .enumerate()
+            .take(last.x as usize / 64 + 1)
+            .skip(first.x as usize / 64)
+        {
             // At a word's ends neighbours count as unset: a few squares too many.
             let mut border = here & !(here << 1 & here >> 1 & other(y.checked_sub(1), word) & other(Some(y + 1), word));
             while border != 0 {
@@ -182,7 +229,14 @@ fn gather(
                 let distance = apart.norm();
                 // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
                 if distance > 1e-9 {
-                    squares.push(Square { center, least, wanted, nearest, outwards: apart / distance, distance });
+                    squares.push(Square {
+                        center,
+                        least,
+                        wanted,
+                        nearest,
+                        outwards: apart / distance,
+                        distance,
+                    });
                 }
             }
         }
@@ -191,10 +245,21 @@ fn gather(
 
 /// The nearest pair of points of a segment and a square.
 fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -> (Point2<f64>, Point2<f64>) {
-    let clamp = |p: Point2<f64>| Point2::new(p.x.clamp(center.x - half, center.x + half), p.y.clamp(center.y - half, center.y + half));
+    let clamp = |p: Point2<f64>| {
+        Point2::new(
+            p.x.clamp(center.x - half, center.x + half),
+            p.y.clamp(center.y - half, center.y + half),
+        )
+    };
     let along = b - a;
     let squared = along.norm_squared();
-    let on_segment = |q: Point2<f64>| if squared > 0.0 { a + along * ((q - a).dot(&along) / squared).clamp(0.0, 1.0) } else { a };
+    let on_segment = |q: Point2<f64>| {
+        if squared > 0.0 {
+            a + along * ((q - a).dot(&along) / squared).clamp(0.0, 1.0)
+        } else {
+            a
+        }
+    };
     let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].map(|(x, y)| center + Vector2::new(x, y) * half);
     let ends = [a, b].map(|p| (p, clamp(p)));
     let pairs = corners.map(|q| (on_segment(q), q));
@@ -254,11 +319,20 @@ mod tests {
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
-    const SIZE: RoomSize = RoomSize { length: 2.0, reach: 1.0, comfort: 0.2 };
+    const SIZE: RoomSize = RoomSize {
+        length: 2.0,
+        reach: 1.0,
+        comfort: 0.2,
+    };
     const RADIUS: f64 = 0.25;
 
     fn space(occupied: &[(u32, u32)], unknown: &[(u32, u32)]) -> ConfigurationSpace {
-        let spec = GridSpec { origin: Point2::new(-1.0, 0.5), resolution: 0.1, width: 70, height: 60 };
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, 0.5),
+            resolution: 0.1,
+            width: 70,
+            height: 60,
+        };
         let mut grid = Grid::filled(spec, Occupancy::FREE);
         for (cells, value) in [(occupied, Occupancy::OCCUPIED), (unknown, Occupancy::UNKNOWN)] {
             for (x, y) in cells {
@@ -281,7 +355,9 @@ mod tests {
         let long = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(5.0, 1.0)], &SIZE);
         assert_eq!(long.len(), 3);
         assert!(long.windows(2).all(|pair| pair[0].to == pair[1].from));
-        let short: Vec<_> = (0..10).map(|i| Point2::new(1.0 + 0.1 * f64::from(i), 2.0 + 0.02 * f64::from(i % 2))).collect();
+        let short: Vec<_> = (0..10)
+            .map(|i| Point2::new(1.0 + 0.1 * f64::from(i), 2.0 + 0.02 * f64::from(i % 2)))
+            .collect();
         assert_eq!(corridor(&space(&[], &[]), &short, &SIZE).len(), 1);
     }
 

@@ -104,11 +104,16 @@ pub fn fit(rooms: &[Room], ends: &Ends, turning_length: f64, max_iterations: u32
     }
     let inequalities = rows.bounds.len() - equalities;
     let cones = [ZeroConeT(equalities), NonnegativeConeT(inequalities)];
-    let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(max_iterations).presolve_enable(false).build();
+    let settings = DefaultSettingsBuilder::default()
+        .verbose(false)
+        .max_iter(max_iterations)
+        .presolve_enable(false)
+        .build();
     let settings = settings.map_err(|error| CurveError::Solver(error.to_string()))?;
     let (a, b) = rows.into_matrix(variables);
     let cost = cost(rooms, turning_length);
-    let mut solver = DefaultSolver::new(&cost, &vec![0.0; variables], &a, &b, &cones, settings).map_err(|error| CurveError::Solver(error.to_string()))?;
+    let mut solver = DefaultSolver::new(&cost, &vec![0.0; variables], &a, &b, &cones, settings)
+        .map_err(|error| CurveError::Solver(error.to_string()))?;
     solver.solve();
     let status = solver.solution.status;
     if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
@@ -117,14 +122,22 @@ pub fn fit(rooms: &[Room], ends: &Ends, turning_length: f64, max_iterations: u32
     let x = &solver.solution.x;
     let vector = |variable: usize| Vector2::new(x[variable], x[variable + 1]);
     let piece = |(i, room): (usize, &Room)| {
-        controls(room.length).map(|control| control.iter().fold(origin, |sum, (joint, order, factor)| sum + vector(JOINT * (i + joint) + 2 * order) * *factor))
+        controls(room.length).map(|control| {
+            control.iter().fold(origin, |sum, (joint, order, factor)| {
+                sum + vector(JOINT * (i + joint) + 2 * order) * *factor
+            })
+        })
     };
     let mut pieces: Vec<[Point2<f64>; 6]> = rooms.iter().enumerate().map(piece).collect();
     // What was asked for to the last digit, not to the solver's tolerance.
     let count = pieces.len();
     pieces[0][0] = origin;
     pieces[count - 1][5] = last.to;
-    Ok(Curve { pieces, solver: format!("{status:?}"), iterations: solver.solution.iterations })
+    Ok(Curve {
+        pieces,
+        solver: format!("{status:?}"),
+        iterations: solver.solution.iterations,
+    })
 }
 
 /// Control points of a piece as sums of (joint 0 or 1, order of the derivative, factor).
@@ -159,7 +172,8 @@ fn cost(rooms: &[Room], turning_length: f64) -> CscMatrix<f64> {
         }
         for other in 0..=order {
             indices.push(JOINT * joint + 2 * other + axis);
-            let sum = before.map_or(0.0, |block| block[(3 + other, 3 + order)]) + after.map_or(0.0, |block| block[(other, order)]);
+            let sum = before.map_or(0.0, |block| block[(3 + other, 3 + order)])
+                + after.map_or(0.0, |block| block[(other, order)]);
             values.push(2.0 * sum);
         }
         starts.push(indices.len());
@@ -188,8 +202,10 @@ fn piece_cost(length: f64, weights: [f64; 3]) -> Matrix6<f64> {
         factor *= (degree + 1) as f64 / length;
         for i in 0..=degree {
             for j in 0..=degree {
-                let product = binomial(degree, i) * binomial(degree, j) / binomial(2 * degree, i + j) / (2 * degree + 1) as f64;
-                sum += derivative.row(i).transpose() * derivative.row(j) * (weight * factor * factor * length * product);
+                let product =
+                    binomial(degree, i) * binomial(degree, j) / binomial(2 * degree, i + j) / (2 * degree + 1) as f64;
+                sum +=
+                    derivative.row(i).transpose() * derivative.row(j) * (weight * factor * factor * length * product);
             }
         }
     }
@@ -210,7 +226,11 @@ struct Rows {
 impl Rows {
     fn equal(&mut self, row: &[(usize, f64)], value: f64) {
         let index = self.bounds.len();
-        self.entries.extend(row.iter().filter(|(_, factor)| *factor != 0.0).map(|(variable, factor)| (*variable, index, *factor)));
+        self.entries.extend(
+            row.iter()
+                .filter(|(_, factor)| *factor != 0.0)
+                .map(|(variable, factor)| (*variable, index, *factor)),
+        );
         self.bounds.push(value);
     }
 
@@ -219,7 +239,8 @@ impl Rows {
     }
 
     fn into_matrix(mut self, variables: usize) -> (CscMatrix<f64>, Vec<f64>) {
-        self.entries.sort_unstable_by_key(|(variable, row, _)| (*variable, *row));
+        self.entries
+            .sort_unstable_by_key(|(variable, row, _)| (*variable, *row));
         let mut starts = vec![0; variables + 1];
         for (variable, _, _) in &self.entries {
             starts[variable + 1] += 1;
@@ -228,7 +249,10 @@ impl Rows {
             starts[i + 1] += starts[i];
         }
         let (rows, values) = self.entries.iter().map(|(_, row, value)| (*row, *value)).unzip();
-        (CscMatrix::new(self.bounds.len(), variables, starts, rows, values), self.bounds)
+        (
+            CscMatrix::new(self.bounds.len(), variables, starts, rows, values),
+            self.bounds,
+        )
     }
 }
 
@@ -280,17 +304,25 @@ fn append(piece: &[Point2<f64>; 6], samples: usize, with_first: bool, points: &m
         let (place, first, second) = derivatives(piece, u);
         let rate = first.norm();
         let k = (first.x * second.y - first.y * second.x) / (rate * rate * rate);
-        if !(rate > 1e-6) || !(k.abs() < SHARPEST) {
+        // Without speed the curvature is not a number: that is a cusp as well.
+        if rate <= 1e-6 || k.is_nan() || k.abs() >= SHARPEST {
             return None;
         }
-        let mut point = PathPoint { s: 0.0, x: place.x, y: place.y, yaw: first.y.atan2(first.x), k };
+        let mut point = PathPoint {
+            s: 0.0,
+            x: place.x,
+            y: place.y,
+            yaw: first.y.atan2(first.x),
+            k,
+        };
         if let Some(last) = points.last() {
             let turn = zenav_protocol::geometry::wrap_angle(point.yaw - last.yaw);
             largest = largest.max(turn.abs());
             point.yaw = last.yaw + turn;
             // Gauss and Legendre, three points.
             let (middle, reach) = (u - 0.5 * step, 0.5 * step * 0.6_f64.sqrt());
-            point.s = last.s + step / 18.0 * (5.0 * speed(middle - reach) + 8.0 * speed(middle) + 5.0 * speed(middle + reach));
+            point.s = last.s
+                + step / 18.0 * (5.0 * speed(middle - reach) + 8.0 * speed(middle) + 5.0 * speed(middle + reach));
         }
         points.push(point);
     }
@@ -318,19 +350,41 @@ mod tests {
     use super::*;
 
     fn boxed(from: (f64, f64), to: (f64, f64), low: (f64, f64), high: (f64, f64)) -> Room {
-        let side = |x: f64, y: f64, offset: f64| HalfPlane { normal: Vector2::new(x, y), offset };
+        let side = |x: f64, y: f64, offset: f64| HalfPlane {
+            normal: Vector2::new(x, y),
+            offset,
+        };
         let (from, to) = (Point2::new(from.0, from.1), Point2::new(to.0, to.1));
-        Room { sides: vec![side(1.0, 0.0, high.0), side(0.0, 1.0, high.1), side(-1.0, 0.0, -low.0), side(0.0, -1.0, -low.1)], from, to, length: (to - from).norm() }
+        Room {
+            sides: vec![
+                side(1.0, 0.0, high.0),
+                side(0.0, 1.0, high.1),
+                side(-1.0, 0.0, -low.0),
+                side(0.0, -1.0, -low.1),
+            ],
+            from,
+            to,
+            length: (to - from).norm(),
+        }
     }
 
     /// A corner to the left: east along a hall, then north along another.
     fn corner() -> Vec<Room> {
-        vec![boxed((0.0, 0.0), (3.0, 0.0), (-0.5, -0.4), (3.4, 0.4)), boxed((3.0, 0.0), (3.0, 3.0), (2.6, -0.4), (3.4, 3.5))]
+        vec![
+            boxed((0.0, 0.0), (3.0, 0.0), (-0.5, -0.4), (3.4, 0.4)),
+            boxed((3.0, 0.0), (3.0, 3.0), (2.6, -0.4), (3.4, 3.5)),
+        ]
     }
 
     #[test]
     fn a_straight_hall_gives_a_straight_line() {
-        let curve = fit(&[boxed((0.0, 0.0), (3.0, 0.0), (-1.0, -1.0), (4.0, 1.0))], &Ends::default(), 0.5, 50).unwrap();
+        let curve = fit(
+            &[boxed((0.0, 0.0), (3.0, 0.0), (-1.0, -1.0), (4.0, 1.0))],
+            &Ends::default(),
+            0.5,
+            50,
+        )
+        .unwrap();
         let path = curve.sampled(0.02).unwrap();
         assert!((path.length() - 3.0).abs() < 1e-6);
         assert!(path.points().iter().all(|p| p.y.abs() < 1e-6 && p.k.abs() < 1e-4));
@@ -354,9 +408,26 @@ mod tests {
     #[test]
     fn ends_have_the_heading_and_curvature_asked_for() {
         let (sin, cos) = 0.2_f64.sin_cos();
-        let start = EndTangent { direction: Vector2::new(cos, sin), curvature: Some(-0.4) };
-        let end = EndTangent { direction: Vector2::new(-sin, cos), curvature: None };
-        let path = fit(&corner(), &Ends { start: Some(start), end: Some(end) }, 0.5, 50).unwrap().sampled(0.01).unwrap();
+        let start = EndTangent {
+            direction: Vector2::new(cos, sin),
+            curvature: Some(-0.4),
+        };
+        let end = EndTangent {
+            direction: Vector2::new(-sin, cos),
+            curvature: None,
+        };
+        let path = fit(
+            &corner(),
+            &Ends {
+                start: Some(start),
+                end: Some(end),
+            },
+            0.5,
+            50,
+        )
+        .unwrap()
+        .sampled(0.01)
+        .unwrap();
         let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
         assert!((first.yaw - 0.2).abs() < 1e-6 && (first.k + 0.4).abs() < 1e-4);
         assert!((last.yaw - 0.2 - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
@@ -365,9 +436,26 @@ mod tests {
 
     #[test]
     fn a_room_that_does_not_admit_the_tangent_is_an_error() {
-        let backwards = EndTangent { direction: Vector2::new(-1.0, 0.0), curvature: Some(0.0) };
+        let backwards = EndTangent {
+            direction: Vector2::new(-1.0, 0.0),
+            curvature: Some(0.0),
+        };
         let tight = [boxed((0.0, 0.0), (3.0, 0.0), (-0.1, -0.1), (3.1, 0.1))];
-        assert!(matches!(fit(&tight, &Ends { start: Some(backwards), end: None }, 0.5, 50), Err(CurveError::Solver(_))));
-        assert!(matches!(fit(&[], &Ends::default(), 0.5, 50), Err(CurveError::Solver(_))));
+        assert!(matches!(
+            fit(
+                &tight,
+                &Ends {
+                    start: Some(backwards),
+                    end: None
+                },
+                0.5,
+                50
+            ),
+            Err(CurveError::Solver(_))
+        ));
+        assert!(matches!(
+            fit(&[], &Ends::default(), 0.5, 50),
+            Err(CurveError::Solver(_))
+        ));
     }
 }

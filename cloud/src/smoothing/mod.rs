@@ -7,13 +7,21 @@
 //! | [`curve`] | which curve through that room bends least? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
+//! | [`worker`] | how is one request answered? |
+//! | [`service`] | how does a worker live on the network? |
 //! | [`timing`] | when is the robot where? |
 
 pub mod certificate;
 pub mod corridor;
 pub mod curve;
+pub mod service;
 pub mod shortcut;
 pub mod smoother;
 pub mod timing;
+pub mod worker;
+
+#[cfg(test)]
+mod tests;
 
 pub use smoother::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+pub use worker::SmoothWorker;

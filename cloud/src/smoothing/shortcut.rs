@@ -24,7 +24,9 @@ pub fn is_clear(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, radi
 pub(super) fn is_permitted_along(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bool {
     let spec = space.spec();
     space.unknown_policy() != UnknownPolicy::Blocked
-        || (space.is_permitted(a) && space.is_permitted(b) && spec.walk(a, b).all(|cell| space.is_permitted(spec.center(cell))))
+        || (space.is_permitted(a)
+            && space.is_permitted(b)
+            && spec.walk(a, b).all(|cell| space.is_permitted(spec.center(cell))))
 }
 
 /// The way with fewer corners; its ends stay. `comfort` (m) is what may be asked for beyond the radius.
@@ -74,8 +76,16 @@ fn spaced(space: &ConfigurationSpace, way: &[Point2<f64>], wanted: f64) -> (Vec<
         let pieces = (leg.norm() / SPACING).ceil().clamp(1.0, 1e5) as usize;
         let mut from = pair[0];
         for i in 1..=pieces {
-            let to = if i == pieces { pair[1] } else { pair[0] + leg * (i as f64 / pieces as f64) };
-            clearances.push(if space.segment_is_free(from, to, wanted) { wanted } else { space.segment_clearance(from, to) });
+            let to = if i == pieces {
+                pair[1]
+            } else {
+                pair[0] + leg * (i as f64 / pieces as f64)
+            };
+            clearances.push(if space.segment_is_free(from, to, wanted) {
+                wanted
+            } else {
+                space.segment_clearance(from, to)
+            });
             points.push(to);
             from = to;
         }
@@ -91,7 +101,15 @@ mod tests {
     use zenav_protocol::robot::Footprint;
 
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let mut grid = Grid::filled(GridSpec { origin: Point2::origin(), resolution: 0.1, width: 60, height: 60 }, Occupancy::FREE);
+        let mut grid = Grid::filled(
+            GridSpec {
+                origin: Point2::origin(),
+                resolution: 0.1,
+                width: 60,
+                height: 60,
+            },
+            Occupancy::FREE,
+        );
         for (x, y) in occupied {
             grid[Cell::new(*x, *y)] = Occupancy::OCCUPIED;
         }
@@ -100,7 +118,10 @@ mod tests {
 
     #[test]
     fn stairs_in_the_open_become_a_line() {
-        let stairs: Vec<_> = (0..20).flat_map(|i| [(i, i), (i + 1, i)]).map(|(x, y)| Point2::new(1.0 + 0.1 * f64::from(x), 1.0 + 0.1 * f64::from(y))).collect();
+        let stairs: Vec<_> = (0..20)
+            .flat_map(|i| [(i, i), (i + 1, i)])
+            .map(|(x, y)| Point2::new(1.0 + 0.1 * f64::from(x), 1.0 + 0.1 * f64::from(y)))
+            .collect();
         assert_eq!(shortcut(&space(&[]), &stairs, 0.3), [stairs[0], stairs[39]]);
     }
 
@@ -108,7 +129,11 @@ mod tests {
     fn a_cut_is_as_clear_as_what_it_replaces() {
         let space = space(&[(30, 30)]);
         let wide = [Point2::new(1.0, 3.0), Point2::new(3.0, 4.5), Point2::new(5.0, 3.0)];
-        let least = |way: &[Point2<f64>]| way.windows(2).map(|pair| space.segment_clearance(pair[0], pair[1])).fold(f64::INFINITY, f64::min);
+        let least = |way: &[Point2<f64>]| {
+            way.windows(2)
+                .map(|pair| space.segment_clearance(pair[0], pair[1]))
+                .fold(f64::INFINITY, f64::min)
+        };
         let comfortable = shortcut(&space, &wide, 0.4);
         assert!(least(&comfortable) >= 0.7 && comfortable.len() >= 3);
         let short = shortcut(&space, &wide, 0.0);

@@ -45,7 +45,16 @@ pub struct SmoothSettings {
 
 impl Default for SmoothSettings {
     fn default() -> Self {
-        Self { rooms: RoomSize { length: 1.5, reach: 1.0, comfort: 0.3 }, turning_length: 0.25, step: 0.02, max_iterations: 60 }
+        Self {
+            rooms: RoomSize {
+                length: 1.5,
+                reach: 1.0,
+                comfort: 0.3,
+            },
+            turning_length: 0.25,
+            step: 0.02,
+            max_iterations: 60,
+        }
     }
 }
 
@@ -91,9 +100,20 @@ const ARRIVING: f64 = 0.8;
 /// The trajectory along a way. Deterministic but for the times that `clock` (s) tells.
 ///
 /// `model` has the footprint that `space` was made for.
-pub fn smooth(space: &ConfigurationSpace, query: &SmoothQuery<'_>, model: &RobotModel, settings: &SmoothSettings, clock: &mut dyn FnMut() -> f64) -> Smoothed {
+pub fn smooth(
+    space: &ConfigurationSpace,
+    query: &SmoothQuery<'_>,
+    model: &RobotModel,
+    settings: &SmoothSettings,
+    clock: &mut dyn FnMut() -> f64,
+) -> Smoothed {
     let limits = Limits::of(model);
-    let mut times = Times { clock, corridor: 0.0, geometry: 0.0, timing: 0.0 };
+    let mut times = Times {
+        clock,
+        corridor: 0.0,
+        geometry: 0.0,
+        timing: 0.0,
+    };
     let mut result = Smoothed::default();
     let (motion, solver, status, least) = match smoothed_or_safe(space, query, &limits, settings, &mut times) {
         Ok(curve) => (curve.motion, curve.solver, SMOOTHED.to_owned(), curve.least),
@@ -101,7 +121,8 @@ pub fn smooth(space: &ConfigurationSpace, query: &SmoothQuery<'_>, model: &Robot
         Err((reason, None)) => (Motion::new(), String::new(), format!("fallback:{reason}"), None),
     };
     let statistics = &mut result.statistics;
-    (statistics.corridor_ms, statistics.geometry_ms, statistics.timing_ms) = (times.corridor * 1e3, times.geometry * 1e3, times.timing * 1e3);
+    (statistics.corridor_ms, statistics.geometry_ms, statistics.timing_ms) =
+        (times.corridor * 1e3, times.geometry * 1e3, times.timing * 1e3);
     (statistics.length, statistics.duration) = (motion.length(), motion.duration());
     (statistics.status, statistics.solver, statistics.min_clearance) = (status, solver, least);
     result.motion = motion;
@@ -136,7 +157,13 @@ struct Checked {
 /// Why there is no curve, and what is safe instead.
 type Failed = (String, Option<(Motion, Option<f64>)>);
 
-fn smoothed_or_safe(space: &ConfigurationSpace, query: &SmoothQuery<'_>, limits: &Limits, settings: &SmoothSettings, times: &mut Times<'_>) -> Result<Checked, Failed> {
+fn smoothed_or_safe(
+    space: &ConfigurationSpace,
+    query: &SmoothQuery<'_>,
+    limits: &Limits,
+    settings: &SmoothSettings,
+    times: &mut Times<'_>,
+) -> Result<Checked, Failed> {
     if !query.start.is_finite() || !query.start_velocity.is_finite() {
         return Err(("start_not_finite".to_owned(), None));
     }
@@ -144,15 +171,38 @@ fn smoothed_or_safe(space: &ConfigurationSpace, query: &SmoothQuery<'_>, limits:
     let Some(exempt) = exempt(space, &way) else {
         return Err(("way_blocked".to_owned(), None));
     };
-    let comfort = settings.rooms.comfort.max(space.footprint().circumscribed_radius() - space.radius());
-    let settings = SmoothSettings { rooms: RoomSize { comfort, ..settings.rooms }, ..*settings };
-    let short = times.measure(|t| &mut t.corridor, || shortcut(space, &way, comfort));
-    let job = Job { space, query, limits, settings: &settings, exempt };
+    let comfort = settings
+        .rooms
+        .comfort
+        .max(space.footprint().circumscribed_radius() - space.radius());
+    let settings = SmoothSettings {
+        rooms: RoomSize {
+            comfort,
+            ..settings.rooms
+        },
+        ..*settings
+    };
+    // A way that comes back to where it was is cut there.
+    let short = times.measure(
+        |t| &mut t.corridor,
+        || corners_from(query.start.position(), &shortcut(space, &way, comfort)),
+    );
+    let job = Job {
+        space,
+        query,
+        limits,
+        settings: &settings,
+        exempt,
+    };
     let safe = |times: &mut Times<'_>| times.measure(|t| &mut t.timing, || job.safe(&short).or_else(|| job.safe(&way)));
     if short.len() < 2 {
         // Nothing to drive: braking and turning is all there is.
         return match safe(times) {
-            Some((motion, least)) => Ok(Checked { motion, solver: "none".to_owned(), least }),
+            Some((motion, least)) => Ok(Checked {
+                motion,
+                solver: "none".to_owned(),
+                least,
+            }),
             None => Err(("collision".to_owned(), None)),
         };
     }
@@ -208,7 +258,9 @@ impl Drive {
         if speed == 0.0 {
             self.motion.spin(self.at, wrap_angle(first.yaw - self.at.yaw), limits);
         }
-        self.motion.follow(path, speed, limits).map_err(|_: SweepError| "too_fast".to_owned())?;
+        self.motion
+            .follow(path, speed, limits)
+            .map_err(|_: SweepError| "too_fast".to_owned())?;
         self.at = Pose2::new(last.x, last.y, last.yaw);
         Ok(())
     }
@@ -230,7 +282,12 @@ struct Job<'a> {
 impl Job<'_> {
     /// Stop, turn, go.
     fn legs(&self, way: &[Point2<f64>]) -> Motion {
-        let SmoothQuery { start, start_velocity, goal_yaw, .. } = *self.query;
+        let SmoothQuery {
+            start,
+            start_velocity,
+            goal_yaw,
+            ..
+        } = *self.query;
         safe_motion(way, start, start_velocity, goal_yaw, self.limits)
     }
 
@@ -264,7 +321,11 @@ impl Job<'_> {
     }
 
     fn beginnings(&self, way: &[Point2<f64>]) -> Vec<Beginning> {
-        let SmoothQuery { start, start_velocity: Twist2 { v, w }, .. } = *self.query;
+        let SmoothQuery {
+            start,
+            start_velocity: Twist2 { v, w },
+            ..
+        } = *self.query;
         let leg = way[1] - way[0];
         let turn = wrap_angle(leg.y.atan2(leg.x) - start.yaw).abs();
         let wheels = v.abs() + w.abs() * self.limits.half_separation;
@@ -286,22 +347,58 @@ impl Job<'_> {
     fn can_arrive(&self, way: &[Point2<f64>]) -> bool {
         let [.., before, last] = way else { return false };
         let leg = last - before;
-        self.query.goal_yaw.is_some_and(|yaw| wrap_angle(yaw - leg.y.atan2(leg.x)).abs() < ARRIVING)
+        self.query
+            .goal_yaw
+            .is_some_and(|yaw| wrap_angle(yaw - leg.y.atan2(leg.x)).abs() < ARRIVING)
     }
 
-    fn attempt(&self, way: &[Point2<f64>], beginning: &Beginning, arrives: bool, times: &mut Times<'_>) -> Result<Checked, String> {
-        let SmoothQuery { start, start_velocity, goal_yaw, .. } = *self.query;
+    fn attempt(
+        &self,
+        way: &[Point2<f64>],
+        beginning: &Beginning,
+        arrives: bool,
+        times: &mut Times<'_>,
+    ) -> Result<Checked, String> {
+        let SmoothQuery {
+            start,
+            start_velocity,
+            goal_yaw,
+            ..
+        } = *self.query;
         let goal_yaw = goal_yaw.filter(|yaw| yaw.is_finite());
-        let mut drive = Drive { motion: Motion::new(), at: start, solver: "none".to_owned() };
+        let mut drive = Drive {
+            motion: Motion::new(),
+            at: start,
+            solver: "none".to_owned(),
+        };
         let (way, mut enter) = match beginning {
             Beginning::Moving => {
-                let tangent = EndTangent { direction: start.heading(), curvature: Some(start_velocity.w / start_velocity.v) };
+                let tangent = EndTangent {
+                    direction: start.heading(),
+                    curvature: Some(start_velocity.w / start_velocity.v),
+                };
                 (self.led_in(way, start_velocity.v), Some((tangent, start_velocity.v)))
             }
-            Beginning::Aligned => (way.to_vec(), Some((EndTangent { direction: start.heading(), curvature: None }, 0.0))),
+            Beginning::Aligned => (
+                way.to_vec(),
+                Some((
+                    EndTangent {
+                        direction: start.heading(),
+                        curvature: None,
+                    },
+                    0.0,
+                )),
+            ),
             Beginning::Turned => {
                 drive.at = drive.motion.brake(start, start_velocity, self.limits);
-                (if drive.motion.is_empty() { way.to_vec() } else { self.joined(drive.at.position(), way) }, None)
+                (
+                    if drive.motion.is_empty() {
+                        way.to_vec()
+                    } else {
+                        self.joined(drive.at.position(), way)
+                    },
+                    None,
+                )
             }
         };
         let mut rest = &way[..];
@@ -312,23 +409,43 @@ impl Job<'_> {
             rest = &way[1..];
         }
         while rest.len() > 1 {
-            let end = (1..rest.len() - 1).find(|i| is_sharp(rest[i - 1], rest[*i], rest[i + 1])).unwrap_or(rest.len() - 1);
+            let end = (1..rest.len() - 1)
+                .find(|i| is_sharp(rest[i - 1], rest[*i], rest[i + 1]))
+                .unwrap_or(rest.len() - 1);
             let leave = goal_yaw.filter(|_| arrives && end + 1 == rest.len());
-            let leave = leave.map(|yaw| EndTangent { direction: Pose2::new(0.0, 0.0, yaw).heading(), curvature: None });
+            let leave = leave.map(|yaw| EndTangent {
+                direction: Pose2::new(0.0, 0.0, yaw).heading(),
+                curvature: None,
+            });
             self.curved(&rest[..=end], enter.take(), leave, &mut drive, times)?;
             rest = &rest[end..];
         }
         if let Some(yaw) = goal_yaw {
             drive.motion.spin(drive.at, wrap_angle(yaw - drive.at.yaw), self.limits);
         }
-        let least = times.measure(|t| &mut t.geometry, || clearance(self.space, &drive.motion, self.limits, self.exempt));
+        let least = times.measure(
+            |t| &mut t.geometry,
+            || clearance(self.space, &drive.motion, self.limits, self.exempt),
+        );
         let least = least.map_err(|Collision| "collision".to_owned())?;
-        Ok(Checked { motion: drive.motion, solver: drive.solver, least })
+        Ok(Checked {
+            motion: drive.motion,
+            solver: drive.solver,
+            least,
+        })
     }
 
     /// Turns towards a place and goes there straight.
-    fn straight(&self, from: Point2<f64>, to: Point2<f64>, drive: &mut Drive, times: &mut Times<'_>) -> Result<(), String> {
-        let Some(path) = GeometricPath::straight(from, to, self.settings.step) else { return Ok(()) };
+    fn straight(
+        &self,
+        from: Point2<f64>,
+        to: Point2<f64>,
+        drive: &mut Drive,
+        times: &mut Times<'_>,
+    ) -> Result<(), String> {
+        let Some(path) = GeometricPath::straight(from, to, self.settings.step) else {
+            return Ok(());
+        };
         times.measure(|t| &mut t.timing, || drive.follow(path, 0.0, self.limits))
     }
 
@@ -342,15 +459,29 @@ impl Job<'_> {
         times: &mut Times<'_>,
     ) -> Result<(), String> {
         let rooms = times.measure(|t| &mut t.corridor, || corridor(self.space, way, &self.settings.rooms));
-        let ends = Ends { start: enter.map(|(tangent, _)| tangent), end: leave };
-        let path = times.measure(|t| &mut t.geometry, || {
-            let curve = fit(&rooms, &ends, self.settings.turning_length, self.settings.max_iterations)?;
-            let path = curve.sampled(self.settings.step)?;
-            drive.solver = curve.solver;
-            Ok(path)
-        });
+        let ends = Ends {
+            start: enter.map(|(tangent, _)| tangent),
+            end: leave,
+        };
+        let path = times.measure(
+            |t| &mut t.geometry,
+            || {
+                let curve = fit(
+                    &rooms,
+                    &ends,
+                    self.settings.turning_length,
+                    self.settings.max_iterations,
+                )?;
+                let path = curve.sampled(self.settings.step)?;
+                drive.solver = curve.solver;
+                Ok(path)
+            },
+        );
         let path = path.map_err(|error: CurveError| error.to_string())?;
-        times.measure(|t| &mut t.timing, || drive.follow(path, enter.map_or(0.0, |(_, speed)| speed), self.limits))
+        times.measure(
+            |t| &mut t.timing,
+            || drive.follow(path, enter.map_or(0.0, |(_, speed)| speed), self.limits),
+        )
     }
 
     /// The way of a moving robot: a little on along its heading, then to the farthest corner in sight.
@@ -377,6 +508,11 @@ impl Job<'_> {
     }
 
     fn sees(&self, from: Point2<f64>, to: Point2<f64>) -> bool {
-        is_clear(self.space, from, to, self.space.radius() + 0.5 * self.settings.rooms.comfort)
+        is_clear(
+            self.space,
+            from,
+            to,
+            self.space.radius() + 0.5 * self.settings.rooms.comfort,
+        )
     }
 }

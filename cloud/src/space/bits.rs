@@ -16,7 +16,12 @@ impl BitGrid {
     #[must_use]
     pub fn new(width: u32, height: u32) -> Self {
         let stride = (width as usize).div_ceil(64);
-        Self { width, height, stride, words: vec![0; stride * height as usize] }
+        Self {
+            width,
+            height,
+            stride,
+            words: vec![0; stride * height as usize],
+        }
     }
 
     /// Sets a bit wherever `is_set` says so.
@@ -79,7 +84,9 @@ impl BitGrid {
     /// Whether a cell's bit is set; `false` outside the grid.
     #[must_use]
     pub fn get(&self, cell: Cell) -> bool {
-        cell.x < self.width && cell.y < self.height && self.words[cell.y as usize * self.stride + cell.x as usize / 64] >> (cell.x % 64) & 1 == 1
+        cell.x < self.width
+            && cell.y < self.height
+            && self.words[cell.y as usize * self.stride + cell.x as usize / 64] >> (cell.x % 64) & 1 == 1
     }
 
     /// Sets or clears a cell's bit; nothing happens outside the grid.

@@ -45,7 +45,12 @@ impl DistanceField {
         let reach = reach.clamp(1, MAX_REACH);
         let stride = obstacles.stride() * 64;
         let limit = (4 * reach * reach) as i16;
-        let mut field = Self { spec, reach, squared: vec![limit; stride * obstacles.height() as usize], stride };
+        let mut field = Self {
+            spec,
+            reach,
+            squared: vec![limit; stride * obstacles.height() as usize],
+            stride,
+        };
         field.refresh(obstacles, 0..obstacles.stride(), 0..obstacles.height() as usize);
         field
     }
@@ -80,7 +85,11 @@ impl DistanceField {
     /// Squared distance from a cell's centre, in half cells; `(2 reach)^2` means at least the reach. Zero outside the grid.
     #[must_use]
     pub fn squared(&self, cell: Cell) -> u16 {
-        if cell.x < self.spec.width && cell.y < self.spec.height { self.squared[cell.y as usize * self.stride + cell.x as usize].cast_unsigned() } else { 0 }
+        if cell.x < self.spec.width && cell.y < self.spec.height {
+            self.squared[cell.y as usize * self.stride + cell.x as usize].cast_unsigned()
+        } else {
+            0
+        }
     }
 
     /// Distance from a cell's centre to the nearest occupied square, m; at most the reach, zero outside the grid.
@@ -116,7 +125,16 @@ impl Bands {
         let limit = (4 * reach * reach) as i16;
         let mut squares: Vec<i16> = (0..=reach).map(squared_half_cells).collect();
         squares.push(limit);
-        Self { reach: reach as usize, words, wide: 0..0, columns: Vec::new(), near: Vec::new(), costs: Vec::new(), squares, running: Vec::new() }
+        Self {
+            reach: reach as usize,
+            words,
+            wide: 0..0,
+            columns: Vec::new(),
+            near: Vec::new(),
+            costs: Vec::new(),
+            squares,
+            running: Vec::new(),
+        }
     }
 
     /// Distances along the columns for a band of rows: once upwards from `reach` rows below, once downwards from `reach` above.
@@ -143,7 +161,11 @@ impl Bands {
             if y < rows.end {
                 let row = y - rows.start;
                 let cells = &mut self.columns[row * width..][..width];
-                for (word, (cells, running)) in cells.chunks_exact_mut(64).zip(self.running.chunks_exact(64)).enumerate() {
+                for (word, (cells, running)) in cells
+                    .chunks_exact_mut(64)
+                    .zip(self.running.chunks_exact(64))
+                    .enumerate()
+                {
                     let mut least = none;
                     for (cell, running) in cells.iter_mut().zip(running) {
                         *cell = (*cell).min(*running);
@@ -171,7 +193,9 @@ impl Bands {
         }
         for word in offset..offset + self.words.len() {
             let out = &mut out[(self.wide.start + word) * 64..][..64];
-            let touched = near[word.saturating_sub(1)..(word + 2).min(count)].iter().any(|near| *near);
+            let touched = near[word.saturating_sub(1)..(word + 2).min(count)]
+                .iter()
+                .any(|near| *near);
             if !touched {
                 out.fill(limit);
                 continue;
@@ -246,7 +270,13 @@ struct Envelope {
 
 impl Envelope {
     fn row(&mut self, columns: &[u32], out: &mut [u32]) {
-        let square = |cells: u64| if cells == 0 { 0 } else { (2 * cells - 1) * (2 * cells - 1) };
+        let square = |cells: u64| {
+            if cells == 0 {
+                0
+            } else {
+                (2 * cells - 1) * (2 * cells - 1)
+            }
+        };
         let cost = |x: usize, column: usize| square(x.abs_diff(column) as u64) + square(u64::from(columns[column]));
         self.winners.clear();
         for column in (0..columns.len()).filter(|&column| columns[column] != u32::MAX) {
@@ -260,7 +290,11 @@ impl Envelope {
                 let (mut low, mut high) = (begins, columns.len());
                 while low + 1 < high {
                     let middle = low.midpoint(high);
-                    if cost(middle, column) < cost(middle, last) { high = middle } else { low = middle }
+                    if cost(middle, column) < cost(middle, last) {
+                        high = middle
+                    } else {
+                        low = middle
+                    }
                 }
                 from = high;
                 break;
@@ -269,7 +303,12 @@ impl Envelope {
                 self.winners.push((column, from));
             }
         }
-        let mut ends = self.winners.iter().skip(1).map(|winner| winner.1).chain([columns.len()]);
+        let mut ends = self
+            .winners
+            .iter()
+            .skip(1)
+            .map(|winner| winner.1)
+            .chain([columns.len()]);
         for (column, begins) in &self.winners {
             let end = ends.next().unwrap_or(columns.len());
             for (x, out) in out.iter_mut().enumerate().take(end).skip(*begins) {
@@ -306,7 +345,12 @@ mod tests {
     }
 
     fn spec(width: u32, height: u32) -> GridSpec {
-        GridSpec { origin: Point2::origin(), resolution: 0.1, width, height }
+        GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.1,
+            width,
+            height,
+        }
     }
 
     proptest! {
@@ -332,6 +376,9 @@ mod tests {
         let field = DistanceField::new(spec(3, 2), &BitGrid::new(3, 2), 10);
         assert!((field.distance(Cell::new(1, 1)) - 1.0).abs() < 1e-12);
         assert!(squared_distances(&BitGrid::new(0, 0)).is_empty());
-        assert!(field.distance(Cell::new(3, 1)).abs() < 1e-12, "outside there is no clearance");
+        assert!(
+            field.distance(Cell::new(3, 1)).abs() < 1e-12,
+            "outside there is no clearance"
+        );
     }
 }

@@ -5,16 +5,21 @@
 //! | [`bits`] | which cells of a grid have a property, 64 to a word? |
 //! | [`distance`] | how far is each cell's centre from the nearest occupied square? |
 //! | [`configuration`] | which cells admit the robot, and how far is any point from an obstacle? |
+//! | [`cache`] | which space belongs to a map, a robot and a policy? |
+//! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
 //! squares, so nothing depends on a sampling step and a single occupied cell is never missed.
 
 pub mod bits;
+pub mod cache;
 pub mod configuration;
 pub mod distance;
+mod shapes;
 pub mod validity;
 
 pub use bits::BitGrid;
-pub use configuration::{ConfigurationSpace, UnknownPolicy};
+pub use cache::SpaceCache;
+pub use configuration::{ConfigurationSpace, GridChanged, UnknownPolicy};
 pub use distance::DistanceField;

@@ -3,13 +3,12 @@
 //! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the
 //! shape can reach, each candidate is measured in closed form. No step size is involved.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::grid::GridSpec;
 use zenav_protocol::robot::Footprint;
 
-use super::bits::BitGrid;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
+use super::shapes::{capsule_clearance, disc_clearance, polygon_clearance};
 
 /// Sweeps are bisected until they are certain to within this, m.
 const SWEEP_TOLERANCE: f64 = 1e-3;
@@ -54,9 +53,14 @@ impl ConfigurationSpace {
             return 0.0;
         }
         match &self.footprint {
-            Footprint::Radius(radius) => (disc_clearance(&self.obstacles, &self.spec, pose.position(), self.reach() + radius) - radius).max(0.0),
+            Footprint::Radius(radius) => {
+                (disc_clearance(&self.obstacles, &self.spec, pose.position(), self.reach() + radius) - radius).max(0.0)
+            }
             Footprint::Polygon(corners) => {
-                let outline: Vec<Point2<f64>> = corners.iter().map(|corner| self.spec.to_cells(pose.transform_point(*corner))).collect();
+                let outline: Vec<Point2<f64>> = corners
+                    .iter()
+                    .map(|corner| self.spec.to_cells(pose.transform_point(*corner)))
+                    .collect();
                 polygon_clearance(&self.obstacles, &outline, self.reach() / self.spec.resolution) * self.spec.resolution
             }
         }
@@ -67,14 +71,28 @@ impl ConfigurationSpace {
     #[must_use]
     pub fn segment_is_free(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
         let radius = radius.max(0.0) / self.spec.resolution;
-        capsule_clearance(&self.obstacles, self.spec.to_cells(a), self.spec.to_cells(b), radius, true) > radius
+        capsule_clearance(
+            &self.obstacles,
+            self.spec.to_cells(a),
+            self.spec.to_cells(b),
+            radius,
+            true,
+        ) > radius
     }
 
     /// Exact least distance from a segment to an obstacle, m; at most [`reach`](Self::reach).
     #[must_use]
     pub fn segment_clearance(&self, a: Point2<f64>, b: Point2<f64>) -> f64 {
         let limit = self.reach() / self.spec.resolution;
-        capsule_clearance(&self.obstacles, self.spec.to_cells(a), self.spec.to_cells(b), limit, false).min(limit) * self.spec.resolution
+        capsule_clearance(
+            &self.obstacles,
+            self.spec.to_cells(a),
+            self.spec.to_cells(b),
+            limit,
+            false,
+        )
+        .min(limit)
+            * self.spec.resolution
     }
 
     /// Least distance of the true footprint to an obstacle while it moves through the poses, m; at most
@@ -89,7 +107,13 @@ impl ConfigurationSpace {
             let limit = (self.reach() + radius) / self.spec.resolution;
             let steps = poses.iter().zip(poses.iter().skip(1).chain(poses.last()));
             for (a, b) in steps {
-                let clearance = capsule_clearance(&self.obstacles, self.spec.to_cells(a.position()), self.spec.to_cells(b.position()), limit, false);
+                let clearance = capsule_clearance(
+                    &self.obstacles,
+                    self.spec.to_cells(a.position()),
+                    self.spec.to_cells(b.position()),
+                    limit,
+                    false,
+                );
                 least = least.min(clearance * self.spec.resolution - radius);
             }
             return least.max(0.0);
@@ -133,186 +157,20 @@ impl ConfigurationSpace {
     }
 }
 
-/// Whether a disc (m) touches no obstacle.
-pub(super) fn is_disc_free(obstacles: &BitGrid, spec: &GridSpec, center: Point2<f64>, radius: f64) -> bool {
-    let center = spec.to_cells(center);
-    let radius = radius / spec.resolution;
-    capsule_clearance(obstacles, center, center, radius, true) > radius
-}
-
-/// Exact distance from a point to the nearest obstacle (m), at most `limit`; zero for a non-finite point.
-pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2<f64>, limit: f64) -> f64 {
-    let p = spec.to_cells(point);
-    if !(p.x.is_finite() && p.y.is_finite()) {
-        return 0.0;
-    }
-    let height = i64::from(obstacles.height());
-    let beyond = |at: f64, end: u32| (-at).max(at - f64::from(end)).max(0.0);
-    if beyond(p.x, obstacles.width()).hypot(beyond(p.y, obstacles.height())) * spec.resolution >= limit {
-        // Nothing of the grid is near; below, numbers are of a grid's size.
-        return limit;
-    }
-    // A hair more than the limit, so that an obstacle exactly at a bound is still found.
-    let mut least = limit / spec.resolution * (1.0 + 1e-12) + 1e-12;
-    let (column, row) = (column(p.x), column(p.y));
-    let (mut below, mut above) = (row.min(height - 1), (row + 1).max(0));
-    let scan = |y: i64, least: &mut f64| -> bool {
-        let dy = (y as f64 - p.y).max(p.y - (y + 1) as f64).max(0.0);
-        if y < 0 || y >= height || dy >= *least {
-            return false;
-        }
-        // Columns that could still be nearer.
-        let half = (*least * *least - dy * dy).sqrt();
-        let (low, high) = (self::column(p.x - half) - 1, self::column(p.x + half));
-        let left = obstacles.previous_set(y as u32, low, column).map(|x| (p.x - f64::from(x + 1)).max(0.0));
-        let right = obstacles.next_set(y as u32, column, high).map(|x| (f64::from(x) - p.x).max(0.0));
-        for dx in [left, right].into_iter().flatten() {
-            *least = least.min(dx.hypot(dy));
-        }
-        true
-    };
-    let (mut down, mut up) = (true, true);
-    while down || up {
-        down = down && scan(below, &mut least);
-        up = up && scan(above, &mut least);
-        below -= 1;
-        above += 1;
-    }
-    (least * spec.resolution).min(limit)
-}
-
-/// Least distance from a segment to an obstacle, both in cells, when it is at most `limit`, else something greater. With
-/// `any` the first one found within the limit ends the search. Minus one for a non-finite segment.
-fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit: f64, any: bool) -> f64 {
-    let d = b - a;
-    if !(d.x.is_finite() && d.y.is_finite() && a.x.is_finite() && a.y.is_finite() && limit.is_finite()) {
-        return -1.0;
-    }
-    let mut least = f64::INFINITY;
-    let (low, high) = (a.y.min(b.y), a.y.max(b.y));
-    let rows = rows_within(obstacles, low - limit, high + limit);
-    for y in rows {
-        let reach = limit.min(least);
-        // The part of the segment within reach of this row, and the columns within reach of that part.
-        let (bottom, top) = (f64::from(y) - reach, f64::from(y) + 1.0 + reach);
-        let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
-        if d.y == 0.0 {
-            if a.y < bottom || a.y > top {
-                continue;
-            }
-        } else {
-            let (at_bottom, at_top) = ((bottom - a.y) / d.y, (top - a.y) / d.y);
-            enter = enter.max(at_bottom.min(at_top));
-            leave = leave.min(at_bottom.max(at_top));
-            // A rounding error must not lose a touching row.
-            if enter > leave + 1e-9 {
-                continue;
-            }
-        }
-        let (x0, x1) = (a.x + d.x * enter, a.x + d.x * leave);
-        let (from, to) = (column(x0.min(x1) - reach) - 1, column(x0.max(x1) + reach) + 1);
-        for x in obstacles.set_in_row(y, from, to) {
-            least = least.min(segment_to_square(a, b, x, y));
-            if any && least <= limit {
-                return least;
-            }
-        }
-    }
-    least
-}
-
-/// The column or row that a coordinate in cells lies in; far outside any grid it is just far outside.
-fn column(at: f64) -> i64 {
-    at.floor().clamp(-1e12, 1e12) as i64
-}
-
-/// Rows of the grid whose closed squares meet a range of y, cells.
-fn rows_within(obstacles: &BitGrid, low: f64, high: f64) -> std::ops::Range<u32> {
-    // Casts saturate; one more row at both ends for closed squares.
-    let first = (low.floor() - 1.0).max(0.0) as u32;
-    let end = ((high.floor() + 2.0).max(0.0) as u32).min(obstacles.height());
-    first.min(end)..end
-}
-
-/// Exact distance from a segment to the closed square of a cell, cells.
-fn segment_to_square(a: Point2<f64>, b: Point2<f64>, x: u32, y: u32) -> f64 {
-    let (low, high) = (Vector2::new(f64::from(x), f64::from(y)), Vector2::new(f64::from(x) + 1.0, f64::from(y) + 1.0));
-    if segment_meets_box(a, b, low, high) {
-        return 0.0;
-    }
-    // Apart, so the nearest pair has an end of the segment or a corner of the square.
-    let point_to_box = |p: Point2<f64>| {
-        let (dx, dy) = ((low.x - p.x).max(p.x - high.x).max(0.0), (low.y - p.y).max(p.y - high.y).max(0.0));
-        dx.hypot(dy)
-    };
-    let corners = [(low.x, low.y), (high.x, low.y), (high.x, high.y), (low.x, high.y)];
-    let to_corner = corners.iter().map(|(u, v)| point_to_segment(Point2::new(*u, *v), a, b)).fold(f64::INFINITY, f64::min);
-    to_corner.min(point_to_box(a)).min(point_to_box(b))
-}
-
-fn point_to_segment(p: Point2<f64>, a: Point2<f64>, b: Point2<f64>) -> f64 {
-    let (d, to) = (b - a, p - a);
-    let length = d.norm_squared();
-    let share = if length > 0.0 { (to.dot(&d) / length).clamp(0.0, 1.0) } else { 0.0 };
-    (to - d * share).norm()
-}
-
-/// Whether a closed segment meets a closed box: separating axes are x, y and the segment's normal.
-fn segment_meets_box(a: Point2<f64>, b: Point2<f64>, low: Vector2<f64>, high: Vector2<f64>) -> bool {
-    if a.x.max(b.x) < low.x || a.x.min(b.x) > high.x || a.y.max(b.y) < low.y || a.y.min(b.y) > high.y {
-        return false;
-    }
-    let d = b - a;
-    let side = |u: f64, v: f64| d.x * (v - a.y) - d.y * (u - a.x);
-    let sides = [side(low.x, low.y), side(high.x, low.y), side(high.x, high.y), side(low.x, high.y)];
-    !(sides.iter().all(|s| *s > 0.0) || sides.iter().all(|s| *s < 0.0))
-}
-
-/// Least distance from a convex polygon to an obstacle, both in cells; at most `limit`.
-fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], limit: f64) -> f64 {
-    let fold = |pick: fn(&Point2<f64>) -> f64, start: f64, best: fn(f64, f64) -> f64| outline.iter().map(pick).fold(start, best);
-    let (left, right) = (fold(|p| p.x, f64::INFINITY, f64::min), fold(|p| p.x, f64::NEG_INFINITY, f64::max));
-    let (low, high) = (fold(|p| p.y, f64::INFINITY, f64::min), fold(|p| p.y, f64::NEG_INFINITY, f64::max));
-    let mut least = limit;
-    for y in rows_within(obstacles, low - limit, high + limit) {
-        // Rows are convex obstacles as well: one that is farther away than the best so far has nothing to add.
-        if f64::from(y) - high > least || low - f64::from(y) - 1.0 > least {
-            continue;
-        }
-        let (from, to) = (column(left - least) - 1, column(right + least) + 1);
-        for x in obstacles.set_in_row(y, from, to) {
-            least = least.min(polygon_to_square(outline, x, y));
-            if least <= 0.0 {
-                return 0.0;
-            }
-        }
-    }
-    least
-}
-
-/// Exact distance from a convex polygon (counter-clockwise) to the closed square of a cell, cells.
-fn polygon_to_square(outline: &[Point2<f64>], x: u32, y: u32) -> f64 {
-    let center = Point2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-    let edges = || outline.iter().zip(outline.iter().cycle().skip(1));
-    let inside = edges().all(|(a, b)| {
-        let (d, to) = (b - a, center - a);
-        d.x * to.y - d.y * to.x >= 0.0
-    });
-    if inside {
-        return 0.0;
-    }
-    // The square's centre is outside, so a polygon that meets the square has an edge that does.
-    edges().map(|(a, b)| segment_to_square(*a, *b, x, y)).fold(f64::INFINITY, f64::min)
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector2;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 
     use super::*;
 
-    const SPEC: GridSpec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.1, width: 70, height: 60 };
+    const SPEC: GridSpec = GridSpec {
+        origin: Point2::new(-1.0, 2.0),
+        resolution: 0.1,
+        width: 70,
+        height: 60,
+    };
 
     fn map(occupied: &[(u32, u32)]) -> OccupancyGrid {
         let mut grid = Grid::filled(SPEC, Occupancy::FREE);
@@ -327,14 +185,23 @@ mod tests {
     }
 
     fn oblong() -> Footprint {
-        Footprint::Polygon(vec![Point2::new(-0.3, -0.12), Point2::new(0.25, -0.15), Point2::new(0.3, 0.12), Point2::new(-0.25, 0.15)])
+        Footprint::Polygon(vec![
+            Point2::new(-0.3, -0.12),
+            Point2::new(0.25, -0.15),
+            Point2::new(0.3, 0.12),
+            Point2::new(-0.25, 0.15),
+        ])
     }
 
     /// Distance from a point to every occupied square, the least.
     fn brute(occupied: &[(u32, u32)], p: Point2<f64>) -> f64 {
         let squares = occupied.iter().map(|(x, y)| {
-            let corner = SPEC.origin + Vector2::new(f64::from(x % SPEC.width), f64::from(y % SPEC.height)) * SPEC.resolution;
-            let (dx, dy) = ((corner.x - p.x).max(p.x - corner.x - SPEC.resolution).max(0.0), (corner.y - p.y).max(p.y - corner.y - SPEC.resolution).max(0.0));
+            let corner =
+                SPEC.origin + Vector2::new(f64::from(x % SPEC.width), f64::from(y % SPEC.height)) * SPEC.resolution;
+            let (dx, dy) = (
+                (corner.x - p.x).max(p.x - corner.x - SPEC.resolution).max(0.0),
+                (corner.y - p.y).max(p.y - corner.y - SPEC.resolution).max(0.0),
+            );
             dx.hypot(dy)
         });
         squares.fold(f64::INFINITY, f64::min)
@@ -483,7 +350,12 @@ mod tests {
 
     #[test]
     fn a_robot_larger_than_the_field_reaches_is_still_exact() {
-        let spec = GridSpec { resolution: 0.01, width: 300, height: 200, ..SPEC };
+        let spec = GridSpec {
+            resolution: 0.01,
+            width: 300,
+            height: 200,
+            ..SPEC
+        };
         let mut grid = Grid::filled(spec, Occupancy::FREE);
         grid[Cell::new(5, 100)] = Occupancy::OCCUPIED;
         let space = ConfigurationSpace::new(&grid, &Footprint::Radius(1.0), UnknownPolicy::Free, 0.0);

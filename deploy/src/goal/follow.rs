@@ -29,7 +29,12 @@ pub(super) struct Watch {
 
 impl Watch {
     pub(super) fn new(bus: &Bus, robot: &str, id: &str) -> Result<Self, Failure> {
-        Ok(Self { bus: bus.clone(), robot: robot.to_owned(), id: id.to_owned(), states: bus.latest(&topics::GOAL_STATE, &[robot, id])? })
+        Ok(Self {
+            bus: bus.clone(),
+            robot: robot.to_owned(),
+            id: id.to_owned(),
+            states: bus.latest(&topics::GOAL_STATE, &[robot, id])?,
+        })
     }
 
     /// Tells `changed` every new state until the goal ends, then prints it: the exit code tells how. Ctrl-C detaches.
@@ -72,7 +77,10 @@ impl Watch {
 
 /// The goal as the mission knows it; `None` when it knows no such goal.
 async fn query(bus: &Bus, robot: &str, id: &str, within: Duration) -> Result<Option<GoalState>, Failure> {
-    let request = GoalsRequest { id: Some(id.to_owned()), ..GoalsRequest::default() };
+    let request = GoalsRequest {
+        id: Some(id.to_owned()),
+        ..GoalsRequest::default()
+    };
     let reply = bus.ask(&topics::GOALS, &[robot], &request, within).await?;
     Ok(reply.goals.into_iter().find(|goal| goal.id == id))
 }
@@ -122,7 +130,10 @@ impl Progress {
             bar.enable_steady_tick(Duration::from_millis(100));
             bar
         });
-        Self { bar, last: String::new() }
+        Self {
+            bar,
+            last: String::new(),
+        }
     }
 
     pub(super) fn say(&self, text: &str) {
@@ -140,7 +151,11 @@ impl Progress {
             return;
         }
         let step = format!("{:?} {}", state.state, state.feedback.step);
-        let left = state.feedback.distance_left.map(|m| format!(", {m:.2} m left")).unwrap_or_default();
+        let left = state
+            .feedback
+            .distance_left
+            .map(|m| format!(", {m:.2} m left"))
+            .unwrap_or_default();
         match &self.bar {
             Some(_) => self.say(&format!("{step}{left}")),
             None if step != self.last => self.say(&format!("{} {step}{left}", state.id)),

@@ -1,6 +1,8 @@
 //! Which goals are there, and how is one held or taken back?
 
-use zenav_protocol::messages::{CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest, exit_code};
+use zenav_protocol::messages::{
+    CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest, exit_code,
+};
 use zenav_protocol::topics;
 
 use super::Report;
@@ -20,15 +22,21 @@ pub(super) struct ListArgs {
 }
 
 fn phase(text: &str) -> Result<GoalPhase, String> {
-    use GoalPhase::{Accepted, Aborted, Active, Canceled, Paused, Rejected, Succeeded};
+    use GoalPhase::{Aborted, Accepted, Active, Canceled, Paused, Rejected, Succeeded};
     let all = [Accepted, Active, Paused, Succeeded, Aborted, Canceled, Rejected];
-    all.into_iter().find(|phase| format!("{phase:?}").eq_ignore_ascii_case(text)).ok_or_else(|| format!("expected one of {all:?}"))
+    all.into_iter()
+        .find(|phase| format!("{phase:?}").eq_ignore_ascii_case(text))
+        .ok_or_else(|| format!("expected one of {all:?}"))
 }
 
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
-        let request = GoalsRequest { id: None, states: args.state.clone(), limit: args.limit };
+        let request = GoalsRequest {
+            id: None,
+            states: args.state.clone(),
+            limit: args.limit,
+        };
         let reply = bus.ask(&topics::GOALS, &[&robot], &request, patience).await?;
         output::values(format, &reply.goals, table)?;
         Ok(exit_code::OK)
@@ -40,9 +48,18 @@ fn table(goals: &[GoalState]) -> String {
     let rows: Vec<Vec<String>> = goals
         .iter()
         .map(|goal| {
-            let took = goal.started.and_then(|started| goal.ended.map(|ended| ended.secs_since(started)));
+            let took = goal
+                .started
+                .and_then(|started| goal.ended.map(|ended| ended.secs_since(started)));
             let remark = goal.reason.clone().unwrap_or_else(|| goal.feedback.step.clone());
-            vec![goal.id.clone(), format!("{:?}", goal.state), target(&goal.request), number(goal.feedback.distance_left), number(took), remark]
+            vec![
+                goal.id.clone(),
+                format!("{:?}", goal.state),
+                target(&goal.request),
+                number(goal.feedback.distance_left),
+                number(took),
+                remark,
+            ]
         })
         .collect();
     output::table(&["ID", "STATE", "TARGET", "LEFT m", "TOOK s", "REMARK"], &rows)
@@ -54,7 +71,11 @@ fn target(request: &GoalRequest) -> String {
     }
     if let Some(tree) = &request.tree {
         // The text of a tree is too long for a table.
-        return if tree.trim_start().starts_with('<') { "tree".to_owned() } else { format!("tree {tree}") };
+        return if tree.trim_start().starts_with('<') {
+            "tree".to_owned()
+        } else {
+            format!("tree {tree}")
+        };
     }
     match (request.x, request.y) {
         (Some(x), Some(y)) => format!("{x:.2}, {y:.2}"),
@@ -65,7 +86,10 @@ fn target(request: &GoalRequest) -> String {
 pub(super) fn cancel(robot: &RobotArgs, format: Format, id: Option<String>) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
-        let request = CancelRequest { id, request_id: Some(fresh_id("cancel")) };
+        let request = CancelRequest {
+            id,
+            request_id: Some(fresh_id("cancel")),
+        };
         let reply = bus.ask(&topics::CANCEL, &[&robot], &request, patience).await?;
         print(format, &robot, reply)
     })
@@ -74,14 +98,22 @@ pub(super) fn cancel(robot: &RobotArgs, format: Format, id: Option<String>) -> O
 pub(super) fn pause(robot: &RobotArgs, format: Format, id: Option<String>, resume: bool) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
-        let request = PauseRequest { id, resume, request_id: Some(fresh_id("pause")) };
+        let request = PauseRequest {
+            id,
+            resume,
+            request_id: Some(fresh_id("pause")),
+        };
         let reply = bus.ask(&topics::PAUSE, &[&robot], &request, patience).await?;
         print(format, &robot, reply)
     })
 }
 
 fn print(format: Format, robot: &str, reply: GoalReply) -> Outcome {
-    output::value(format, &Report::new(robot, &reply.id, reply.state, reply.reason), Report::line)?;
+    output::value(
+        format,
+        &Report::new(robot, &reply.id, reply.state, reply.reason),
+        Report::line,
+    )?;
     // The command did what it was to do, whatever became of the goal.
     Ok(exit_code::OK)
 }

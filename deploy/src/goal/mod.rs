@@ -102,14 +102,25 @@ struct Report {
 
 impl Report {
     fn new(robot: &str, id: &str, state: GoalPhase, reason: Option<String>) -> Self {
-        Self { id: id.to_owned(), robot: robot.to_owned(), state, reason, nearest_free: None, plans: None, replans: None, time_s: None }
+        Self {
+            id: id.to_owned(),
+            robot: robot.to_owned(),
+            state,
+            reason,
+            nearest_free: None,
+            plans: None,
+            replans: None,
+            time_s: None,
+        }
     }
 
     fn of(state: &GoalState) -> Self {
         Self {
             plans: Some(state.feedback.plans),
             replans: Some(state.feedback.replans),
-            time_s: state.ended.map(|ended| ended.secs_since(state.started.unwrap_or(state.accepted))),
+            time_s: state
+                .ended
+                .map(|ended| ended.secs_since(state.started.unwrap_or(state.accepted))),
             ..Self::new(&state.robot, &state.id, state.state, state.reason.clone())
         }
     }
@@ -137,7 +148,7 @@ mod tests {
 
     use super::*;
 
-    #[derive(clap::Parser)]
+    #[derive(Debug, clap::Parser)]
     struct Wrapper {
         #[command(flatten)]
         goal: GoalArgs,
@@ -149,7 +160,13 @@ mod tests {
 
     #[test]
     fn each_end_has_its_exit_code() {
-        let codes = [GoalPhase::Succeeded, GoalPhase::Aborted, GoalPhase::Canceled, GoalPhase::Rejected].map(phase_code);
+        let codes = [
+            GoalPhase::Succeeded,
+            GoalPhase::Aborted,
+            GoalPhase::Canceled,
+            GoalPhase::Rejected,
+        ]
+        .map(phase_code);
         assert_eq!(codes, [0, 1, 6, 7]);
     }
 
@@ -158,7 +175,10 @@ mod tests {
         for words in [["--robot", "r", "list"], ["list", "--robot", "r"]] {
             assert_eq!(parse(&words).unwrap().robot.robot.as_deref(), Some("r"));
         }
-        assert!(parse(&["--robot", "a/b", "list"]).is_err(), "a name must not widen a key");
+        assert!(
+            parse(&["--robot", "a/b", "list"]).is_err(),
+            "a name must not widen a key"
+        );
     }
 
     #[test]

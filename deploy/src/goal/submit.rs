@@ -72,10 +72,21 @@ fn goal_id(text: &str) -> Result<String, String> {
 }
 
 fn waypoint(text: &str) -> Result<GoalPoint, String> {
-    let numbers = text.split(',').map(|part| finite(part.trim())).collect::<Result<Vec<f64>, String>>()?;
+    let numbers = text
+        .split(',')
+        .map(|part| finite(part.trim()))
+        .collect::<Result<Vec<f64>, String>>()?;
     match numbers.as_slice() {
-        [x, y] => Ok(GoalPoint { x: *x, y: *y, yaw: None }),
-        [x, y, yaw] => Ok(GoalPoint { x: *x, y: *y, yaw: Some(*yaw) }),
+        [x, y] => Ok(GoalPoint {
+            x: *x,
+            y: *y,
+            yaw: None,
+        }),
+        [x, y, yaw] => Ok(GoalPoint {
+            x: *x,
+            y: *y,
+            yaw: Some(*yaw),
+        }),
         _ => Err("expected X,Y or X,Y,YAW".to_owned()),
     }
 }
@@ -114,7 +125,10 @@ fn tree(text: &str) -> Result<String, Failure> {
     if path.is_file() {
         let size = path.metadata()?.len();
         if size > topics::GOAL.max_bytes as u64 {
-            return Err(Failure::usage(format!("{text}: {size} bytes, a goal may carry at most {}", topics::GOAL.max_bytes)));
+            return Err(Failure::usage(format!(
+                "{text}: {size} bytes, a goal may carry at most {}",
+                topics::GOAL.max_bytes
+            )));
         }
         std::fs::read_to_string(path).map_err(|error| Failure::usage(format!("{text}: {error}")))
     } else if Id::new(text).is_ok() {
@@ -132,9 +146,14 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outco
         // Before the goal is sent, so that no end is missed.
         let watch = follow::Watch::new(&bus, &robot, &id)?;
         let report = match bus.ask(&topics::GOAL, &[&robot], &request, patience).await {
-            Ok(reply) if !args.wait || reply.state.is_end() => Report::new(&robot, &reply.id, reply.state, reply.reason),
+            Ok(reply) if !args.wait || reply.state.is_end() => {
+                Report::new(&robot, &reply.id, reply.state, reply.reason)
+            }
             Ok(reply) => return finish(watch, &reply, format).await,
-            Err(AskError::Refused(Refusal::Rejected { reason, nearest_free })) => Report { nearest_free, ..Report::new(&robot, &id, GoalPhase::Rejected, Some(reason)) },
+            Err(AskError::Refused(Refusal::Rejected { reason, nearest_free })) => Report {
+                nearest_free,
+                ..Report::new(&robot, &id, GoalPhase::Rejected, Some(reason))
+            },
             Err(error) => return Err(error.into()),
         };
         output::value(format, &report, Report::line)?;
@@ -144,7 +163,10 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outco
 
 async fn finish(watch: follow::Watch, reply: &GoalReply, format: Format) -> Outcome {
     let mut progress = follow::Progress::new();
-    progress.say(&format!("{} {:?}; Ctrl-C detaches, the robot goes on", reply.id, reply.state));
+    progress.say(&format!(
+        "{} {:?}; Ctrl-C detaches, the robot goes on",
+        reply.id, reply.state
+    ));
     watch.until_end(format, |state| progress.show(state)).await
 }
 
@@ -157,32 +179,73 @@ mod tests {
 
     fn request(words: &[&str]) -> Result<GoalRequest, String> {
         let words: Vec<&str> = std::iter::once("submit").chain(words.iter().copied()).collect();
-        let GoalArgs { command: GoalCommand::Submit(args), .. } = parse(&words).map_err(|error| error.to_string())? else { return Err("another command".into()) };
+        let GoalArgs {
+            command: GoalCommand::Submit(args),
+            ..
+        } = parse(&words).map_err(|error| error.to_string())?
+        else {
+            return Err("another command".into());
+        };
         args.request().map_err(|failure| failure.to_string())
     }
 
     #[test]
     fn negative_numbers_are_places_not_options() {
         let goal = request(&["-1.46", "-3.12", "-1.57", "--tolerance", "0.2"]).unwrap();
-        assert_eq!((goal.x, goal.y, goal.yaw, goal.tolerance), (Some(-1.46), Some(-3.12), Some(-1.57), Some(0.2)));
+        assert_eq!(
+            (goal.x, goal.y, goal.yaw, goal.tolerance),
+            (Some(-1.46), Some(-3.12), Some(-1.57), Some(0.2))
+        );
         assert!(goal.id.unwrap().starts_with("goal-"));
     }
 
     #[test]
     fn exactly_one_target_is_taken() {
-        assert_eq!(request(&["--place", "sink", "--on-busy", "preempt"]).unwrap().on_busy, OnBusy::Preempt);
-        assert_eq!(request(&["--waypoint", "-1,2", "--waypoint", "3,4,0.5"]).unwrap().waypoints[0], GoalPoint { x: -1.0, y: 2.0, yaw: None });
-        for bad in [&["1"][..], &[], &["1", "2", "--place", "sink"], &["--place", "a", "--tree", "b"], &["NaN", "0"], &["1", "inf"], &["1", "2", "--deadline", "-1"], &["1", "2", "--id", "a/b"]] {
+        assert_eq!(
+            request(&["--place", "sink", "--on-busy", "preempt"]).unwrap().on_busy,
+            OnBusy::Preempt
+        );
+        assert_eq!(
+            request(&["--waypoint", "-1,2", "--waypoint", "3,4,0.5"])
+                .unwrap()
+                .waypoints[0],
+            GoalPoint {
+                x: -1.0,
+                y: 2.0,
+                yaw: None
+            }
+        );
+        for bad in [
+            &["1"][..],
+            &[],
+            &["1", "2", "--place", "sink"],
+            &["--place", "a", "--tree", "b"],
+            &["NaN", "0"],
+            &["1", "inf"],
+            &["1", "2", "--deadline", "-1"],
+            &["1", "2", "--id", "a/b"],
+        ] {
             assert!(request(bad).is_err(), "{bad:?}");
         }
     }
 
     #[test]
     fn a_tree_is_a_file_or_a_name() {
-        assert_eq!(request(&["--tree", "kitchen", "--blackboard", "n=3", "--blackboard", "s=a b"]).unwrap().blackboard["s"], serde_json::json!("a b"));
+        assert_eq!(
+            request(&["--tree", "kitchen", "--blackboard", "n=3", "--blackboard", "s=a b"])
+                .unwrap()
+                .blackboard["s"],
+            serde_json::json!("a b")
+        );
         assert!(request(&["--tree", "no/such.xml"]).unwrap_err().contains("no/such.xml"));
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "<root/>").unwrap();
-        assert_eq!(request(&["--tree", file.path().to_str().unwrap()]).unwrap().tree.as_deref(), Some("<root/>"));
+        assert_eq!(
+            request(&["--tree", file.path().to_str().unwrap()])
+                .unwrap()
+                .tree
+                .as_deref(),
+            Some("<root/>")
+        );
     }
 }

@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::SCHEMA_VERSION;
-use zenav_protocol::messages::{EdgeState, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate};
+use zenav_protocol::messages::{
+    EdgeState, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate,
+};
 
 /// How a check came out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -37,15 +39,28 @@ pub(super) struct Check {
 
 impl Check {
     pub(super) fn ok(about: &str, check: &'static str, seen: impl Into<String>) -> Self {
-        Self { about: about.to_owned(), check, verdict: Verdict::Ok, seen: seen.into(), advice: None }
+        Self {
+            about: about.to_owned(),
+            check,
+            verdict: Verdict::Ok,
+            seen: seen.into(),
+            advice: None,
+        }
     }
 
     pub(super) fn warn(about: &str, check: &'static str, seen: impl Into<String>, advice: &str) -> Self {
-        Self { verdict: Verdict::Warn, advice: Some(advice.to_owned()), ..Self::ok(about, check, seen) }
+        Self {
+            verdict: Verdict::Warn,
+            advice: Some(advice.to_owned()),
+            ..Self::ok(about, check, seen)
+        }
     }
 
     pub(super) fn fail(about: &str, check: &'static str, seen: impl Into<String>, advice: &str) -> Self {
-        Self { verdict: Verdict::Fail, ..Self::warn(about, check, seen, advice) }
+        Self {
+            verdict: Verdict::Fail,
+            ..Self::warn(about, check, seen, advice)
+        }
     }
 }
 
@@ -63,7 +78,11 @@ pub(super) struct Heard<T> {
 // Not derived: that would ask `T: Default` of the message.
 impl<T> Default for Heard<T> {
     fn default() -> Self {
-        Self { last: None, count: 0, age: None }
+        Self {
+            last: None,
+            count: 0,
+            age: None,
+        }
     }
 }
 
@@ -93,7 +112,11 @@ pub(super) struct ClockSeen {
 /// Judges one robot after listening for `time`.
 pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
     let name = robot.name.as_str();
-    let mut checks = vec![alive(robot, "edge", "the robot itself: `zenav edge`"), alive(robot, "mapping", "`zenav cloud mapping`"), alive(robot, "mission", "`zenav cloud mission`")];
+    let mut checks = vec![
+        alive(robot, "edge", "the robot itself: `zenav edge`"),
+        alive(robot, "mapping", "`zenav cloud mapping`"),
+        alive(robot, "mission", "`zenav cloud mission`"),
+    ];
     checks.extend(robot.infos.iter().map(|info| schema(name, info)));
     checks.push(heard(name, "state", &robot.state, time, true));
     checks.push(heard(name, "pose", &robot.pose, time, true));
@@ -102,10 +125,20 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
         checks.push(lease(robot, state));
         checks.push(mode(name, state));
         if state.missed_ticks > 0 {
-            checks.push(Check::warn(name, "control loop", format!("{} ticks came too late since the start", state.missed_ticks), "give the robot's machine less to do"));
+            checks.push(Check::warn(
+                name,
+                "control loop",
+                format!("{} ticks came too late since the start", state.missed_ticks),
+                "give the robot's machine less to do",
+            ));
         }
         if state.battery < 0.15 {
-            checks.push(Check::warn(name, "battery", format!("{:.0} %", 100.0 * state.battery), "charge the robot"));
+            checks.push(Check::warn(
+                name,
+                "battery",
+                format!("{:.0} %", 100.0 * state.battery),
+                "charge the robot",
+            ));
         }
     }
     if let Some(pose) = &robot.pose.last {
@@ -113,18 +146,39 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
         checks.push(if !pose.map_from_base.is_finite() || !spread.is_finite() {
             Check::fail(name, "estimate", "not a number", "restart the edge, and report this")
         } else if spread > 0.5 {
-            Check::warn(name, "estimate", format!("uncertain by {spread:.2} m"), "the robot may not know where it is: check its sensors and start pose")
+            Check::warn(
+                name,
+                "estimate",
+                format!("uncertain by {spread:.2} m"),
+                "the robot may not know where it is: check its sensors and start pose",
+            )
         } else {
-            Check::ok(name, "estimate", format!("({:.2}, {:.2}), sure to {spread:.3} m", pose.map_from_base.x, pose.map_from_base.y))
+            Check::ok(
+                name,
+                "estimate",
+                format!(
+                    "({:.2}, {:.2}), sure to {spread:.3} m",
+                    pose.map_from_base.x, pose.map_from_base.y
+                ),
+            )
         });
     }
     checks.push(map(robot));
     if let Some(mission) = &robot.mission {
         checks.push(if mission.leads {
             let goal = mission.goal_id.as_deref().unwrap_or("no goal");
-            Check::ok(name, "mission", format!("{} leads: {goal}, {} waiting", mission.holder, mission.queued))
+            Check::ok(
+                name,
+                "mission",
+                format!("{} leads: {goal}, {} waiting", mission.holder, mission.queued),
+            )
         } else {
-            Check::warn(name, "mission", format!("{} does not lead", mission.holder), "`zenav lease` shows who may command the robot")
+            Check::warn(
+                name,
+                "mission",
+                format!("{} does not lead", mission.holder),
+                "`zenav lease` shows who may command the robot",
+            )
         });
     }
     checks
@@ -143,18 +197,37 @@ fn schema(name: &str, info: &InfoReply) -> Check {
     if info.schema == SCHEMA_VERSION {
         Check::ok(name, "version", seen)
     } else {
-        Check::fail(name, "version", format!("{seen}, this program has {SCHEMA_VERSION}"), "install the same zenav everywhere")
+        Check::fail(
+            name,
+            "version",
+            format!("{seen}, this program has {SCHEMA_VERSION}"),
+            "install the same zenav everywhere",
+        )
     }
 }
 
 fn heard<T>(name: &str, topic: &'static str, heard: &Heard<T>, time: Duration, needed: bool) -> Check {
     match heard.age {
-        None if needed => Check::fail(name, topic, format!("nothing in {:.1} s", time.as_secs_f64()), "is the edge running, and linked to this router?"),
-        None => Check::warn(name, topic, format!("nothing in {:.1} s", time.as_secs_f64()), "is its writer running?"),
+        None if needed => Check::fail(
+            name,
+            topic,
+            format!("nothing in {:.1} s", time.as_secs_f64()),
+            "is the edge running, and linked to this router?",
+        ),
+        None => Check::warn(
+            name,
+            topic,
+            format!("nothing in {:.1} s", time.as_secs_f64()),
+            "is its writer running?",
+        ),
         Some(age) => {
             let rate = heard.count as f64 / time.as_secs_f64().max(1e-3);
             let seen = format!("{rate:.1} a second, the newest {:.2} s old", age.as_secs_f64());
-            if age > Duration::from_millis(500) { Check::warn(name, topic, seen, "the link stutters, or the writer is overloaded") } else { Check::ok(name, topic, seen) }
+            if age > Duration::from_millis(500) {
+                Check::warn(name, topic, seen, "the link stutters, or the writer is overloaded")
+            } else {
+                Check::ok(name, topic, seen)
+            }
         }
     }
 }
@@ -162,7 +235,12 @@ fn heard<T>(name: &str, topic: &'static str, heard: &Heard<T>, time: Duration, n
 fn lease(robot: &Robot, state: &EdgeState) -> Check {
     let name = robot.name.as_str();
     let Some(holder) = &state.lease.holder else {
-        return Check::warn(name, "lease", format!("nobody may command (last epoch {})", state.lease.epoch), "start a mission (`zenav cloud mission`), or take it: `zenav teleop`");
+        return Check::warn(
+            name,
+            "lease",
+            format!("nobody may command (last epoch {})", state.lease.epoch),
+            "start a mission (`zenav cloud mission`), or take it: `zenav teleop`",
+        );
     };
     let beats = match robot.heartbeat.age {
         Some(age) => format!("heartbeat {:.2} s ago", age.as_secs_f64()),
@@ -170,9 +248,19 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
     };
     let seen = format!("{holder} (epoch {}), link {:?}, {beats}", state.lease.epoch, state.link);
     if !state.lease.live {
-        Check::fail(name, "lease", format!("{seen}, lapsed"), "is the mission running, and linked to this router?")
+        Check::fail(
+            name,
+            "lease",
+            format!("{seen}, lapsed"),
+            "is the mission running, and linked to this router?",
+        )
     } else if state.lease.role == Some(LeaseRole::Operator) {
-        Check::warn(name, "lease", seen, "an operator drives: missions wait until it is given back (Enter in `zenav teleop`, or `zenav lease release`)")
+        Check::warn(
+            name,
+            "lease",
+            seen,
+            "an operator drives: missions wait until it is given back (Enter in `zenav teleop`, or `zenav lease release`)",
+        )
     } else {
         Check::ok(name, "lease", seen)
     }
@@ -183,7 +271,12 @@ fn mode(name: &str, state: &EdgeState) -> Check {
     if state.mode == Mode::Stopped {
         Check::warn(name, "mode", seen, "stopped by hand: `zenav resume` lets it go")
     } else if state.guard == GuardZone::Stop {
-        Check::warn(name, "mode", format!("{seen}, held by its guard"), "something is too near: clear the way, or drive away by `zenav teleop`")
+        Check::warn(
+            name,
+            "mode",
+            format!("{seen}, held by its guard"),
+            "something is too near: clear the way, or drive away by `zenav teleop`",
+        )
     } else {
         Check::ok(name, "mode", seen)
     }
@@ -192,7 +285,12 @@ fn mode(name: &str, state: &EdgeState) -> Check {
 fn map(robot: &Robot) -> Check {
     let name = robot.name.as_str();
     let Some(info) = &robot.map else {
-        return Check::warn(name, "map", "none yet", "is mapping running? A map begins with the first scan");
+        return Check::warn(
+            name,
+            "map",
+            "none yet",
+            "is mapping running? A map begins with the first scan",
+        );
     };
     let spec = &info.spec;
     let seen = format!(
@@ -205,7 +303,16 @@ fn map(robot: &Robot) -> Check {
         info.scans,
         if info.stored { ", stored" } else { "" }
     );
-    if info.free == 0 { Check::warn(name, "map", format!("{seen}, no free cell"), "let the robot see its surroundings: drive a mapping tour") } else { Check::ok(name, "map", seen) }
+    if info.free == 0 {
+        Check::warn(
+            name,
+            "map",
+            format!("{seen}, no free cell"),
+            "let the robot see its surroundings: drive a mapping tour",
+        )
+    } else {
+        Check::ok(name, "map", seen)
+    }
 }
 
 /// Judges the workers that serve all robots.
@@ -221,7 +328,12 @@ pub(super) fn workers(service: &'static str, count: usize) -> Check {
 pub(super) fn clock(seen: &ClockSeen) -> Check {
     match seen.simulated_rate {
         None => Check::ok("clock", "time", "wall clock (no simulated time is published)"),
-        Some(rate) if rate < 0.05 => Check::fail("clock", "time", "simulated time stands still", "the simulation has stopped: restart the edge that hosts it"),
+        Some(rate) if rate < 0.05 => Check::fail(
+            "clock",
+            "time",
+            "simulated time stands still",
+            "the simulation has stopped: restart the edge that hosts it",
+        ),
         Some(rate) => Check::ok("clock", "time", format!("simulated, {rate:.2} times wall time")),
     }
 }
@@ -243,7 +355,12 @@ pub(super) mod tests {
             boot_id: "b".into(),
             mode: Mode::Follow,
             link: Link::Connected,
-            lease: LeaseState { holder: Some("m1".into()), role: Some(LeaseRole::Mission), epoch: 4, live: true },
+            lease: LeaseState {
+                holder: Some("m1".into()),
+                role: Some(LeaseRole::Mission),
+                epoch: 4,
+                live: true,
+            },
             plan: None,
             velocity: Twist2::new(0.4, 0.0),
             guard: GuardZone::Clear,
@@ -254,11 +371,20 @@ pub(super) mod tests {
     }
 
     fn fresh<T>(last: T) -> Heard<T> {
-        Heard { last: Some(last), count: 20, age: Some(Duration::from_millis(50)) }
+        Heard {
+            last: Some(last),
+            count: 20,
+            age: Some(Duration::from_millis(50)),
+        }
     }
 
     fn well() -> Robot {
-        let pose = PoseEstimate { stamp: Stamp(1), map_from_base: Pose2::IDENTITY, covariance: [0.0; 9], velocity: Twist2::ZERO };
+        let pose = PoseEstimate {
+            stamp: Stamp(1),
+            map_from_base: Pose2::IDENTITY,
+            covariance: [0.0; 9],
+            velocity: Twist2::ZERO,
+        };
         Robot {
             name: "r".into(),
             alive: ["edge", "mapping", "mission"].map(str::to_owned).into(),
@@ -271,7 +397,12 @@ pub(super) mod tests {
     }
 
     fn worst(robot: &Robot, check: &str) -> Verdict {
-        judge(robot, TIME).iter().filter(|found| found.check == check).map(|found| found.verdict).max().unwrap()
+        judge(robot, TIME)
+            .iter()
+            .filter(|found| found.check == check)
+            .map(|found| found.verdict)
+            .max()
+            .unwrap()
     }
 
     #[test]
@@ -284,8 +415,15 @@ pub(super) mod tests {
         let mut robot = well();
         robot.alive.remove("mission");
         robot.scan = Heard::default();
-        assert_eq!((worst(&robot, "mission"), worst(&robot, "scan")), (Verdict::Fail, Verdict::Fail));
-        assert!(judge(&robot, TIME).iter().all(|check| (check.verdict == Verdict::Ok) == check.advice.is_none()));
+        assert_eq!(
+            (worst(&robot, "mission"), worst(&robot, "scan")),
+            (Verdict::Fail, Verdict::Fail)
+        );
+        assert!(
+            judge(&robot, TIME)
+                .iter()
+                .all(|check| (check.verdict == Verdict::Ok) == check.advice.is_none())
+        );
     }
 
     #[test]
@@ -295,21 +433,45 @@ pub(super) mod tests {
         seen.lease.live = false;
         seen.mode = Mode::Stopped;
         robot.state = fresh(seen);
-        assert_eq!((worst(&robot, "lease"), worst(&robot, "mode")), (Verdict::Fail, Verdict::Warn));
+        assert_eq!(
+            (worst(&robot, "lease"), worst(&robot, "mode")),
+            (Verdict::Fail, Verdict::Warn)
+        );
     }
 
     #[test]
     fn another_schema_fails_and_names_both() {
         let mut robot = well();
-        robot.infos.push(InfoReply { component: "edge".into(), version: "0".into(), schema: SCHEMA_VERSION + 1, robot: "r".into(), boot: None, model: None });
-        let check = judge(&robot, TIME).into_iter().find(|check| check.check == "version").unwrap();
+        robot.infos.push(InfoReply {
+            component: "edge".into(),
+            version: "0".into(),
+            schema: SCHEMA_VERSION + 1,
+            robot: "r".into(),
+            boot: None,
+            model: None,
+        });
+        let check = judge(&robot, TIME)
+            .into_iter()
+            .find(|check| check.check == "version")
+            .unwrap();
         assert_eq!(check.verdict, Verdict::Fail);
-        assert!(check.seen.contains(&format!("has {SCHEMA_VERSION}")) && check.seen.contains(&format!("version {}", SCHEMA_VERSION + 1)), "{}", check.seen);
+        assert!(
+            check.seen.contains(&format!("has {SCHEMA_VERSION}"))
+                && check.seen.contains(&format!("version {}", SCHEMA_VERSION + 1)),
+            "{}",
+            check.seen
+        );
     }
 
     #[test]
     fn simulated_time_that_stands_still_fails() {
-        assert_eq!(clock(&ClockSeen { simulated_rate: Some(0.0) }).verdict, Verdict::Fail);
+        assert_eq!(
+            clock(&ClockSeen {
+                simulated_rate: Some(0.0)
+            })
+            .verdict,
+            Verdict::Fail
+        );
         assert_eq!(clock(&ClockSeen { simulated_rate: None }).verdict, Verdict::Ok);
         assert_eq!(workers("plan", 0).verdict, Verdict::Fail);
     }

@@ -43,18 +43,29 @@ struct Report {
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for a robot named that does not show.
 pub fn doctor(args: &DoctorArgs) -> Outcome {
-    let examined = connect::on_bus(&args.robot.link, async |bus| examine(&bus, args.robot.robot.as_deref()).await);
+    let examined = connect::on_bus(&args.robot.link, async |bus| {
+        examine(&bus, args.robot.robot.as_deref()).await
+    });
     let (checks, code) = match examined {
         Ok(checks) => {
             let failed = checks.iter().any(|check| check.verdict == Verdict::Fail);
             (checks, if failed { exit_code::FAILED } else { exit_code::OK })
         }
-        Err(failure) if failure.code == exit_code::CANNOT_CONNECT => {
-            (vec![Check::fail("router", "link", failure.to_string(), "start one, or name its endpoint with --connect")], exit_code::CANNOT_CONNECT)
-        }
+        Err(failure) if failure.code == exit_code::CANNOT_CONNECT => (
+            vec![Check::fail(
+                "router",
+                "link",
+                failure.to_string(),
+                "start one, or name its endpoint with --connect",
+            )],
+            exit_code::CANNOT_CONNECT,
+        ),
         Err(failure) => return Err(failure),
     };
-    let report = Report { healthy: code == exit_code::OK, checks };
+    let report = Report {
+        healthy: code == exit_code::OK,
+        checks,
+    };
     output::value(args.output, &report, text)?;
     Ok(code)
 }
@@ -73,7 +84,12 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
         _ => {}
     }
     if names.is_empty() {
-        checks.push(Check::fail("robots", "robots", "none shows", "start one: `zenav edge`, or a whole deployment: `zenav up`"));
+        checks.push(Check::fail(
+            "robots",
+            "robots",
+            "none shows",
+            "start one: `zenav edge`, or a whole deployment: `zenav up`",
+        ));
     }
     let end = Instant::now() + LISTEN;
     let clock = async { clock(bus, end).await };
@@ -95,7 +111,12 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
         checks.extend(diagnosis::judge(&robot, LISTEN));
     }
     for service in ["plan", "smooth"] {
-        let workers = bus.list_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "*"]), Duration::from_millis(500)).await?;
+        let workers = bus
+            .list_alive(
+                topics::alive_key(topics::ALIVE_WORKER, &[service, "*"]),
+                Duration::from_millis(500),
+            )
+            .await?;
         checks.push(diagnosis::workers(service, workers.len()));
     }
     checks.push(diagnosis::clock(&clock?));
@@ -121,7 +142,17 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     let answers = edge.into_iter().chain(cloud).flatten();
     let infos = answers.filter_map(|answer| answer.result.ok()).collect();
     let alive = connect::robots(bus).await?.remove(&name).unwrap_or_default();
-    Ok(Robot { alive, state, pose, scan, heartbeat, mission: missions.take(), map: maps.take(), infos, name })
+    Ok(Robot {
+        alive,
+        state,
+        pose,
+        scan,
+        heartbeat,
+        mission: missions.take(),
+        map: maps.take(),
+        infos,
+        name,
+    })
 }
 
 async fn typed<T: DeserializeOwned>(topic: &mut Latest<T>, end: Instant) -> Heard<T> {
@@ -184,13 +215,20 @@ async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {
             },
         }
     }
-    let rate = first.zip(last).map(|((start, from), (_, to))| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
+    let rate = first
+        .zip(last)
+        .map(|((start, from), (_, to))| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
     Ok(ClockSeen { simulated_rate: rate })
 }
 
 fn text(report: &Report) -> String {
     let colors = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let width = report.checks.iter().map(|check| check.about.chars().count()).max().unwrap_or(0);
+    let width = report
+        .checks
+        .iter()
+        .map(|check| check.about.chars().count())
+        .max()
+        .unwrap_or(0);
     let mut lines = Vec::new();
     for check in &report.checks {
         let (word, color) = match check.verdict {
@@ -198,13 +236,25 @@ fn text(report: &Report) -> String {
             Verdict::Warn => ("warn", 33),
             Verdict::Fail => ("FAIL", 31),
         };
-        let word = if colors { format!("\x1b[{color}m{word}\x1b[0m") } else { word.to_owned() };
-        lines.push(format!("{word}  {:<width$}  {:<12}  {}", check.about, check.check, check.seen));
+        let word = if colors {
+            format!("\x1b[{color}m{word}\x1b[0m")
+        } else {
+            word.to_owned()
+        };
+        lines.push(format!(
+            "{word}  {:<width$}  {:<12}  {}",
+            check.about, check.check, check.seen
+        ));
         if let Some(advice) = &check.advice {
             lines.push(format!("      {:<width$}  {:<12}  -> {advice}", "", ""));
         }
     }
     let count = |verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
-    lines.push(format!("{} ok, {} to look at, {} failed", count(Verdict::Ok), count(Verdict::Warn), count(Verdict::Fail)));
+    lines.push(format!(
+        "{} ok, {} to look at, {} failed",
+        count(Verdict::Ok),
+        count(Verdict::Warn),
+        count(Verdict::Fail)
+    ));
     lines.join("\n")
 }

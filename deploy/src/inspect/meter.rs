@@ -35,7 +35,11 @@ pub(super) struct Reading {
 impl Meter {
     /// Reads over the last `window` messages.
     pub(super) fn new(window: usize) -> Self {
-        Self { window: window.max(2), arrivals: VecDeque::new(), messages: 0 }
+        Self {
+            window: window.max(2),
+            arrivals: VecDeque::new(),
+            messages: 0,
+        }
     }
 
     /// A message of so many bytes at `now` (time since the start).
@@ -49,8 +53,12 @@ impl Meter {
 
     /// What came up to now.
     pub(super) fn read(&self) -> Reading {
-        let intervals: Vec<f64> =
-            self.arrivals.iter().zip(self.arrivals.iter().skip(1)).map(|((a, _), (b, _))| b.saturating_sub(*a).as_secs_f64()).collect();
+        let intervals: Vec<f64> = self
+            .arrivals
+            .iter()
+            .zip(self.arrivals.iter().skip(1))
+            .map(|((a, _), (b, _))| b.saturating_sub(*a).as_secs_f64())
+            .collect();
         let sizes: Vec<f64> = self.arrivals.iter().map(|(_, bytes)| *bytes as f64).collect();
         let total: f64 = intervals.iter().sum();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -58,7 +66,8 @@ impl Meter {
         let greatest = |values: &[f64]| values.iter().copied().reduce(f64::max);
         let deviation = |values: &[f64]| {
             let middle = mean(values);
-            (!values.is_empty()).then(|| mean(&values.iter().map(|value| (value - middle).powi(2)).collect::<Vec<_>>()).sqrt())
+            (!values.is_empty())
+                .then(|| mean(&values.iter().map(|value| (value - middle).powi(2)).collect::<Vec<_>>()).sqrt())
         };
         let rate = |amount: f64| (total > 0.0).then(|| amount / total);
         Reading {
@@ -69,7 +78,11 @@ impl Meter {
             std_s: deviation(&intervals),
             // The first message opens the first interval.
             bytes_per_s: rate(sizes.iter().skip(1).sum()),
-            bytes: [least(&sizes).unwrap_or_default(), mean(&sizes), greatest(&sizes).unwrap_or_default()],
+            bytes: [
+                least(&sizes).unwrap_or_default(),
+                mean(&sizes),
+                greatest(&sizes).unwrap_or_default(),
+            ],
         }
     }
 }

@@ -115,18 +115,31 @@ mod tests {
     use super::*;
 
     fn sample(bytes: Vec<u8>, encoding: &str) -> RawSample {
-        RawSample { key: "zenav/r/x".into(), bytes, encoding: encoding.into(), stamp: None, deleted: false }
+        RawSample {
+            key: "zenav/r/x".into(),
+            bytes,
+            encoding: encoding.into(),
+            stamp: None,
+            deleted: false,
+        }
     }
 
     #[test]
     fn json_is_shown_as_it_came() {
         let odd = br#"{"b":1.50,  "a":2}"#;
-        assert_eq!(text(&sample(odd.to_vec(), "application/json")), String::from_utf8_lossy(odd));
+        assert_eq!(
+            text(&sample(odd.to_vec(), "application/json")),
+            String::from_utf8_lossy(odd)
+        );
     }
 
     #[test]
     fn cbor_is_shown_as_json_with_the_values_of_a_tile() {
-        let tile = Tile { x: 1, y: 2, values: vec![-1, 0, 100] };
+        let tile = Tile {
+            x: 1,
+            y: 2,
+            values: vec![-1, 0, 100],
+        };
         let bytes = codec::encode(&tile, Encoding::Cbor).unwrap();
         let shown = text(&sample(bytes, "application/cbor"));
         assert_eq!(serde_json::from_str::<Tile>(&shown).unwrap(), tile, "{shown}");

@@ -73,7 +73,11 @@ struct ListenArgs {
 /// [`exit_code::NOT_FOUND`] for a name that no topic has, [`exit_code::TIMEOUT`] when nothing came in the time given.
 pub fn topic(args: &TopicArgs) -> Outcome {
     if let TopicCommand::List { table: true, .. } = args.command {
-        output::values(args.output, &TABLE.iter().map(Known::of).collect::<Vec<_>>(), known_table)?;
+        output::values(
+            args.output,
+            &TABLE.iter().map(Known::of).collect::<Vec<_>>(),
+            known_table,
+        )?;
         return Ok(exit_code::OK);
     }
     let robot = args.robot.robot.as_deref();
@@ -84,13 +88,20 @@ pub fn topic(args: &TopicArgs) -> Outcome {
         match &args.command {
             TopicCommand::List { secs, .. } => {
                 let meters = listen(&bus, &format!("zenav/{}/**", robot.unwrap_or("*")), seconds(*secs)).await?;
-                let rows: Vec<Live> = meters.iter().map(|(key, (meter, encoding))| Live::new(key, meter.read(), encoding)).collect();
+                let rows: Vec<Live> = meters
+                    .iter()
+                    .map(|(key, (meter, encoding))| Live::new(key, meter.read(), encoding))
+                    .collect();
                 output::values(args.output, &rows, live_table)?;
                 Ok(exit_code::OK)
             }
             TopicCommand::Echo(listen) => echo(&bus, &pattern(&listen.key, robot)?, listen, args.output).await,
-            TopicCommand::Hz(listen) => measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, hz_line).await,
-            TopicCommand::Bw(listen) => measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, bw_line).await,
+            TopicCommand::Hz(listen) => {
+                measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, hz_line).await
+            }
+            TopicCommand::Bw(listen) => {
+                measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, bw_line).await
+            }
             TopicCommand::Info { key } => info(&bus, key, robot, args.output).await,
         }
     })
@@ -112,19 +123,27 @@ fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
     let row = TABLE.iter().find(|row| row.qos.is_some() && row_name(row) == text);
     let row = row.ok_or_else(|| {
         let names: Vec<&str> = TABLE.iter().filter(|row| row.qos.is_some()).map(row_name).collect();
-        Failure::not_found(format!("no topic `{text}`: there are {} (or give a key, such as zenav/*/edge/pose)", names.join(", ")))
+        Failure::not_found(format!(
+            "no topic `{text}`: there are {} (or give a key, such as zenav/*/edge/pose)",
+            names.join(", ")
+        ))
     })?;
     Ok(topics::alive_key(row.pattern, &[robot]))
 }
 
 /// A row's own name: the last chunk of its key that is not filled in.
 fn row_name(row: &Row) -> &'static str {
-    row.pattern.rsplit('/').find(|chunk| !chunk.starts_with('{')).unwrap_or(row.pattern)
+    row.pattern
+        .rsplit('/')
+        .find(|chunk| !chunk.starts_with('{'))
+        .unwrap_or(row.pattern)
 }
 
 /// The row of the table that a concrete key belongs to.
 fn row_of(key: &str) -> Option<&'static Row> {
-    TABLE.iter().find(|row| topics::alive_chunks(row.pattern, key).is_some())
+    TABLE
+        .iter()
+        .find(|row| topics::alive_chunks(row.pattern, key).is_some())
 }
 
 /// Listens for a while, from what is kept for late joiners on.
@@ -134,7 +153,9 @@ async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<BTreeMap<Str
     let start = Instant::now();
     let gather = async {
         while let Some(sample) = samples.next().await {
-            let (meter, encoding) = meters.entry(sample.key).or_insert_with(|| (Meter::new(BACKLOG), String::new()));
+            let (meter, encoding) = meters
+                .entry(sample.key)
+                .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
             meter.add(start.elapsed(), sample.bytes.len());
             *encoding = sample.encoding;
         }
@@ -172,7 +193,10 @@ impl Ending {
         match self {
             Self::Interrupted => Ok(exit_code::INTERRUPTED),
             Self::OutOfTime if messages > 0 => Ok(exit_code::OK),
-            Self::OutOfTime => Err(Failure::new(exit_code::TIMEOUT, format!("nothing came on {pattern} in that time"))),
+            Self::OutOfTime => Err(Failure::new(
+                exit_code::TIMEOUT,
+                format!("nothing came on {pattern} in that time"),
+            )),
             Self::Closed => Err(Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed")),
         }
     }
@@ -188,7 +212,9 @@ struct Echoed {
 
 async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
     let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let until = args.secs.map(|secs| Instant::now() + seconds(secs).min(Duration::from_secs(1 << 30)));
+    let until = args
+        .secs
+        .map(|secs| Instant::now() + seconds(secs).min(Duration::from_secs(1 << 30)));
     let wild = pattern.contains('*') || pattern.contains('$');
     let mut messages = 0;
     while args.count.is_none_or(|count| messages < count) {
@@ -202,7 +228,12 @@ async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Ou
             Format::Table if !wild => output::line(&payload::text(&sample)),
             Format::Table => output::line(&format!("{} {}", sample.key, payload::text(&sample))),
             Format::Json | Format::Ndjson => {
-                let echoed = Echoed { payload: payload::value(&sample), stamp_ns: sample.stamp.map(|stamp| stamp.0), key: sample.key, encoding: sample.encoding };
+                let echoed = Echoed {
+                    payload: payload::value(&sample),
+                    stamp_ns: sample.stamp.map(|stamp| stamp.0),
+                    key: sample.key,
+                    encoding: sample.encoding,
+                };
                 output::value(format, &echoed, |_| String::new())?;
             }
         }
@@ -219,14 +250,30 @@ struct Measured {
 }
 
 /// Measures live messages only: what is kept for late joiners comes all at once.
-async fn measure(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format, line: fn(&Measured) -> String) -> Outcome {
+async fn measure(
+    bus: &Bus,
+    pattern: &str,
+    args: &ListenArgs,
+    format: Format,
+    line: fn(&Measured) -> String,
+) -> Outcome {
     let mut samples = bus.raw_subscribe(pattern, BACKLOG)?;
     let start = Instant::now();
-    let until = args.secs.map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
+    let until = args
+        .secs
+        .map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
     let mut meters = BTreeMap::<String, Meter>::new();
     let mut messages = 0;
     let mut told = start;
-    let rows = |meters: &BTreeMap<String, Meter>| meters.iter().map(|(key, meter)| Measured { key: key.clone(), reading: meter.read() }).collect::<Vec<_>>();
+    let rows = |meters: &BTreeMap<String, Meter>| {
+        meters
+            .iter()
+            .map(|(key, meter)| Measured {
+                key: key.clone(),
+                reading: meter.read(),
+            })
+            .collect::<Vec<_>>()
+    };
     let lines = |rows: &[Measured]| rows.iter().map(line).collect::<Vec<_>>().join("\n");
     let outcome = loop {
         if args.count.is_some_and(|count| messages >= count) {
@@ -237,7 +284,10 @@ async fn measure(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format, li
             Err(ending) => break ending.outcome(messages, pattern),
         };
         messages += 1;
-        meters.entry(sample.key).or_insert_with(|| Meter::new(1000)).add(start.elapsed(), sample.bytes.len());
+        meters
+            .entry(sample.key)
+            .or_insert_with(|| Meter::new(1000))
+            .add(start.elapsed(), sample.bytes.len());
         if told.elapsed() >= Duration::from_secs(1) && format != Format::Json {
             told = Instant::now();
             output::values(format, &rows(&meters), lines)?;
@@ -247,16 +297,32 @@ async fn measure(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format, li
         output::values(format, &rows(&meters), lines)?;
     }
     if samples.dropped() > 0 {
-        tracing::warn!(dropped = samples.dropped(), "this program was too slow for all messages");
+        tracing::warn!(
+            dropped = samples.dropped(),
+            "this program was too slow for all messages"
+        );
     }
     outcome
 }
 
 fn hz_line(row: &Measured) -> String {
-    let Reading { hz, min_s, max_s, std_s, messages, .. } = &row.reading;
+    let Reading {
+        hz,
+        min_s,
+        max_s,
+        std_s,
+        messages,
+        ..
+    } = &row.reading;
     match (hz, min_s, max_s, std_s) {
         (Some(hz), Some(min), Some(max), Some(std)) => {
-            format!("{}  {hz:.2} Hz  interval {:.1} to {:.1} ms, deviation {:.1} ms  ({messages} messages)", row.key, 1e3 * min, 1e3 * max, 1e3 * std)
+            format!(
+                "{}  {hz:.2} Hz  interval {:.1} to {:.1} ms, deviation {:.1} ms  ({messages} messages)",
+                row.key,
+                1e3 * min,
+                1e3 * max,
+                1e3 * std
+            )
         }
         _ => format!("{}  {messages} message", row.key),
     }
@@ -264,8 +330,14 @@ fn hz_line(row: &Measured) -> String {
 
 fn bw_line(row: &Measured) -> String {
     let [least, mean, greatest] = row.reading.bytes.map(bytes);
-    let rate = row.reading.bytes_per_s.map_or_else(|| "one message".to_owned(), |rate| format!("{}/s", bytes(rate)));
-    format!("{}  {rate}  message {least} to {greatest}, mean {mean}  ({} messages)", row.key, row.reading.messages)
+    let rate = row
+        .reading
+        .bytes_per_s
+        .map_or_else(|| "one message".to_owned(), |rate| format!("{}/s", bytes(rate)));
+    format!(
+        "{}  {rate}  message {least} to {greatest}, mean {mean}  ({} messages)",
+        row.key, row.reading.messages
+    )
 }
 
 /// A key that carries something.
@@ -280,7 +352,12 @@ struct Live {
 
 impl Live {
     fn new(key: &str, reading: Reading, encoding: &str) -> Self {
-        Self { key: key.to_owned(), message: row_of(key).map(|row| row.message), encoding: encoding.to_owned(), reading }
+        Self {
+            key: key.to_owned(),
+            message: row_of(key).map(|row| row.message),
+            encoding: encoding.to_owned(),
+            reading,
+        }
     }
 }
 
@@ -289,7 +366,13 @@ fn live_table(rows: &[Live]) -> String {
         .iter()
         .map(|row| {
             let rate = row.reading.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}"));
-            vec![row.key.clone(), row.message.unwrap_or("?").to_owned(), rate, bytes(row.reading.bytes[1]), row.encoding.clone()]
+            vec![
+                row.key.clone(),
+                row.message.unwrap_or("?").to_owned(),
+                rate,
+                bytes(row.reading.bytes[1]),
+                row.encoding.clone(),
+            ]
         })
         .collect();
     output::table(&["KEY", "MESSAGE", "HZ", "SIZE", "ENCODING"], &rows)
@@ -314,32 +397,67 @@ impl Known {
             Some(Qos::State) => "topic, last value kept".to_owned(),
             None => "ask".to_owned(),
         };
-        Self { key: row.pattern, message: row.message, producer: format!("{:?}", row.producer).to_lowercase(), kind, max_bytes: row.max_bytes }
+        Self {
+            key: row.pattern,
+            message: row.message,
+            producer: format!("{:?}", row.producer).to_lowercase(),
+            kind,
+            max_bytes: row.max_bytes,
+        }
     }
 }
 
 fn known_table(rows: &[Known]) -> String {
-    let rows: Vec<Vec<String>> =
-        rows.iter().map(|row| vec![row.key.to_owned(), row.message.to_owned(), row.producer.clone(), row.kind.clone(), bytes(row.max_bytes as f64)]).collect();
+    let rows: Vec<Vec<String>> = rows
+        .iter()
+        .map(|row| {
+            vec![
+                row.key.to_owned(),
+                row.message.to_owned(),
+                row.producer.clone(),
+                row.kind.clone(),
+                bytes(row.max_bytes as f64),
+            ]
+        })
+        .collect();
     output::table(&["KEY", "MESSAGE", "BY", "KIND", "AT MOST"], &rows)
 }
 
 async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outcome {
     let rows: Vec<Known> = match row_of(key) {
         Some(row) => vec![Known::of(row)],
-        None => TABLE.iter().filter(|row| row.pattern == key || row_name(row) == key || row.pattern.ends_with(&format!("/{key}"))).map(Known::of).collect(),
+        None => TABLE
+            .iter()
+            .filter(|row| row.pattern == key || row_name(row) == key || row.pattern.ends_with(&format!("/{key}")))
+            .map(Known::of)
+            .collect(),
     };
     let mut live = BTreeMap::new();
-    let patterns = if rows.is_empty() { vec![pattern(key, robot)?] } else { rows.iter().map(|row| topics::alive_key(row.key, &[robot.unwrap_or("*")])).collect() };
+    let patterns = if rows.is_empty() {
+        vec![pattern(key, robot)?]
+    } else {
+        rows.iter()
+            .map(|row| topics::alive_key(row.key, &[robot.unwrap_or("*")]))
+            .collect()
+    };
     for pattern in patterns {
         live.append(&mut listen(bus, &pattern, Duration::from_millis(1200)).await?);
     }
-    let live: Vec<Live> = live.iter().map(|(key, (meter, encoding))| Live::new(key, meter.read(), encoding)).collect();
+    let live: Vec<Live> = live
+        .iter()
+        .map(|(key, (meter, encoding))| Live::new(key, meter.read(), encoding))
+        .collect();
     if rows.is_empty() && live.is_empty() {
-        return Err(Failure::not_found(format!("`{key}` stands in no table and carries nothing now")));
+        return Err(Failure::not_found(format!(
+            "`{key}` stands in no table and carries nothing now"
+        )));
     }
     output::value(format, &serde_json::json!({ "table": rows, "live": live }), |_| {
-        let carries = if live.is_empty() { "carries nothing now".to_owned() } else { live_table(&live) };
+        let carries = if live.is_empty() {
+            "carries nothing now".to_owned()
+        } else {
+            live_table(&live)
+        };
         format!("{}\n\n{carries}", known_table(&rows))
     })?;
     Ok(exit_code::OK)

@@ -5,9 +5,8 @@
 
 use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig};
 use zenav_cloud::mission::{self, Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
-use zenav_cloud::planning::{Budget, PlanOptions, Planner, Searcher, plan};
-use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, smooth};
-use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
+use zenav_cloud::planning::PlanWorker;
+use zenav_cloud::smoothing::SmoothWorker;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::*;
@@ -18,10 +17,6 @@ use super::delay::Link;
 
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
-/// Expansions a search may take, for a robot's missions.
-const MAX_EXPANSIONS: u64 = 20_000_000;
-/// Time between two points of a trajectory, s.
-const TRAJECTORY_PERIOD: f64 = 0.05;
 
 /// What a stage is set up with.
 #[derive(Debug)]
@@ -171,11 +166,17 @@ impl Stage {
                     Ask::Lease(request) => Question::Lease(request),
                     Ask::EdgeInfo(request) => Question::Info(request),
                     Ask::Behaviour(request) => Question::Behaviour(request),
-                    Ask::Plan(request) => return self.answer(ticket, Answer::Plan(self.workers.plan(&request))),
-                    Ask::Smooth(request) => return self.answer(ticket, Answer::Smooth(self.workers.smooth(&request))),
+                    Ask::Plan(request) => {
+                        let answer = self.workers.plan(&request);
+                        return self.inputs.answers.push((ticket, answer));
+                    }
+                    Ask::Smooth(request) => {
+                        let answer = self.workers.smooth(&request);
+                        return self.inputs.answers.push((ticket, answer));
+                    }
                     Ask::Map(request) => {
                         let answer = self.map_answer(&request);
-                        return self.answer(ticket, answer);
+                        return self.inputs.answers.push((ticket, Ok(answer)));
                     }
                 };
                 self.down.send(now, Down::Question(ticket, question));
@@ -183,10 +184,6 @@ impl Stage {
             // Nothing outlives a lockstep run, and nobody watches it.
             Effect::Persist(_) | Effect::Status(_) | Effect::Fatal(_) => {}
         }
-    }
-
-    fn answer(&mut self, ticket: mission::Ticket, answer: Answer) {
-        self.inputs.answers.push((ticket, Ok(answer)));
     }
 
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
@@ -249,53 +246,17 @@ fn answer_of(answer: Result<zenav_edge::Answer, Refusal>) -> Result<Answer, NoAn
 #[derive(Default)]
 struct Workers {
     mirror: MapMirror,
-    prepared: Option<Prepared>,
-}
-
-/// The configuration space of one state of the map.
-struct Prepared {
-    map: MapRef,
-    unknown_is_free: bool,
-    space: ConfigurationSpace,
-    searcher: Option<Searcher>,
+    planning: PlanWorker,
+    smoothing: SmoothWorker,
 }
 
 impl Workers {
-    fn prepare(&mut self, model: &zenav_protocol::robot::RobotModel, unknown_is_free: bool) -> Option<&mut Prepared> {
-        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
-            return None;
-        }
-        let fits = |prepared: &Prepared| prepared.map == *self.mirror.map() && prepared.unknown_is_free == unknown_is_free && *prepared.space.footprint() == model.footprint;
-        if !self.prepared.as_ref().is_some_and(fits) {
-            let policy = if unknown_is_free { UnknownPolicy::Free } else { UnknownPolicy::Blocked };
-            let space = ConfigurationSpace::new(self.mirror.grid(), &model.footprint, policy, 0.0);
-            let searcher = Searcher::new(space.free()).ok();
-            self.prepared = Some(Prepared { map: self.mirror.map().clone(), unknown_is_free, space, searcher });
-        }
-        self.prepared.as_mut()
+    fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
+        self.planning.answer(Some(&self.mirror), request, None).map(Answer::Plan).map_err(NoAnswer::Refused)
     }
 
-    fn plan(&mut self, request: &PlanRequest) -> PlanReply {
-        let nothing = |outcome| PlanReply { map: request.map.clone(), outcome, search_ms: 0.0, expansions: 0 };
-        let Some(prepared) = self.prepare(&request.model, request.unknown_is_free) else {
-            return nothing(PlanOutcome::NoMap);
-        };
-        let Some(searcher) = &mut prepared.searcher else {
-            return nothing(PlanOutcome::NoMap);
-        };
-        let options = PlanOptions { planner: request.planner.parse().unwrap_or(Planner::AStar), ..PlanOptions::default() };
-        let budget = Budget { max_expansions: MAX_EXPANSIONS, ..Budget::UNLIMITED };
-        let planned = plan(&prepared.space, searcher, request.start, request.goal, &options, budget);
-        PlanReply { map: prepared.map.clone(), outcome: planned.outcome, search_ms: 0.0, expansions: planned.expansions }
-    }
-
-    fn smooth(&mut self, request: &SmoothRequest) -> SmoothReply {
-        let Some(prepared) = self.prepare(&request.model, request.unknown_is_free) else {
-            return SmoothReply { map: request.map.clone(), trajectory: Vec::new(), statistics: PlanStatistics { status: "fallback:no_map".to_owned(), ..PlanStatistics::default() } };
-        };
-        let query = SmoothQuery { way: &request.path, start: request.start, start_velocity: request.start_velocity, goal_yaw: request.goal_yaw };
+    fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
         // No clock: times would differ from run to run.
-        let smoothed = smooth(&prepared.space, &query, &request.model, &SmoothSettings::default(), &mut || 0.0);
-        SmoothReply { map: prepared.map.clone(), trajectory: smoothed.trajectory(TRAJECTORY_PERIOD), statistics: smoothed.statistics }
+        self.smoothing.answer(Some(&self.mirror), request, &mut || 0.0).map(Answer::Smooth).map_err(NoAnswer::Refused)
     }
 }

@@ -68,7 +68,12 @@ pub(super) struct Hand {
 impl Hand {
     /// At rest; begins with half of the greatest speeds.
     pub(super) fn new(top: Twist2) -> Self {
-        Self { top, step: STEPS / 2, motion: (0, 0), until: Duration::ZERO }
+        Self {
+            top,
+            step: STEPS / 2,
+            motion: (0, 0),
+            until: Duration::ZERO,
+        }
     }
 
     /// A motion key at `now` (time since the start).
@@ -85,7 +90,11 @@ impl Hand {
 
     /// One step faster or slower.
     pub(super) fn scale(&mut self, faster: bool) {
-        self.step = if faster { (self.step + 1).min(STEPS) } else { (self.step - 1).max(1) };
+        self.step = if faster {
+            (self.step + 1).min(STEPS)
+        } else {
+            (self.step - 1).max(1)
+        };
     }
 
     /// The twist wanted at `now`.
@@ -94,7 +103,10 @@ impl Hand {
             return Twist2::ZERO;
         }
         let share = f64::from(self.step) / f64::from(STEPS);
-        Twist2::new(self.top.v * share * f64::from(self.motion.0), self.top.w * share * f64::from(self.motion.1))
+        Twist2::new(
+            self.top.v * share * f64::from(self.motion.0),
+            self.top.w * share * f64::from(self.motion.1),
+        )
     }
 
     /// The greatest twist at the present step.
@@ -117,7 +129,11 @@ mod tests {
     fn a_key_held_drives_on_and_a_key_let_go_stops_within_a_fifth_of_a_second() {
         let mut hand = Hand::new(Twist2::new(1.0, 2.0));
         hand.press(ms(1000), 1, 0);
-        assert_eq!(hand.twist(ms(1500)), Twist2::new(0.5, 0.0), "until the keyboard repeats");
+        assert_eq!(
+            hand.twist(ms(1500)),
+            Twist2::new(0.5, 0.0),
+            "until the keyboard repeats"
+        );
         for at in (1500..3000).step_by(33) {
             hand.press(ms(at), 1, 0);
         }

@@ -15,8 +15,19 @@ const PERIOD: Duration = Duration::from_millis(50);
 const RELEASE_WITHIN: Duration = Duration::from_millis(800);
 
 /// Asks for the operator's lease, or gives it back.
-pub(super) async fn ask(bus: &Bus, robot: &str, holder: &str, action: LeaseAction, within: Duration) -> Result<LeaseReply, AskError> {
-    let request = LeaseRequest { holder: holder.to_owned(), role: LeaseRole::Operator, action, request_id: fresh_id("lease") };
+pub(super) async fn ask(
+    bus: &Bus,
+    robot: &str,
+    holder: &str,
+    action: LeaseAction,
+    within: Duration,
+) -> Result<LeaseReply, AskError> {
+    let request = LeaseRequest {
+        holder: holder.to_owned(),
+        role: LeaseRole::Operator,
+        action,
+        request_id: fresh_id("lease"),
+    };
     bus.ask(&topics::LEASE, &[robot], &request, within).await
 }
 
@@ -53,7 +64,11 @@ impl Held {
     pub(super) async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, HoldError> {
         let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
         let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
-        let mut heartbeat = Heartbeat { holder: holder.to_owned(), epoch: grant.epoch, counter: 0 };
+        let mut heartbeat = Heartbeat {
+            holder: holder.to_owned(),
+            epoch: grant.epoch,
+            counter: 0,
+        };
         let heartbeats = tokio::spawn(async move {
             let mut pace = tokio::time::interval(PERIOD);
             loop {
@@ -62,13 +77,27 @@ impl Held {
                 publisher.put(&heartbeat);
             }
         });
-        Ok(Self { bus: bus.clone(), robot: robot.to_owned(), holder: holder.to_owned(), grant, heartbeats })
+        Ok(Self {
+            bus: bus.clone(),
+            robot: robot.to_owned(),
+            holder: holder.to_owned(),
+            grant,
+            heartbeats,
+        })
     }
 
     /// Gives the lease back.
     pub(super) async fn release(self) -> Result<(), AskError> {
         self.heartbeats.abort();
-        ask(&self.bus, &self.robot, &self.holder, LeaseAction::Release, RELEASE_WITHIN).await.map(|_| ())
+        ask(
+            &self.bus,
+            &self.robot,
+            &self.holder,
+            LeaseAction::Release,
+            RELEASE_WITHIN,
+        )
+        .await
+        .map(|_| ())
     }
 }
 

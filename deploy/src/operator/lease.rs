@@ -69,13 +69,28 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
     connect::on_robot(&args.robot, async |bus, robot| match &args.command {
         None | Some(LeaseCommand::Show) => {
             let state = state(&bus, &robot, patience).await?;
-            output::value(args.output, &Shown { robot, lease: state.lease, link: state.link }, show)?;
+            output::value(
+                args.output,
+                &Shown {
+                    robot,
+                    lease: state.lease,
+                    link: state.link,
+                },
+                show,
+            )?;
             Ok(exit_code::OK)
         }
         Some(LeaseCommand::Acquire { secs }) => {
             let held = Held::acquire(&bus, &robot, &name, patience).await?;
-            let grant = Granted { robot, holder: name, epoch: held.grant.epoch, ttl_secs: held.grant.ttl_secs };
-            output::value(args.output, &grant, |grant| format!("{} may command {} (epoch {})", grant.holder, grant.robot, grant.epoch))?;
+            let grant = Granted {
+                robot,
+                holder: name,
+                epoch: held.grant.epoch,
+                ttl_secs: held.grant.ttl_secs,
+            };
+            output::value(args.output, &grant, |grant| {
+                format!("{} may command {} (epoch {})", grant.holder, grant.robot, grant.epoch)
+            })?;
             let code = match secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok()) {
                 Some(time) => tokio::select! {
                     () = tokio::time::sleep(time) => exit_code::OK,
@@ -95,9 +110,16 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             let held = before.lease.holder.as_deref() == Some(&name);
             hold::ask(&bus, &robot, &name, LeaseAction::Release, patience).await?;
             if !held {
-                return Err(Failure::not_found(format!("{name} did not hold the lease of {robot}; {}", words(&before.lease))));
+                return Err(Failure::not_found(format!(
+                    "{name} did not hold the lease of {robot}; {}",
+                    words(&before.lease)
+                )));
             }
-            output::value(args.output, &serde_json::json!({ "robot": robot, "released": name }), |_| format!("{name} gave back {robot}"))?;
+            output::value(
+                args.output,
+                &serde_json::json!({ "robot": robot, "released": name }),
+                |_| format!("{name} gave back {robot}"),
+            )?;
             Ok(exit_code::OK)
         }
     })
@@ -108,7 +130,10 @@ pub(super) async fn state(bus: &Bus, robot: &str, within: Duration) -> Result<Ed
     let mut states = bus.latest(&topics::STATE, &[robot])?;
     match tokio::time::timeout(within, states.next()).await {
         Ok(Some(received)) => Ok(received.message),
-        _ => Err(Failure::new(exit_code::TIMEOUT, format!("no state from {} in time", topics::STATE.key(&[robot])))),
+        _ => Err(Failure::new(
+            exit_code::TIMEOUT,
+            format!("no state from {} in time", topics::STATE.key(&[robot])),
+        )),
     }
 }
 
@@ -118,7 +143,11 @@ fn show(shown: &Shown) -> String {
 
 fn words(lease: &LeaseState) -> String {
     match (&lease.holder, lease.role) {
-        (Some(holder), Some(role)) => format!("{holder} ({role:?}) holds epoch {}{}", lease.epoch, if lease.live { "" } else { ", lapsed" }),
+        (Some(holder), Some(role)) => format!(
+            "{holder} ({role:?}) holds epoch {}{}",
+            lease.epoch,
+            if lease.live { "" } else { ", lapsed" }
+        ),
         _ => format!("nobody holds the lease (last epoch {})", lease.epoch),
     }
 }

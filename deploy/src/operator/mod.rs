@@ -20,6 +20,8 @@ pub use teleop::{TeleopArgs, teleop};
 
 /// The name under which this user commands: the same for every command of the user, so that one can release what another took.
 fn holder() -> String {
-    let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME")).unwrap_or_else(|_| "unknown".to_owned());
+    let user = std::env::var("USER")
+        .or_else(|_| std::env::var("USERNAME"))
+        .unwrap_or_else(|_| "unknown".to_owned());
     format!("operator-{user}")
 }

@@ -55,10 +55,16 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
         if stop {
             bus.ask(&topics::STOP, &[robot], &StopRequest { by }, patience).await
         } else {
-            bus.ask(&topics::RESUME, &[robot], &ResumeRequest { by }, patience).await
+            bus.ask(&topics::RESUME, &[robot], &ResumeRequest { by }, patience)
+                .await
         }
     };
-    let answers = connect::on_bus(&args.robot.link, async |bus| {
+    let mut link = args.robot.link.clone();
+    if link.connect == [connect::DEFAULT_ENDPOINT] {
+        // Nobody named another: without the router, the robot of this machine itself.
+        link.connect.push(connect::ROBOT_ENDPOINT.to_owned());
+    }
+    let answers = connect::on_bus(&link, async |bus| {
         if args.all {
             let mut answers = BTreeMap::new();
             for robot in connect::robots(&bus).await?.into_keys() {
@@ -88,18 +94,23 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
     let mut failure = None;
     for (robot, answer) in answers {
         match answer {
-            Ok(reply) => rows.push(Stopped { robot, stopped: reply.stopped }),
+            Ok(reply) => rows.push(Stopped {
+                robot,
+                stopped: reply.stopped,
+            }),
             Err(error) => {
                 let error = Failure::from(error);
                 failure = Some(Failure::new(error.code, format!("{robot}: {error}")));
             }
         }
     }
-    if !rows.is_empty() {
-        output::values(args.output, &rows, |rows| {
-            let line = |row: &Stopped| format!("{} {}", row.robot, if row.stopped { "stopped" } else { "may go" });
+    let line = |row: &Stopped| format!("{} {}", row.robot, if row.stopped { "stopped" } else { "may go" });
+    match rows.as_slice() {
+        [] => {}
+        [one] if !args.all => output::value(args.output, one, line)?,
+        several => output::values(args.output, several, |rows| {
             rows.iter().map(line).collect::<Vec<_>>().join("\n")
-        })?;
+        })?,
     }
     match failure {
         Some(failure) => Err(failure),

@@ -34,7 +34,9 @@ const HELP: &str = "Space take control and stop   Enter give back   W A S D (Q E
 
 /// Driving by hand.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R lets a stopped robot go. Ctrl-C leaves the robot stopped: `zenav resume` lets it go.")]
+#[command(
+    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R lets a stopped robot go. Ctrl-C leaves the robot stopped: `zenav resume` lets it go."
+)]
 pub struct TeleopArgs {
     /// Which robot.
     #[command(flatten)]
@@ -66,7 +68,12 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         drop(screen);
         match stopped {
             Ok(()) => eprintln!("{robot} is stopped; `zenav resume` lets it go"),
-            Err(error) => return Err(Failure::new(error.code, format!("{robot} did not confirm its stop: {error} (without commands it stops by itself)"))),
+            Err(error) => {
+                return Err(Failure::new(
+                    error.code,
+                    format!("{robot} did not confirm its stop: {error} (without commands it stops by itself)"),
+                ));
+            }
         }
         driven.map(|()| exit_code::OK)
     })
@@ -75,7 +82,9 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
 /// What the robot can, by its own word.
 async fn top_speeds(bus: &Bus, robot: &str, within: Duration) -> Twist2 {
     match bus.ask(&topics::EDGE_INFO, &[robot], &InfoRequest {}, within).await {
-        Ok(info) => info.model.map_or(CAREFUL, |model| Twist2::new(model.drive.top_speed(), model.drive.top_yaw_rate())),
+        Ok(info) => info.model.map_or(CAREFUL, |model| {
+            Twist2::new(model.drive.top_speed(), model.drive.top_yaw_rate())
+        }),
         Err(error) => {
             tracing::warn!(%error, "the robot does not tell its limits; driving carefully");
             CAREFUL
@@ -202,8 +211,14 @@ impl Session {
             Wish::Faster => self.hand.scale(true),
             Wish::Slower => self.hand.scale(false),
             Wish::Resume => {
-                let request = ResumeRequest { by: Some(self.holder.clone()) };
-                if let Err(error) = self.bus.ask(&topics::RESUME, &[&self.robot], &request, Duration::from_secs(1)).await {
+                let request = ResumeRequest {
+                    by: Some(self.holder.clone()),
+                };
+                if let Err(error) = self
+                    .bus
+                    .ask(&topics::RESUME, &[&self.robot], &request, Duration::from_secs(1))
+                    .await
+                {
                     self.note = error.to_string();
                 }
             }
@@ -225,9 +240,14 @@ impl Session {
 
     /// The robot's word counts: a lease of another epoch or holder is not ours any more.
     fn drop_lost_lease(&mut self) {
-        let (Some(held), Some((_, state))) = (&self.held, &self.seen) else { return };
+        let (Some(held), Some((_, state))) = (&self.held, &self.seen) else {
+            return;
+        };
         if state.lease.epoch > held.grant.epoch {
-            self.note = format!("control was lost to {}", state.lease.holder.as_deref().unwrap_or("nobody"));
+            self.note = format!(
+                "control was lost to {}",
+                state.lease.holder.as_deref().unwrap_or("nobody")
+            );
             self.held = None;
             self.hand.rest();
         }
@@ -235,12 +255,20 @@ impl Session {
 
     fn drive(&self) {
         if let (Some(held), Some((_, state))) = (&self.held, &self.seen) {
-            self.teleop.put(&Teleop { epoch: held.grant.epoch, twist: self.hand.twist(self.start.elapsed()), echo: state.stamp });
+            self.teleop.put(&Teleop {
+                epoch: held.grant.epoch,
+                twist: self.hand.twist(self.start.elapsed()),
+                echo: state.stamp,
+            });
         }
     }
 
     fn draw(&self) {
-        let width = terminal::size().map_or(80, |(columns, _)| usize::from(columns));
+        // A window of no size is one whose size is not known.
+        let width = terminal::size()
+            .ok()
+            .filter(|(columns, _)| *columns > 0)
+            .map_or(80, |(columns, _)| usize::from(columns));
         let line: String = self.status().chars().take(width.saturating_sub(1)).collect();
         // To the line's start, and the rest of the line cleared.
         eprint!("\r{line}\x1b[K");
@@ -248,15 +276,25 @@ impl Session {
     }
 
     fn status(&self) -> String {
-        let Some((at, state)) = &self.seen else { return format!("{}: nothing heard yet  {}", self.robot, self.note) };
+        let Some((at, state)) = &self.seen else {
+            return format!("{}: nothing heard yet  {}", self.robot, self.note);
+        };
         let command = match (&self.held, &state.lease.holder) {
             (Some(_), _) => "YOU".to_owned(),
             (None, Some(holder)) if state.lease.live => holder.clone(),
             _ => "nobody".to_owned(),
         };
         let age = at.elapsed();
-        let link = if age > OLD { format!("silent for {:.1} s", age.as_secs_f64()) } else { format!("{:?}", state.link) };
-        let stopped = if state.mode == Mode::Stopped { " (R lets it go)" } else { "" };
+        let link = if age > OLD {
+            format!("silent for {:.1} s", age.as_secs_f64())
+        } else {
+            format!("{:?}", state.link)
+        };
+        let stopped = if state.mode == Mode::Stopped {
+            " (R lets it go)"
+        } else {
+            ""
+        };
         let limit = self.hand.limit();
         format!(
             "{}: {command} in command | {:?}{stopped} | v {:+.2} m/s w {:+.2} rad/s of {:.2}, {:.2} | guard {:?} | link {link} | battery {:.0} %  {}",
@@ -275,15 +313,25 @@ impl Session {
     /// Leaves the robot stopped, whoever was in command.
     async fn leave(&mut self, within: Duration) -> Result<(), Failure> {
         if let Some(held) = &self.held {
-            self.teleop.put(&Teleop { epoch: held.grant.epoch, twist: Twist2::ZERO, echo: self.seen.as_ref().map_or(Stamp::ZERO, |(_, state)| state.stamp) });
+            self.teleop.put(&Teleop {
+                epoch: held.grant.epoch,
+                twist: Twist2::ZERO,
+                echo: self.seen.as_ref().map_or(Stamp::ZERO, |(_, state)| state.stamp),
+            });
         }
-        let request = StopRequest { by: Some(self.holder.clone()) };
+        let request = StopRequest {
+            by: Some(self.holder.clone()),
+        };
         let stopped = self.bus.ask(&topics::STOP, &[&self.robot], &request, within).await;
         if let Some(held) = self.held.take() {
             // It ends by itself when nobody renews it.
             let _ = held.release().await;
         }
-        if stopped?.stopped { Ok(()) } else { Err(Failure::failed("it says that it is not stopped")) }
+        if stopped?.stopped {
+            Ok(())
+        } else {
+            Err(Failure::failed("it says that it is not stopped"))
+        }
     }
 }
 
@@ -292,7 +340,8 @@ async fn ended() {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};
-        let (Ok(mut hangup), Ok(mut terminate)) = (signal(SignalKind::hangup()), signal(SignalKind::terminate())) else {
+        let (Ok(mut hangup), Ok(mut terminate)) = (signal(SignalKind::hangup()), signal(SignalKind::terminate()))
+        else {
             let _ = tokio::signal::ctrl_c().await;
             return;
         };

@@ -74,7 +74,7 @@ impl Rig {
         self.wheels = [self.wheels[0] + turned[0] * TICK, self.wheels[1] + turned[1] * TICK];
         self.now = self.now.plus_secs(TICK);
         self.ticks += 1;
-        if let Some(epoch) = self.heartbeat.filter(|_| self.ticks % 5 == 0) {
+        if let Some(epoch) = self.heartbeat.filter(|_| self.ticks.is_multiple_of(5)) {
             self.counter += 1;
             self.inbox.heartbeats.push(Heartbeat {
                 holder: "m".into(),
@@ -97,7 +97,7 @@ impl Rig {
     }
 
     fn readings(&self) -> Readings {
-        let sweep = (self.scanning && self.ticks % 5 == 0).then(|| {
+        let sweep = (self.scanning && self.ticks.is_multiple_of(5)).then(|| {
             let lidar = &self.model.lidar;
             let laser = self.pose * lidar.mount;
             let range = |beam: usize| {

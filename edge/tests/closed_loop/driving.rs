@@ -32,7 +32,7 @@ fn two_rounds_of_the_kitchen_table_take_a_minute_and_touch_nothing() {
             .iter()
             .filter(|event| matches!(event, EventKind::Guard { .. }))
             .count();
-        println!(
+        eprintln!(
             "seed {seed}: {secs:.1} s, {:.1} m, clearance {:.3} m, guard events {guard}",
             truth.length, truth.min_clearance
         );
@@ -85,7 +85,7 @@ fn a_trajectory_is_followed_to_within_three_centimetres_of_the_truth() {
         errors.sort_by(f64::total_cmp);
         let p95 = errors[errors.len() * 95 / 100];
         let end = course.last().unwrap().pose();
-        println!(
+        eprintln!(
             "seed {seed}: {secs:.1} s of 6.0, cross-track p95 {p95:.4} m, end {:.3} m off",
             end.distance(&rig.truth().map_from_base)
         );

@@ -35,7 +35,7 @@ fn the_normalised_error_is_that_of_three_states() {
         });
     }
     let nees = sum / count;
-    println!("NEES {nees:.2} (3 expected), worst position error {worst:.3} m");
+    eprintln!("NEES {nees:.2} (3 expected), worst position error {worst:.3} m");
     assert!((2.54..3.50).contains(&nees), "{nees}");
     assert!(worst < 0.06, "{worst}");
 }

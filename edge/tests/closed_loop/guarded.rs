@@ -1,7 +1,8 @@
 //! Whatever is commanded, nothing is hit.
 
-use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::LeaseRole;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{EventKind, LeaseRole, TrajectoryPoint};
+use zenav_sim::World;
 
 use crate::rig::Rig;
 
@@ -35,10 +36,73 @@ fn wild_commands_hit_nothing_that_stands_still() {
             rig.run(1.5);
         }
         let truth = rig.truth();
-        println!(
+        eprintln!(
             "{robot} {seed}: {:.1} m, clearance {:.3} m, {} contacts {:?}",
             truth.length, truth.min_clearance, truth.collisions, truth.last_contact
         );
         assert_eq!(truth.collisions, 0, "{robot} {seed}: {truth:?}");
+    }
+}
+
+/// A corridor 0.73 m wide, 0.1 m wider on each side than TIAGo, that ends at a wall at x = 4.
+const CORRIDOR: &str = r#"
+name = "corridor"
+size = [6.0, 2.0]
+origin = [-1.0, -1.0]
+[start]
+x = 0.0
+y = 0.0
+yaw = 0.0
+[[polygon]]
+points = [[-0.5, 0.365], [4.5, 0.365], [4.5, 0.6], [-0.5, 0.6]]
+[[polygon]]
+points = [[-0.5, -0.6], [4.5, -0.6], [4.5, -0.365], [-0.5, -0.365]]
+[[polygon]]
+points = [[4.0, -0.3], [4.2, -0.3], [4.2, 0.3], [4.0, 0.3]]
+"#;
+
+#[test]
+fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_metre_from_its_end() {
+    let world = World::from_toml(CORRIDOR, "corridor", &|_| Err("no map".into())).unwrap();
+    for seed in 1..=5 {
+        let mut rig = Rig::within(&world, "tiago", seed, LeaseRole::Mission);
+        rig.run(1.0);
+        let length = 4.0 - 0.265 - 0.11;
+        let (top, acceleration) = (0.55, 0.6);
+        let (ramp, duration) = (top / acceleration, length / top + top / acceleration);
+        let points = (0..=(duration * 50.0) as usize).map(|i| {
+            let t = i as f64 * 0.02;
+            let v = (acceleration * t).min(top).min(acceleration * (duration - t));
+            let left = duration - t;
+            let x = match t {
+                t if t < ramp => 0.5 * acceleration * t * t,
+                t if left > ramp => top * (t - 0.5 * ramp),
+                _ => length - 0.5 * acceleration * left * left,
+            };
+            TrajectoryPoint {
+                t,
+                x,
+                v,
+                ..TrajectoryPoint::default()
+            }
+        });
+        let plan = rig.plan(&[], points.collect());
+        let secs = rig.drive(plan, 15.0, |_| {});
+        let truth = rig.truth();
+        let guard: Vec<_> = rig
+            .events
+            .iter()
+            .filter(|event| matches!(event, EventKind::Guard { .. }))
+            .collect();
+        eprintln!(
+            "seed {seed}: {secs:.1} s of {duration:.1}, clearance {:.3} m, {guard:?}",
+            truth.min_clearance
+        );
+        assert_eq!(truth.collisions, 0);
+        assert!(
+            truth.map_from_base.distance(&Pose2::new(length, 0.0, 0.0)) < 0.05,
+            "{truth:?}"
+        );
+        assert!(secs < duration + 2.0, "{secs}");
     }
 }

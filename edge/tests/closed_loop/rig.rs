@@ -24,11 +24,14 @@ pub struct Rig {
 
 impl Rig {
     pub fn new(world: &str, robot: &str, seed: u64, role: LeaseRole) -> Self {
-        let world = World::shipped(world).unwrap();
+        Self::within(&World::shipped(world).unwrap(), robot, seed, role)
+    }
+
+    pub fn within(world: &World, robot: &str, seed: u64, role: LeaseRole) -> Self {
         let model = RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap();
         let id = Id::robot(robot).unwrap();
         let sim = Simulation::new(
-            &world,
+            world,
             vec![RobotSpec {
                 id: id.clone(),
                 model: model.clone(),

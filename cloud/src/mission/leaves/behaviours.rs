@@ -49,7 +49,6 @@ impl Leaf<Context> for Behaviour {
         if let Err(error) = io.remember(&execution) {
             return fail(io, ctx, Some(UNKNOWN), error.to_string());
         }
-        ctx.goal.feedback.recoveries += 1;
         // The ask follows in the next tick, when the execution's id is stored.
         step(io, ctx, "begins")
     }

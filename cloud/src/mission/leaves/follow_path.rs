@@ -6,7 +6,9 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{GoalPhase, GoalPoint};
+use zenav_protocol::time::Stamp;
 
 use super::progress::Progress;
 use super::{fail, no_error, step};
@@ -30,6 +32,8 @@ const MAX_MISSES: u32 = 3;
 const AFTER_REFUSAL: f64 = 0.3;
 /// A route from rest is good only where the robot still stands, m.
 const BEGIN_DISTANCE: f64 = 0.15;
+/// Time between two looks beyond the border of a growing map, s.
+const LOOK_PERIOD: f64 = 1.0;
 /// Blocked nearer than this ahead, the robot is brought to rest at once, s of plan time.
 const BLOCKED_NEAR: f64 = 2.5;
 
@@ -44,6 +48,11 @@ pub struct FollowPath {
     rechecked: u64,
     /// A better route than the one being driven, from the tree.
     offered: Option<Arc<Route>>,
+    /// The search goes on beside the drive: nothing is wrong with the motion in force.
+    beside: bool,
+    /// The way in force ends where this grid does.
+    partial: Option<GridSpec>,
+    next_look: Stamp,
 }
 
 /// What must not be forgotten over a restart.
@@ -107,7 +116,7 @@ impl Leaf<Context> for FollowPath {
         {
             return self.drive(io, ctx, memory, &route);
         }
-        if self.search.is_none() {
+        if self.search.is_none() || self.beside {
             match ctx.motion.standing().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(Standing::Void(why)) => {
@@ -125,7 +134,9 @@ impl Leaf<Context> for FollowPath {
                             format!("the robot refuses the plan: {why}"),
                         );
                     }
-                    ctx.motion.clear();
+                    if !ctx.motion.revert() {
+                        ctx.motion.clear();
+                    }
                     self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
                 }
                 Some(Standing::Finished) => {
@@ -138,7 +149,7 @@ impl Leaf<Context> for FollowPath {
                         ctx.end_leg(GoalPhase::Succeeded, None);
                         return Status::Success;
                     }
-                    self.misses += 1;
+                    self.misses += u32::from(self.partial.is_none());
                     if self.misses > MAX_MISSES {
                         let why = format!(
                             "ended {left:.2} m from the goal, {:.2} m are allowed",
@@ -149,7 +160,10 @@ impl Leaf<Context> for FollowPath {
                     ctx.motion.clear();
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
-                Some(Standing::Sent | Standing::Taken) => return self.supervise(io, ctx, memory),
+                Some(Standing::Sent | Standing::Taken) => {
+                    let status = self.supervise(io, ctx, memory);
+                    return self.look_further(io, ctx, memory).unwrap_or(status);
+                }
             }
         }
         self.search(io, ctx, memory)
@@ -206,6 +220,8 @@ impl FollowPath {
         }
         self.stop_search(ctx);
         ctx.drive(route.course.clone());
+        self.partial = ctx.map.spec().filter(|_| route.partial);
+        self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
         step(io, ctx, "drives")
@@ -253,6 +269,32 @@ impl FollowPath {
         step(io, ctx, what)
     }
 
+    /// While the way in force ends at the border of a map that has grown since, a longer one is looked for.
+    fn look_further(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
+        let aimed_on = self.partial?;
+        match &mut self.search {
+            None if ctx.now >= self.next_look && ctx.map.spec() != Some(aimed_on) => {
+                self.begin_search(ctx, memory.goal, 0.0);
+                self.beside = true;
+                None
+            }
+            Some(search) if self.beside => match search.step(ctx) {
+                Searching::Wait(_) => None,
+                Searching::Found(route) => {
+                    self.search = None;
+                    self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
+                    self.fits(ctx, &route).then(|| self.drive(io, ctx, memory, &route))
+                }
+                Searching::Failed(_) => {
+                    self.search = None;
+                    self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
+                    None
+                }
+            },
+            _ => None,
+        }
+    }
+
     fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
         let Some(state) = ctx.robot.state() else {
             return (0.0, None);
@@ -291,6 +333,7 @@ impl FollowPath {
 
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
         self.stop_search(ctx);
+        self.beside = false;
         let from = ctx.now.plus_secs(wait);
         self.search = Some(Search::new(ctx, goal, None, from));
     }

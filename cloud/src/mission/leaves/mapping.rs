@@ -1,7 +1,7 @@
 //! Is there a map, and how does there come to be one?
 
 use serde::{Deserialize, Serialize};
-use zenav_protocol::messages::{MapAction, MapRequest};
+use zenav_protocol::messages::{MapAction, MapRequest, Refusal};
 use zenav_protocol::time::Stamp;
 
 use super::{fail, step};
@@ -13,6 +13,8 @@ use crate::mission::exchange::{Ask, NoAnswer, Ticket};
 const PATIENCE: f64 = 10.0;
 /// For so long an action on the map is asked for again, s.
 const ACTION_PATIENCE: f64 = 30.0;
+/// For so long mapping may take to hear of a new grant, s.
+const EPOCH_WAIT: f64 = 0.3;
 
 /// SUCCESS when the map that mapping serves is stored, FAILURE when it is not or nobody serves one.
 #[derive(Default)]
@@ -46,6 +48,7 @@ impl Leaf<Context> for DoesMapExist {
 struct Action {
     ticket: Option<Ticket>,
     since: Stamp,
+    not_before: Stamp,
 }
 
 /// The execution, stored before its effect.
@@ -64,8 +67,8 @@ enum Acting {
 impl Action {
     fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
         *self = Self {
-            ticket: None,
             since: ctx.now,
+            ..Self::default()
         };
         let execution = Execution {
             id: ctx.execution_id(),
@@ -87,6 +90,9 @@ impl Action {
         let Some(epoch) = ctx.lease.epoch() else {
             return Acting::Busy;
         };
+        if ctx.now < self.not_before {
+            return Acting::Busy;
+        }
         let request = MapRequest {
             action,
             request_id: Some(execution.id.clone()),
@@ -101,6 +107,19 @@ impl Action {
                     tracing::warn!(%error, "an execution has no stored form");
                 }
                 Acting::Done
+            }
+            Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
+                // Mapping has not heard of the grant yet. It keeps its refusal under this id, so the next ask has another.
+                self.ticket = None;
+                if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
+                    return Acting::Failed(refusal.to_string());
+                }
+                execution.id = ctx.execution_id();
+                if let Err(error) = io.remember(&execution) {
+                    tracing::warn!(%error, "an execution has no stored form");
+                }
+                self.not_before = ctx.now.plus_secs(EPOCH_WAIT);
+                Acting::Busy
             }
             Some(Err(NoAnswer::Refused(refusal))) => Acting::Failed(refusal.to_string()),
             Some(Err(NoAnswer::Silent(why))) => {
@@ -161,8 +180,8 @@ impl Leaf<Context> for MapEnvironment {
             return Status::Running;
         }
         self.action = Action {
-            ticket: None,
             since: ctx.now,
+            ..Action::default()
         };
         self.tick(io, ctx)
     }
@@ -197,8 +216,8 @@ impl Leaf<Context> for SaveMap {
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.action = Action {
-            ticket: None,
             since: ctx.now,
+            ..Action::default()
         };
         self.tick(io, ctx)
     }

@@ -208,7 +208,10 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
     rig.run_until(120.0, |rig| rig.state("a").is_end());
     let goal = rig.goal("a");
     assert_eq!(goal.state, GoalPhase::Aborted);
-    assert!(goal.legs.len() > 1, "it is tried again");
+    assert!(
+        goal.legs.len() == 1 && goal.feedback.recoveries > 3,
+        "it is tried again"
+    );
     assert!(
         goal.legs
             .iter()
@@ -217,7 +220,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
         goal.legs
     );
     let took = goal.legs[0].ended.unwrap().secs_since(goal.legs[0].started);
-    assert!((10.0..11.0).contains(&took), "{took}");
+    assert!((70.0..100.0).contains(&took), "{took}");
 }
 
 #[test]
@@ -333,4 +336,42 @@ fn asks_that_change_something_carry_the_epoch() {
     .unwrap();
     rig.run(5.0);
     assert!(rig.asked.iter().any(|ask| matches!(ask, Ask::Map(request) if request.action == MapAction::Reset && request.epoch.is_some() && request.request_id.is_some())));
+}
+
+#[test]
+fn towards_a_goal_beyond_a_growing_map_it_drives_as_far_as_the_map_goes() {
+    let mut rig = Rig::new();
+    rig.map.stored = false;
+    rig.run(1.0);
+    rig.submit(to(10.0, 0.0, "a")).unwrap();
+    rig.run_until(120.0, |rig| rig.state("a").is_end());
+    assert!((7.0..7.6).contains(&rig.edge.pose.x), "{:?}", rig.edge.pose);
+    assert!(
+        rig.goal("a").reason.as_ref().unwrap().contains("outside the map"),
+        "{:?}",
+        rig.goal("a")
+    );
+}
+
+#[test]
+fn a_robot_that_is_there_already_has_arrived() {
+    let mut rig = Rig::new();
+    rig.submit(to(0.0, 0.0, "a")).unwrap();
+    assert!(rig.run_until(10.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+}
+
+#[test]
+fn a_refused_replacement_leaves_the_motion_before_it_in_force() {
+    let mut rig = Rig::new();
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    rig.run(2.0);
+    rig.occupy(4.0, 0.0);
+    rig.remap();
+    rig.edge.refuse = Some("too far from where the robot will be".into());
+    rig.run(0.6);
+    rig.edge.refuse = None;
+    assert!(rig.run_until(40.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+    assert!(rig.edge.driven < 9.5, "{}", rig.edge.driven);
 }

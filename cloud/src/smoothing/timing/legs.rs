@@ -25,13 +25,25 @@ const ALIGNED: f64 = 0.02;
 ///
 /// Points that are not finite are left out. Empty only when there is nothing to drive or to turn.
 #[must_use]
-pub fn safe_trajectory(path: &[Point2<f64>], start: Pose2, velocity: Twist2, goal_yaw: Option<f64>, model: &RobotModel) -> Vec<TrajectoryPoint> {
+pub fn safe_trajectory(
+    path: &[Point2<f64>],
+    start: Pose2,
+    velocity: Twist2,
+    goal_yaw: Option<f64>,
+    model: &RobotModel,
+) -> Vec<TrajectoryPoint> {
     safe_motion(path, start, velocity, goal_yaw, &Limits::of(model)).trajectory(PERIOD)
 }
 
 /// As [`safe_trajectory`], as a motion.
 #[must_use]
-pub fn safe_motion(path: &[Point2<f64>], start: Pose2, velocity: Twist2, goal_yaw: Option<f64>, limits: &Limits) -> Motion {
+pub fn safe_motion(
+    path: &[Point2<f64>],
+    start: Pose2,
+    velocity: Twist2,
+    goal_yaw: Option<f64>,
+    limits: &Limits,
+) -> Motion {
     let mut motion = Motion::new();
     if !start.is_finite() {
         return motion;
@@ -49,7 +61,9 @@ pub fn safe_motion(path: &[Point2<f64>], start: Pose2, velocity: Twist2, goal_ya
         }
     }
     for to in corners.into_iter().skip(1) {
-        let Some(leg) = GeometricPath::straight(at.position(), to, STEP) else { continue };
+        let Some(leg) = GeometricPath::straight(at.position(), to, STEP) else {
+            continue;
+        };
         let yaw = leg.points()[0].yaw;
         if speed == 0.0 {
             motion.spin(at, wrap_angle(yaw - at.yaw), limits);
@@ -99,7 +113,9 @@ pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f
         }
     }
     let (_, next, point) = nearest;
-    let rest: Vec<_> = std::iter::once(point).chain(corners.iter().copied().skip(next.max(1))).collect();
+    let rest: Vec<_> = std::iter::once(point)
+        .chain(corners.iter().copied().skip(next.max(1)))
+        .collect();
     corners_from(at, &rest)
 }
 
@@ -123,10 +139,17 @@ mod tests {
             for wheel in 0..2 {
                 assert!(after[wheel].abs() <= 0.95 * model.drive.max_wheel_speed + 1e-6);
                 let acceleration = (after[wheel] - before[wheel]) / dt;
-                assert!(acceleration.abs() <= 0.95 * model.drive.max_wheel_acceleration + 1e-6, "{acceleration} at {}", pair[0].t);
+                assert!(
+                    acceleration.abs() <= 0.95 * model.drive.max_wheel_acceleration + 1e-6,
+                    "{acceleration} at {}",
+                    pair[0].t
+                );
             }
             let moved = pair[0].pose().distance(&pair[1].pose());
-            assert!(moved <= 0.95 * model.drive.top_speed() * dt + 1e-6, "moved {moved} in {dt}");
+            assert!(
+                moved <= 0.95 * model.drive.top_speed() * dt + 1e-6,
+                "moved {moved} in {dt}"
+            );
         }
     }
 
@@ -147,13 +170,28 @@ mod tests {
         let still = Pose2::new(1.0, 1.0, 0.0);
         assert!(safe_trajectory(&[], still, Twist2::ZERO, None, &tiago()).is_empty());
         assert!(safe_trajectory(&[here, here], still, Twist2::ZERO, None, &tiago()).is_empty());
-        assert!(safe_trajectory(&[Point2::new(f64::NAN, 0.0)], still, Twist2::ZERO, Some(f64::NAN), &tiago()).is_empty());
+        assert!(
+            safe_trajectory(
+                &[Point2::new(f64::NAN, 0.0)],
+                still,
+                Twist2::ZERO,
+                Some(f64::NAN),
+                &tiago()
+            )
+            .is_empty()
+        );
         assert!(safe_trajectory(&[here], Pose2 { x: f64::NAN, ..still }, Twist2::ZERO, None, &tiago()).is_empty());
     }
 
     #[test]
     fn a_robot_at_speed_goes_straight_on_without_stopping() {
-        let points = safe_trajectory(&[Point2::new(2.0, 0.0)], Pose2::IDENTITY, Twist2::new(0.5, 0.0), None, &tiago());
+        let points = safe_trajectory(
+            &[Point2::new(2.0, 0.0)],
+            Pose2::IDENTITY,
+            Twist2::new(0.5, 0.0),
+            None,
+            &tiago(),
+        );
         assert_drivable(&points, &tiago());
         assert!((points[0].v - 0.5).abs() < 1e-9);
         assert!(points.iter().filter(|p| p.x < 1.0).all(|p| p.v >= 0.5 - 1e-9));
@@ -167,7 +205,7 @@ mod tests {
         ) {
             let path: Vec<_> = raw.into_iter().map(|(x, y)| Point2::new(x, y)).collect();
             let wheels = tiago().drive.wheels(Twist2::new(v, w));
-            prop_assume!(wheels.iter().all(|speed| speed.abs() < 0.95 * 6.28));
+            prop_assume!(wheels.iter().all(|speed| speed.abs() < 0.95 * tiago().drive.max_wheel_speed));
             let points = safe_trajectory(&path, Pose2::new(0.1, 0.2, yaw), Twist2::new(v, w), goal_yaw, &tiago());
             assert_drivable(&points, &tiago());
             if let (Some(last), Some(end)) = (points.last(), path.last()) {

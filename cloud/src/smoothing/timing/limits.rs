@@ -55,7 +55,9 @@ impl Limits {
         let wheels = self.wheel_speed / (1.0 + k * self.half_separation);
         let base = self.speed.min(wheels);
         // Without curvature the last two are infinite.
-        (base * base).min(self.lateral_acceleration / k).min((self.yaw_rate / k).powi(2))
+        (base * base)
+            .min(self.lateral_acceleration / k)
+            .min((self.yaw_rate / k).powi(2))
     }
 
     /// Largest yaw rate on the spot, rad/s.

@@ -31,9 +31,19 @@ enum Stretch {
     /// Both wheels slow down evenly, along the arc that the robot is on.
     Brake { start: Pose2, twist: Twist2, duration: f64 },
     /// Turns on the spot: a trapezoid in the yaw rate.
-    Spin { start: Pose2, angle: f64, rate: f64, acceleration: f64, duration: f64 },
+    Spin {
+        start: Pose2,
+        angle: f64,
+        rate: f64,
+        acceleration: f64,
+        duration: f64,
+    },
     /// Follows a way; squared speeds and times at its samples.
-    Follow { path: GeometricPath, squared: Vec<f64>, times: Vec<f64> },
+    Follow {
+        path: GeometricPath,
+        squared: Vec<f64>,
+        times: Vec<f64>,
+    },
 }
 
 impl Motion {
@@ -81,7 +91,16 @@ impl Motion {
         let acceleration = limits.spin_acceleration();
         let rate = limits.spin_rate().min((angle.abs() * acceleration).sqrt());
         let duration = angle.abs() / rate + rate / acceleration;
-        self.push(duration, Stretch::Spin { start, angle, rate, acceleration, duration });
+        self.push(
+            duration,
+            Stretch::Spin {
+                start,
+                angle,
+                rate,
+                acceleration,
+                duration,
+            },
+        );
     }
 
     /// Follows a way as fast as the limits allow, from a speed (m/s) to rest.
@@ -111,7 +130,10 @@ impl Motion {
     #[must_use]
     pub fn at(&self, t: f64) -> State {
         let t = t.clamp(0.0, self.duration);
-        let index = self.stretches.partition_point(|(begin, _)| *begin <= t).saturating_sub(1);
+        let index = self
+            .stretches
+            .partition_point(|(begin, _)| *begin <= t)
+            .saturating_sub(1);
         let Some((begin, stretch)) = self.stretches.get(index) else {
             return State::default();
         };
@@ -132,7 +154,9 @@ impl Motion {
             return Vec::new();
         }
         let steps = (self.duration / period).ceil().clamp(1.0, 1e6) as usize;
-        (0..=steps).map(|i| self.at(self.duration * i as f64 / steps as f64)).collect()
+        (0..=steps)
+            .map(|i| self.at(self.duration * i as f64 / steps as f64))
+            .collect()
     }
 
     /// As [`Self::states`], as it goes over the wire.
@@ -148,10 +172,27 @@ impl Stretch {
             Self::Brake { start, twist, duration } => {
                 let share = (1.0 - t / duration).max(0.0);
                 let pose = start.advance(*twist, t * 0.5 * (1.0 + share));
-                let point = TrajectoryPoint { t, x: pose.x, y: pose.y, yaw: pose.yaw, v: twist.v * share, w: twist.w * share };
-                State { point, a: -twist.v / duration, alpha: -twist.w / duration }
+                let point = TrajectoryPoint {
+                    t,
+                    x: pose.x,
+                    y: pose.y,
+                    yaw: pose.yaw,
+                    v: twist.v * share,
+                    w: twist.w * share,
+                };
+                State {
+                    point,
+                    a: -twist.v / duration,
+                    alpha: -twist.w / duration,
+                }
             }
-            Self::Spin { start, angle, rate, acceleration, duration } => {
+            Self::Spin {
+                start,
+                angle,
+                rate,
+                acceleration,
+                duration,
+            } => {
                 let ramp = rate / acceleration;
                 let (turned, w, alpha) = if t < ramp {
                     (0.5 * acceleration * t * t, acceleration * t, *acceleration)
@@ -159,11 +200,26 @@ impl Stretch {
                     (rate * (t - 0.5 * ramp), *rate, 0.0)
                 } else {
                     let left = (duration - t).max(0.0);
-                    (angle.abs() - 0.5 * acceleration * left * left, acceleration * left, -acceleration)
+                    (
+                        angle.abs() - 0.5 * acceleration * left * left,
+                        acceleration * left,
+                        -acceleration,
+                    )
                 };
                 let sign = angle.signum();
-                let point = TrajectoryPoint { t, x: start.x, y: start.y, yaw: start.yaw + sign * turned, v: 0.0, w: sign * w };
-                State { point, a: 0.0, alpha: sign * alpha }
+                let point = TrajectoryPoint {
+                    t,
+                    x: start.x,
+                    y: start.y,
+                    yaw: start.yaw + sign * turned,
+                    v: 0.0,
+                    w: sign * w,
+                };
+                State {
+                    point,
+                    a: 0.0,
+                    alpha: sign * alpha,
+                }
             }
             Self::Follow { path, squared, times } => {
                 let index = times.partition_point(|begin| *begin <= t).clamp(1, times.len() - 1) - 1;
@@ -175,7 +231,18 @@ impl Stretch {
                 let point = path.between(index, into * (speed + 0.5 * a * into));
                 let v = (speed + a * into).max(0.0);
                 let slope = (to.k - from.k) / length;
-                State { point: TrajectoryPoint { t, x: point.x, y: point.y, yaw: point.yaw, v, w: point.k * v }, a, alpha: point.k * a + slope * v * v }
+                State {
+                    point: TrajectoryPoint {
+                        t,
+                        x: point.x,
+                        y: point.y,
+                        yaw: point.yaw,
+                        v,
+                        w: point.k * v,
+                    },
+                    a,
+                    alpha: point.k * a + slope * v * v,
+                }
             }
         }
     }

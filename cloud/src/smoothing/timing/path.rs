@@ -28,7 +28,9 @@ impl GeometricPath {
     /// A way through samples. `None` for fewer than two, for numbers that are not finite, and where the arc length does not rise.
     #[must_use]
     pub fn new(points: Vec<PathPoint>) -> Option<Self> {
-        let finite = points.iter().all(|p| p.s.is_finite() && p.x.is_finite() && p.y.is_finite() && p.yaw.is_finite() && p.k.is_finite());
+        let finite = points
+            .iter()
+            .all(|p| p.s.is_finite() && p.x.is_finite() && p.y.is_finite() && p.yaw.is_finite() && p.k.is_finite());
         let rising = points.windows(2).all(|pair| pair[1].s > pair[0].s);
         (points.len() >= 2 && finite && rising).then_some(Self { points })
     }
@@ -47,7 +49,13 @@ impl GeometricPath {
         let at = |i: usize| {
             let share = i as f64 / pieces as f64;
             let p = from + way * share;
-            PathPoint { s: length * share, x: p.x, y: p.y, yaw, k: 0.0 }
+            PathPoint {
+                s: length * share,
+                x: p.x,
+                y: p.y,
+                yaw,
+                k: 0.0,
+            }
         };
         Self::new((0..=pieces).map(at).collect())
     }
@@ -84,12 +92,18 @@ impl GeometricPath {
     /// Largest change of heading from one sample to the next, rad: large at a cusp.
     #[must_use]
     pub fn largest_turn(&self) -> f64 {
-        self.points.windows(2).map(|pair| wrap_angle(pair[1].yaw - pair[0].yaw).abs()).fold(0.0, f64::max)
+        self.points
+            .windows(2)
+            .map(|pair| wrap_angle(pair[1].yaw - pair[0].yaw).abs())
+            .fold(0.0, f64::max)
     }
 }
 
 /// Cubic through two values with two slopes (per unit of `u`).
 fn hermite(u: f64, from: f64, to: f64, slope_from: f64, slope_to: f64) -> f64 {
     let (u2, u3) = (u * u, u * u * u);
-    from * (2.0 * u3 - 3.0 * u2 + 1.0) + slope_from * (u3 - 2.0 * u2 + u) + to * (3.0 * u2 - 2.0 * u3) + slope_to * (u3 - u2)
+    from * (2.0 * u3 - 3.0 * u2 + 1.0)
+        + slope_from * (u3 - 2.0 * u2 + u)
+        + to * (3.0 * u2 - 2.0 * u3)
+        + slope_to * (u3 - u2)
 }

@@ -30,7 +30,10 @@ pub enum SweepError {
 /// [`SweepError::StartTooFast`].
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
     let points = path.points();
-    let intervals: Vec<Interval> = points.windows(2).map(|pair| Interval::new(&pair[0], &pair[1], limits)).collect();
+    let intervals: Vec<Interval> = points
+        .windows(2)
+        .map(|pair| Interval::new(&pair[0], &pair[1], limits))
+        .collect();
     let largest = |i: usize| {
         // Between samples the curvature may be that of either end: both intervals beside the sample count.
         let around = &points[i.saturating_sub(1)..(i + 2).min(points.len())];
@@ -45,7 +48,10 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
     }
     let allowed = squared[0].sqrt();
     if start_speed > 1.1 * allowed + 1e-3 {
-        return Err(SweepError::StartTooFast { speed: start_speed, limit: allowed });
+        return Err(SweepError::StartTooFast {
+            speed: start_speed,
+            limit: allowed,
+        });
     }
     squared[0] = squared[0].min(start_speed.max(0.0).powi(2));
     for i in 0..intervals.len() {
@@ -68,19 +74,31 @@ impl Interval {
         // a = (end - start) / (2 length)
         let per_acceleration = 0.5 / length;
         let mut bounds = [(0.0, 0.0); 8];
-        for (i, (wheel, at_end)) in [(1.0, false), (-1.0, false), (1.0, true), (-1.0, true)].into_iter().enumerate() {
+        for (i, (wheel, at_end)) in [(1.0, false), (-1.0, false), (1.0, true), (-1.0, true)]
+            .into_iter()
+            .enumerate()
+        {
             let p = (1.0 + wheel * h * if at_end { to.k } else { from.k }) * per_acceleration;
             let q = wheel * h * slope;
             let (x, y) = if at_end { (-p, p + q) } else { (q - p, p) };
             bounds[2 * i] = (x, y);
             bounds[2 * i + 1] = (-x, -y);
         }
-        Self { bounds, limit: limits.wheel_acceleration }
+        Self {
+            bounds,
+            limit: limits.wheel_acceleration,
+        }
     }
 
     /// Largest squared speed at the end, at most `cap`, from `start`.
     fn largest_end(&self, start: f64, cap: f64) -> f64 {
-        let upper = |&(x, y): &(f64, f64)| if y > 0.0 { (self.limit - x * start) / y } else { f64::INFINITY };
+        let upper = |&(x, y): &(f64, f64)| {
+            if y > 0.0 {
+                (self.limit - x * start) / y
+            } else {
+                f64::INFINITY
+            }
+        };
         self.bounds.iter().map(upper).fold(cap, f64::min).max(0.0)
     }
 
@@ -116,7 +134,7 @@ impl Interval {
             let crossing = (high_line.0 - low_line.0) / (low_line.1 - high_line.1);
             let next = if low > high { crossing.min(beyond) } else { beyond };
             // Rounding may leave the corner a hair outside for ever.
-            if !(next < start) {
+            if next.is_nan() || next >= start {
                 return start.min(next).max(0.0) * (1.0 - 1e-12);
             }
             start = next.max(0.0);
@@ -132,11 +150,21 @@ mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;
 
-    const LIMITS: Limits =
-        Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.6, lateral_acceleration: 0.5, yaw_rate: 2.5 };
+    const LIMITS: Limits = Limits {
+        wheel_speed: 0.6,
+        wheel_acceleration: 0.75,
+        half_separation: 0.2,
+        speed: 0.6,
+        lateral_acceleration: 0.5,
+        yaw_rate: 2.5,
+    };
 
     fn duration(path: &GeometricPath, squared: &[f64]) -> f64 {
-        path.points().windows(2).zip(squared.windows(2)).map(|(p, b)| 2.0 * (p[1].s - p[0].s) / (b[0].sqrt() + b[1].sqrt())).sum()
+        path.points()
+            .windows(2)
+            .zip(squared.windows(2))
+            .map(|(p, b)| 2.0 * (p[1].s - p[0].s) / (b[0].sqrt() + b[1].sqrt()))
+            .sum()
     }
 
     #[test]
@@ -144,13 +172,20 @@ mod tests {
         let path = GeometricPath::straight(Point2::origin(), Point2::new(6.0, 0.0), 0.01).unwrap();
         let squared = fastest(&path, &LIMITS, 0.0).unwrap();
         let expected = 6.0 / 0.6 + 0.6 / 0.75;
-        assert!((duration(&path, &squared) - expected).abs() < 1e-3, "{} against {expected}", duration(&path, &squared));
+        assert!(
+            (duration(&path, &squared) - expected).abs() < 1e-3,
+            "{} against {expected}",
+            duration(&path, &squared)
+        );
     }
 
     #[test]
     fn a_start_that_cannot_stop_in_time_is_refused() {
         let path = GeometricPath::straight(Point2::origin(), Point2::new(0.1, 0.0), 0.01).unwrap();
-        assert!(matches!(fastest(&path, &LIMITS, 0.6), Err(SweepError::StartTooFast { .. })));
+        assert!(matches!(
+            fastest(&path, &LIMITS, 0.6),
+            Err(SweepError::StartTooFast { .. })
+        ));
     }
 
     proptest! {

@@ -1,0 +1,80 @@
+//! How is a file written so that nobody ever reads a part of it? Beside its place, onto the disk, then renamed.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::map_file::MapFileError;
+
+/// Writes a file so that other readers, and a machine that fails, see the old content or the new one, never a part.
+///
+/// # Errors
+/// [`MapFileError::Io`].
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), MapFileError> {
+    Prepared::new(path, bytes)?.publish()
+}
+
+/// A file written beside its place and on disk, but not yet in its place.
+pub(super) struct Prepared {
+    path: PathBuf,
+    temporary: PathBuf,
+}
+
+impl Prepared {
+    pub(super) fn new(path: &Path, bytes: &[u8]) -> Result<Self, MapFileError> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let prepared = Self {
+            path: path.to_owned(),
+            temporary: path.with_file_name(format!(".{name}.{}.part", std::process::id())),
+        };
+        let write = || {
+            let mut file = File::create(&prepared.temporary)?;
+            file.write_all(bytes)?;
+            file.sync_all()
+        };
+        write().map_err(|source| MapFileError::Io {
+            path: prepared.temporary.clone(),
+            source,
+        })?;
+        Ok(prepared)
+    }
+
+    pub(super) fn publish(self) -> Result<(), MapFileError> {
+        std::fs::rename(&self.temporary, &self.path).map_err(|source| MapFileError::Io {
+            path: self.path.clone(),
+            source,
+        })?;
+        // The rename itself is on disk only when its folder is; where folders cannot be opened, that is as good as it gets.
+        if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty())
+            && let Ok(folder) = File::open(folder)
+        {
+            let _ = folder.sync_all();
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Prepared {
+    fn drop(&mut self) {
+        // After publishing there is nothing left to remove.
+        let _ = std::fs::remove_file(&self.temporary);
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_published_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        write_atomically(&path, b"old").unwrap();
+        drop(Prepared::new(&path, b"half of the n").unwrap());
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+    }
+}

@@ -1,0 +1,200 @@
+//! How does a smoothing worker live on the network? Ways in, trajectories out. Thin: [`SmoothWorker`] answers.
+
+use std::time::{Duration, Instant};
+
+use zenav_protocol::bus::{Bus, BusError, Shutdown};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::Refusal;
+use zenav_protocol::topics::{ALIVE_WORKER, SMOOTH_SERVICE, alive_key};
+
+use super::worker::SmoothWorker;
+use crate::mapping::follower::MapFollower;
+
+/// How long the whole map may take to come.
+const MAP_DEADLINE: Duration = Duration::from_millis(1500);
+
+/// Answers smoothing requests under a worker's name until shutdown, or until the bus is closed.
+///
+/// # Errors
+/// [`BusError`] when a key cannot be declared.
+pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusError> {
+    let mut follower = MapFollower::new(&bus)?;
+    let mut server = bus.serve(&SMOOTH_SERVICE, &[worker.as_str()])?;
+    let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &["smooth", worker.as_str()]))?;
+    let mut core = SmoothWorker::default();
+    loop {
+        let request = tokio::select! {
+            () = shutdown.wait() => return Ok(()),
+            open = follower.follow() => { debug_assert!(!open); return Ok(()) }
+            request = server.next() => match request {
+                Some(request) => request,
+                None => return Ok(()),
+            },
+        };
+        let map = follower
+            .map(&request.body.robot, &request.body.map, MAP_DEADLINE)
+            .await
+            .cloned();
+        let body = request.body.clone();
+        let done = tokio::task::spawn_blocking(move || {
+            let began = Instant::now();
+            let answer = core.answer(map.as_ref(), &body, &mut || began.elapsed().as_secs_f64());
+            (core, answer)
+        });
+        let answer = match done.await {
+            Ok((back, answer)) => {
+                core = back;
+                answer
+            }
+            Err(error) => {
+                core = SmoothWorker::default();
+                Err(Refusal::Internal {
+                    reason: error.to_string(),
+                })
+            }
+        };
+        match answer {
+            Ok(reply) => request.reply(&reply),
+            Err(refusal) => request.refuse(&refusal),
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::bus::{AskError, BusConfig, Router, RouterConfig};
+    use zenav_protocol::geometry::{Pose2, Twist2};
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::messages::{MapInfo, MapRef, MapReply, PlanOutcome, PlanRequest, SmoothRequest};
+    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::time::Stamp;
+    use zenav_protocol::topics::{MAP, PLAN_SERVICE};
+
+    use super::*;
+    use crate::planning::service as planning;
+
+    const DEADLINE: Duration = Duration::from_secs(20);
+
+    /// A hall of 6 m by 4 m with a wall across that leaves a door.
+    fn map() -> MapReply {
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 120,
+            height: 80,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        for y in (0..80).filter(|y| !(50..75).contains(y)) {
+            grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+        }
+        let map = MapRef {
+            id: "hall".to_owned(),
+            revision: 3,
+        };
+        let info = MapInfo {
+            stamp: Stamp::ZERO,
+            map,
+            spec,
+            free: 0,
+            occupied: 0,
+            unknown: 0,
+            scans: 0,
+            stored: true,
+        };
+        MapReply {
+            info,
+            values: grid.values().to_vec(),
+            trajectory: Vec::new(),
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_one_worker_finds_another_one_smooths() {
+        let router = Router::open(&RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..RouterConfig::default()
+        })
+        .await
+        .unwrap();
+        let endpoint = router.endpoints().await.remove(0);
+        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+        let mapping = open("mapping").await.unwrap();
+        let mut maps = mapping.serve(&MAP, &["tiago"]).unwrap();
+        tokio::spawn(async move {
+            while let Some(request) = maps.next().await {
+                request.reply(&map());
+            }
+        });
+        let (shutdown, worker) = (Shutdown::new(), Id::new("w1").unwrap());
+        let services = [
+            tokio::spawn(planning::run(
+                open("planning").await.unwrap(),
+                worker.clone(),
+                shutdown.clone(),
+            )),
+            tokio::spawn(run(open("smoothing").await.unwrap(), worker, shutdown.clone())),
+        ];
+        let client = open("client").await.unwrap();
+        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let question = PlanRequest {
+            robot: "tiago".to_owned(),
+            model: model.clone(),
+            map: map().info.map,
+            start: Pose2::new(1.0, 1.0, 0.0),
+            goal: Pose2::new(5.0, 1.0, 0.0),
+            planner: "astar".to_owned(),
+            unknown_is_free: false,
+            budget_ms: 5000,
+        };
+        let found = client.ask(&PLAN_SERVICE, &["*"], &question, DEADLINE).await.unwrap();
+        assert_eq!(found.map, map().info.map);
+        let PlanOutcome::Found { path, .. } = found.outcome else {
+            panic!("no way")
+        };
+
+        let way = SmoothRequest {
+            robot: "tiago".to_owned(),
+            model,
+            map: found.map,
+            path,
+            start: question.start,
+            start_velocity: Twist2::ZERO,
+            goal_yaw: Some(0.0),
+            unknown_is_free: false,
+        };
+        let smoothed = client.ask(&SMOOTH_SERVICE, &["w1"], &way, DEADLINE).await.unwrap();
+        assert_eq!(smoothed.statistics.status, "smoothed");
+        assert!(smoothed.statistics.min_clearance.unwrap() > 0.05);
+        let last = smoothed.trajectory.last().unwrap();
+        assert!(last.pose().distance(&question.goal) < 1e-6 && last.v == 0.0);
+
+        let strange = PlanRequest {
+            planner: "crystal ball".to_owned(),
+            ..question.clone()
+        };
+        let refused = client.ask(&PLAN_SERVICE, &["w1"], &strange, DEADLINE).await;
+        assert!(
+            matches!(refused, Err(AskError::Refused(Refusal::BadRequest { .. }))),
+            "{refused:?}"
+        );
+        let elsewhere = PlanRequest {
+            goal: Pose2::new(50.0, 1.0, 0.0),
+            ..question
+        };
+        assert_eq!(
+            client
+                .ask(&PLAN_SERVICE, &["w1"], &elsewhere, DEADLINE)
+                .await
+                .unwrap()
+                .outcome,
+            PlanOutcome::OutOfMap
+        );
+
+        shutdown.trigger();
+        for service in services {
+            service.await.unwrap().unwrap();
+        }
+    }
+}

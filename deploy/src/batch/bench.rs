@@ -1,0 +1,156 @@
+//! What does this machine hold? The simulator's rays and real-time factor; the bus beside raw Zenoh.
+
+use std::time::{Duration, Instant};
+
+use zenav_protocol::bus::overhead;
+use zenav_protocol::messages::exit_code;
+
+use crate::connect::{self, positive};
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{self, Format};
+
+/// Most robots in one world here.
+const MAX_ROBOTS: usize = 100_000;
+
+/// Simulator benches.
+#[derive(Debug, clap::Args)]
+pub struct SimArgs {
+    #[command(subcommand)]
+    command: SimCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum SimCommand {
+    /// Measure rays a second and the real-time factor
+    Bench(SimBenchArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct SimBenchArgs {
+    /// World: a file or shipped name
+    #[arg(long, value_name = "W", default_value = "kitchen")]
+    world: String,
+    /// Robot: a file or shipped name
+    #[arg(long, value_name = "R", default_value = "tiago")]
+    robot: String,
+    /// Robots in the world, as far as there is room
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    robots: usize,
+    /// Beams of each lidar [default: the robot's own]
+    #[arg(long, value_name = "B")]
+    beams: Option<usize>,
+    /// Simulated time, s
+    #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
+    time: f64,
+    /// Form of what is printed
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// Runs a simulator bench.
+///
+/// # Errors
+/// [`exit_code::USAGE`] for a world, robot or number that cannot be.
+pub fn sim(args: &SimArgs) -> Outcome {
+    let SimCommand::Bench(args) = &args.command;
+    let world = files::world(&args.world)?;
+    let mut model = files::robot(&args.robot)?;
+    if let Some(beams) = args.beams {
+        model.lidar.beams = beams;
+        model = model
+            .checked("--beams")
+            .map_err(|error| Failure::usage(error.to_string()))?;
+    }
+    if !(1..=MAX_ROBOTS).contains(&args.robots) {
+        return Err(Failure::usage(format!(
+            "--robots {}: expected 1 to {MAX_ROBOTS}",
+            args.robots
+        )));
+    }
+    let time = Duration::try_from_secs_f64(args.time)
+        .map_err(|error| Failure::usage(format!("--time {}: {error}", args.time)))?;
+    let start = Instant::now();
+    let report = zenav_sim::bench::run(&world, &model, args.robots, time, &|| start.elapsed())
+        .map_err(|error| Failure::failed(error.to_string()))?;
+    if report.robots < args.robots {
+        tracing::warn!(
+            "there is room for {} of {} robots in {}",
+            report.robots,
+            args.robots,
+            args.world
+        );
+    }
+    output::value(args.output, &report, |report| {
+        format!(
+            "{} robots with {} beams: {:.1} M rays/s, {:.0} times real time over {} steps",
+            report.robots,
+            report.beams,
+            report.rays_per_s / 1e6,
+            report.real_time_factor,
+            report.steps
+        )
+    })?;
+    Ok(exit_code::OK)
+}
+
+/// What this machine holds.
+#[derive(Debug, clap::Args)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    command: BenchCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum BenchCommand {
+    /// The typed bus beside raw Zenoh: identical bytes, the same codec, taking turns
+    Bus {
+        /// Samples of each way
+        #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+        samples: u32,
+        /// Form of what is printed
+        #[arg(short, long, value_enum, default_value_t)]
+        output: Format,
+    },
+}
+
+/// Runs a bench.
+///
+/// # Errors
+/// When this machine does not let it listen and connect.
+pub fn bench(args: &BenchArgs) -> Outcome {
+    let BenchCommand::Bus {
+        samples,
+        output: format,
+    } = &args.command;
+    let rows = connect::block_on(async { Ok(overhead::measure(*samples as usize).await?) })?;
+    output::values(*format, &rows, |rows| {
+        let row = |row: &overhead::Comparison| {
+            let us = |value: f64| format!("{value:.1}");
+            vec![
+                row.what.clone(),
+                row.bytes.to_string(),
+                us(row.typed.p50_us),
+                us(row.raw.p50_us),
+                format!("{:.3}", row.ratio_p50),
+                us(row.typed.p99_us),
+                us(row.raw.p99_us),
+                format!("{:.3}", row.ratio_p99),
+            ]
+        };
+        output::table(
+            &[
+                "WHAT",
+                "BYTES",
+                "TYPED p50 us",
+                "RAW p50 us",
+                "RATIO",
+                "TYPED p99 us",
+                "RAW p99 us",
+                "RATIO",
+            ],
+            &rows.iter().map(row).collect::<Vec<_>>(),
+        )
+    })?;
+    Ok(exit_code::OK)
+}

@@ -1,0 +1,108 @@
+//! What can be done offline, many times over, and measured? Planning, smoothing, simulating, and the bus itself.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `queries` | which ways are asked for? (lines of cells, or a Moving AI `.scen`) |
+//! | `watchdog` | how is a search ended in time? |
+//! | `plan` | `zenav plan`: searches alone |
+//! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
+//! | `bench` | `zenav sim bench`, `zenav bench bus` |
+
+mod bench;
+mod plan;
+mod queries;
+mod smooth;
+mod watchdog;
+
+pub use bench::{BenchArgs, SimArgs, bench, sim};
+pub use plan::{PlanArgs, plan};
+pub use smooth::{SmoothArgs, smooth};
+
+use std::io::{BufWriter, IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use zenav_cloud::mapping::map_file;
+use zenav_cloud::planning::Planner;
+use zenav_protocol::grid::OccupancyGrid;
+
+use crate::failure::Failure;
+use crate::files;
+
+/// A bar on a terminal, else nothing.
+fn progress(length: usize) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(length as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} {eta}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// The map, at the resolution asked for where its file does not say one.
+fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
+    match resolution {
+        Some(resolution) if path.is_file() => {
+            map_file::read_map(path, resolution).map_err(|error| Failure::usage(error.to_string()))
+        }
+        _ => files::map(path),
+    }
+}
+
+/// A planner by name; the error names those that there are.
+fn planner(name: &str) -> Result<Planner, String> {
+    name.parse()
+        .map_err(|error: zenav_cloud::planning::planner::UnknownPlanner| error.to_string())
+}
+
+/// A file of results: written line by line, complete once [`Results::finish`] was called. `-` is stdout.
+struct Results {
+    path: PathBuf,
+    out: Box<dyn Write>,
+}
+
+impl Results {
+    fn create(path: &Path) -> Result<Self, Failure> {
+        let out: Box<dyn Write> = if path == Path::new("-") {
+            Box::new(std::io::stdout())
+        } else {
+            Box::new(std::fs::File::create(path).map_err(|error| at(path, &error))?)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            out: Box::new(BufWriter::new(out)),
+        })
+    }
+
+    fn line(&mut self, text: std::fmt::Arguments<'_>) -> Result<(), Failure> {
+        self.out
+            .write_fmt(text)
+            .and_then(|()| self.out.write_all(b"\n"))
+            .map_err(|error| at(&self.path, &error))
+    }
+
+    fn finish(mut self) -> Result<(), Failure> {
+        self.out.flush().map_err(|error| at(&self.path, &error))
+    }
+}
+
+/// An I/O failure that names its file.
+fn at(path: &Path, error: &std::io::Error) -> Failure {
+    let code = Failure::from(std::io::Error::from(error.kind())).code;
+    Failure::new(code, format!("{}: {error}", path.display()))
+}
+
+/// A folder for one file a query, made where it is missing.
+fn folder(path: Option<&Path>) -> Result<(), Failure> {
+    path.map_or(Ok(()), |path| {
+        std::fs::create_dir_all(path).map_err(|error| at(path, &error))
+    })
+}
+
+/// The value in the middle; NaN for none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,320 @@
+//! How fast, how short, how often found? `zenav plan` answers many queries on one map, and times the search alone.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use zenav_cloud::planning::{Budget, GridPath, Planner, Searcher};
+use zenav_cloud::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::exit_code;
+
+use super::queries::{self, Query, from_top};
+use super::watchdog::Watchdog;
+use super::{Results, at, folder, median, planner, progress, read_map};
+use crate::connect::positive;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+
+/// Length at which a way counts as the optimum, relative.
+const SAME: f64 = 1e-4;
+
+/// Offline planning.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen. \
+Results are lines `time_us length found expansions` in the same order, lengths in cells, found 0 with length -1. Without --robot the robot is a point: no corner is cut, a diagonal step costs the square root of two."
+)]
+pub struct PlanArgs {
+    /// Map: .yaml, .pgm, .png, .map
+    #[arg(long, value_name = "M")]
+    map: PathBuf,
+    /// Queries
+    #[arg(long, value_name = "Q")]
+    queries: PathBuf,
+    /// Planner
+    #[arg(long, default_value = "astar", value_parser = planner)]
+    planner: Planner,
+    /// Results; `-` prints them
+    #[arg(long, value_name = "R", default_value = "-")]
+    out: PathBuf,
+    /// Write each way into a file of this folder (0000.txt, …): lines `x y`, every cell of the way
+    #[arg(long, value_name = "DIR")]
+    paths: Option<PathBuf>,
+    /// Inflate the map for this robot: a file or shipped name
+    #[arg(long, value_name = "R")]
+    robot: Option<String>,
+    /// Give a search up after this time, ms
+    #[arg(long, value_name = "MS", value_parser = positive)]
+    time_limit_ms: Option<f64>,
+    /// Seed of planners that draw samples; the others find the same way whatever it is
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Unknown cells may be driven through
+    #[arg(long)]
+    unknown_is_free: bool,
+    /// Side of a cell where the map does not say, m
+    #[arg(long, value_name = "M", value_parser = positive)]
+    resolution: Option<f64>,
+}
+
+/// Answers all queries of a file.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
+pub fn plan(args: &PlanArgs) -> Outcome {
+    let grid = read_map(&args.map, args.resolution)?;
+    let queries = queries::read(&args.queries)?;
+    let free = free_cells(&grid, args.robot.as_deref(), args.unknown_is_free)?;
+    let spec = *grid.spec();
+    drop(grid);
+    let mut searcher =
+        Searcher::new(&free).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+    let watchdog = args
+        .time_limit_ms
+        .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
+        .map(Watchdog::new);
+    folder(args.paths.as_deref())?;
+    let mut results = Results::create(&args.out)?;
+    let mut tally = Tally::default();
+    let bar = progress(queries.len());
+    for (number, query) in queries.iter().enumerate() {
+        let answer = answer(&mut searcher, args.planner, &spec, query, watchdog.as_ref());
+        let (length, found) = answer.way.as_ref().map_or((-1.0, 0), |way| (way.length(), 1));
+        results.line(format_args!(
+            "{:.3} {length} {found} {}",
+            answer.micros, answer.expansions
+        ))?;
+        if let Some(folder) = &args.paths {
+            write_path(&folder.join(format!("{number:04}.txt")), &spec, answer.way.as_ref())?;
+        }
+        tally.add(query, &answer);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    results.finish()?;
+    eprintln!("{} (planner {}, seed {})", tally.summary(), args.planner, args.seed);
+    Ok(exit_code::OK)
+}
+
+/// The cells that a point, or a robot's centre, may be in.
+fn free_cells(grid: &OccupancyGrid, robot: Option<&str>, unknown_is_free: bool) -> Result<BitGrid, Failure> {
+    if let Some(robot) = robot {
+        let model = files::robot(robot)?;
+        let policy = if unknown_is_free {
+            UnknownPolicy::Free
+        } else {
+            UnknownPolicy::default()
+        };
+        return Ok(ConfigurationSpace::new(grid, &model.footprint, policy, 0.0)
+            .free()
+            .clone());
+    }
+    let spec = grid.spec();
+    Ok(BitGrid::from_fn(spec.width, spec.height, |cell| {
+        match Occupancy::of(grid[cell]) {
+            Occupancy::Free => true,
+            Occupancy::Unknown => unknown_is_free,
+            Occupancy::Occupied => false,
+        }
+    }))
+}
+
+/// What one query gave.
+struct Answer {
+    /// Time around the search alone, µs.
+    micros: f64,
+    way: Option<GridPath>,
+    expansions: u64,
+    outside: bool,
+}
+
+fn answer(
+    searcher: &mut Searcher,
+    planner: Planner,
+    spec: &GridSpec,
+    query: &Query,
+    watchdog: Option<&Watchdog>,
+) -> Answer {
+    let Some((start, goal)) = query.cells(spec) else {
+        return Answer {
+            micros: 0.0,
+            way: None,
+            expansions: 0,
+            outside: true,
+        };
+    };
+    let budget = Budget {
+        cancel: watchdog.map(Watchdog::cancel),
+        ..Budget::UNLIMITED
+    };
+    if let Some(watchdog) = watchdog {
+        watchdog.arm();
+    }
+    let begin = Instant::now();
+    let searched = searcher.search(planner, start, goal, budget);
+    let took = begin.elapsed();
+    if let Some(watchdog) = watchdog {
+        watchdog.disarm();
+    }
+    Answer {
+        micros: took.as_secs_f64() * 1e6,
+        way: searched.result.ok(),
+        expansions: searched.expansions,
+        outside: false,
+    }
+}
+
+/// Every cell of a way, rows from the top; no line for a way that was not found.
+fn write_path(path: &Path, spec: &GridSpec, way: Option<&GridPath>) -> Result<(), Failure> {
+    let mut file = Results::create(path)?;
+    for cell in way.map(cells).unwrap_or_default() {
+        let [x, y] = from_top(spec, cell);
+        file.line(format_args!("{x} {y}"))?;
+    }
+    file.finish()
+        .map_err(|failure| at(path, &std::io::Error::other(failure.to_string())))
+}
+
+/// The corners of a way and the cells between those that lie straight or diagonal to each other.
+fn cells(way: &GridPath) -> Vec<Cell> {
+    let mut cells: Vec<Cell> = way.corners.iter().take(1).copied().collect();
+    for (from, to) in way.corners.iter().zip(way.corners.iter().skip(1)) {
+        let (dx, dy) = (i64::from(to.x) - i64::from(from.x), i64::from(to.y) - i64::from(from.y));
+        if dx == 0 || dy == 0 || dx.abs() == dy.abs() {
+            let steps = dx.abs().max(dy.abs());
+            let at = |start: u32, step: i64, i: i64| (i64::from(start) + step.signum() * i) as u32;
+            cells.extend((1..=steps).map(|i| Cell::new(at(from.x, dx, i), at(from.y, dy, i))));
+        } else {
+            cells.push(*to);
+        }
+    }
+    cells
+}
+
+/// What all queries gave.
+#[derive(Default)]
+struct Tally {
+    queries: usize,
+    found: usize,
+    outside: usize,
+    times: Vec<f64>,
+    known: usize,
+    optimal: usize,
+}
+
+impl Tally {
+    fn add(&mut self, query: &Query, answer: &Answer) {
+        self.queries += 1;
+        self.outside += usize::from(answer.outside);
+        if let Some(way) = &answer.way {
+            self.found += 1;
+            self.times.push(answer.micros);
+            if let Some(optimum) = query.optimum {
+                self.known += 1;
+                self.optimal += usize::from((way.length() - optimum).abs() <= SAME * optimum.max(1.0));
+            }
+        }
+    }
+
+    fn summary(&self) -> String {
+        let mut text = format!("{} of {} found", self.found, self.queries);
+        if !self.times.is_empty() {
+            text.push_str(&format!(", median {:.1} us", median(self.times.clone())));
+        }
+        if self.known > 0 {
+            text.push_str(&format!(
+                ", {} of {} as short as the known optimum",
+                self.optimal, self.known
+            ));
+        }
+        if self.outside > 0 {
+            text.push_str(&format!(
+                "; {} reach outside the map and count as not found",
+                self.outside
+            ));
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Wrapper {
+        #[command(flatten)]
+        args: PlanArgs,
+    }
+
+    /// A room of 4 by 4 with a pillar; rows from the top.
+    const MAP: &str = "type octile\nheight 4\nwidth 4\nmap\n....\n.@..\n....\n...@\n";
+
+    fn run(map: &str, queries: &str, more: &[&str]) -> (Result<u8, Failure>, Vec<Vec<f64>>, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        std::fs::write(path("m.map"), map).unwrap();
+        std::fs::write(path("q.txt"), queries).unwrap();
+        let (m, q, r, p) = (path("m.map"), path("q.txt"), path("r.txt"), path("paths"));
+        let words = ["plan", "--map", &m, "--queries", &q, "--out", &r, "--paths", &p];
+        let outcome = plan(&Wrapper::try_parse_from(words.iter().chain(more)).unwrap().args);
+        let lines = std::fs::read_to_string(&r).unwrap_or_default();
+        let rows = lines
+            .lines()
+            .map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect())
+            .collect();
+        (outcome, rows, folder)
+    }
+
+    #[test]
+    fn every_query_has_its_line_in_order() {
+        let (outcome, rows, folder) = run(MAP, "0 0 2 2\n0 0 0 0\n0 0 1 1\n0 0 9 9\n-1 0 0 0\n3 3 0 0\n", &[]);
+        assert_eq!(outcome.unwrap(), exit_code::OK);
+        // Around the pillar without cutting its corner; start = goal; into the pillar; twice outside; from within a wall.
+        let lengths: Vec<f64> = rows.iter().map(|row| row[1]).collect();
+        assert_eq!(lengths, [4.0, 0.0, -1.0, -1.0, -1.0, -1.0]);
+        assert_eq!(
+            rows.iter().map(|row| row[2]).collect::<Vec<_>>(),
+            [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+        );
+        let path = std::fs::read_to_string(folder.path().join("paths/0000.txt")).unwrap();
+        let cells: Vec<&str> = path.lines().collect();
+        assert_eq!((cells[0], cells[cells.len() - 1], cells.len()), ("0 0", "2 2", 5));
+        assert_eq!(
+            std::fs::read_to_string(folder.path().join("paths/0002.txt")).unwrap(),
+            ""
+        );
+    }
+
+    #[test]
+    fn a_map_of_one_cell_and_a_time_limit_are_fine() {
+        let (outcome, rows, _folder) = run(
+            "type octile\nheight 1\nwidth 1\nmap\n.\n",
+            "0 0 0 0\n",
+            &["--time-limit-ms", "1000", "--robot", "tiago"],
+        );
+        assert_eq!(outcome.unwrap(), exit_code::OK);
+        assert_eq!(rows.len(), 1);
+    }
+
+    #[test]
+    fn bad_files_are_named() {
+        let (outcome, ..) = run("type octile\nheight 3\nwidth 4\nmap\n....\n", "0 0 1 1\n", &[]);
+        assert_eq!(outcome.unwrap_err().code, exit_code::USAGE);
+        let (outcome, ..) = run(MAP, "0 0 one 1\n", &[]);
+        let failure = outcome.unwrap_err();
+        assert!(
+            failure.code == exit_code::USAGE && failure.message.contains("line 1"),
+            "{failure}"
+        );
+        assert!(
+            Wrapper::try_parse_from(["plan", "--map", "m", "--queries", "q", "--planner", "magic"])
+                .unwrap_err()
+                .to_string()
+                .contains("astar")
+        );
+    }
+}

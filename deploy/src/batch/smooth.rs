@@ -1,0 +1,316 @@
+//! Which trajectories come out, how long does each phase take, and is each free? `zenav smooth` answers many queries for one robot.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use zenav_cloud::planning::{Budget, PlanOptions, Planner, Searcher, plan};
+use zenav_cloud::smoothing::shortcut::shortcut;
+use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_way};
+use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{PlanOutcome, exit_code};
+use zenav_protocol::robot::RobotModel;
+
+use super::queries::{self, Query};
+use super::watchdog::Watchdog;
+use super::{Results, folder, median, planner, progress, read_map};
+use crate::connect::positive;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+
+/// Rows of a trajectory are at most this far apart, s.
+const PERIOD: f64 = 0.01;
+
+/// Offline smoothing.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its way. \
+Results are lines `search_us corridor_us geometry_us timing_us length_m duration_s min_clearance_m status`, status `smoothed`, `fallback:REASON` or `no_path` (then lengths are -1); a clearance of `inf` means nothing near."
+)]
+pub struct SmoothArgs {
+    /// Map: .yaml, .pgm, .png, .map
+    #[arg(long, value_name = "M")]
+    map: PathBuf,
+    /// Queries
+    #[arg(long, value_name = "Q")]
+    queries: PathBuf,
+    /// Robot: a file or shipped name
+    #[arg(long, value_name = "R")]
+    robot: String,
+    /// Results; `-` prints them
+    #[arg(long, value_name = "F", default_value = "-")]
+    out: PathBuf,
+    /// Write each trajectory into a file of this folder (0000.csv, …): `t,x,y,yaw,v,w,a,alpha`, m and s in the map's frame
+    #[arg(long, value_name = "DIR")]
+    trajectory: Option<PathBuf>,
+    /// Planner
+    #[arg(long, default_value = "astar", value_parser = planner)]
+    planner: Planner,
+    /// Look for the shortest way, not for one that keeps off obstacles where there is room
+    #[arg(long)]
+    shortest: bool,
+    /// Give a search up after this time, ms
+    #[arg(long, value_name = "MS", value_parser = positive)]
+    time_limit_ms: Option<f64>,
+    /// Unknown cells may be driven through
+    #[arg(long)]
+    unknown_is_free: bool,
+    /// Side of a cell where the map does not say, m
+    #[arg(long, value_name = "M", value_parser = positive)]
+    resolution: Option<f64>,
+}
+
+/// Smooths all queries of a file.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
+pub fn smooth(args: &SmoothArgs) -> Outcome {
+    let model = files::robot(&args.robot)?;
+    let grid = read_map(&args.map, args.resolution)?;
+    let queries = queries::read(&args.queries)?;
+    let policy = if args.unknown_is_free {
+        UnknownPolicy::Free
+    } else {
+        UnknownPolicy::default()
+    };
+    let space = ConfigurationSpace::new(&grid, &model.footprint, policy, 0.0);
+    let searcher =
+        Searcher::new(space.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+    let options = if args.shortest {
+        PlanOptions::shortest(args.planner)
+    } else {
+        PlanOptions {
+            planner: args.planner,
+            ..PlanOptions::default()
+        }
+    };
+    let watchdog = args
+        .time_limit_ms
+        .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
+        .map(Watchdog::new);
+    let mut workshop = Workshop {
+        space,
+        searcher,
+        model,
+        options,
+        watchdog,
+        start: Instant::now(),
+    };
+    folder(args.trajectory.as_deref())?;
+    let mut results = Results::create(&args.out)?;
+    let mut tally = Tally::default();
+    let bar = progress(queries.len());
+    for (number, query) in queries.iter().enumerate() {
+        let (search_us, smoothed) = workshop.answer(query);
+        results.line(format_args!("{}", line(search_us, smoothed.as_ref())))?;
+        if let Some(folder) = &args.trajectory {
+            write_trajectory(&folder.join(format!("{number:04}.csv")), smoothed.as_ref())?;
+        }
+        tally.add(smoothed.as_ref());
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    results.finish()?;
+    eprintln!("{}", tally.summary());
+    Ok(exit_code::OK)
+}
+
+/// One map, one robot, and what searches and smoothing need.
+struct Workshop {
+    space: ConfigurationSpace,
+    searcher: Searcher,
+    model: RobotModel,
+    options: PlanOptions,
+    watchdog: Option<Watchdog>,
+    start: Instant,
+}
+
+impl Workshop {
+    /// Time of the search, µs, and the trajectory; `None` without a way.
+    fn answer(&mut self, query: &Query) -> (f64, Option<Smoothed>) {
+        let spec = *self.space.spec();
+        let Some((from, to)) = query.cells(&spec) else {
+            return (0.0, None);
+        };
+        let pose = |cell| {
+            let center = spec.center(cell);
+            Pose2::new(center.x, center.y, 0.0)
+        };
+        let (mut start, goal) = (pose(from), pose(to));
+        if let Some(watchdog) = &self.watchdog {
+            watchdog.arm();
+        }
+        let budget = Budget {
+            cancel: self.watchdog.as_ref().map(Watchdog::cancel),
+            ..Budget::UNLIMITED
+        };
+        let begin = Instant::now();
+        let planned = plan(&self.space, &mut self.searcher, start, goal, &self.options, budget);
+        let search_us = begin.elapsed().as_secs_f64() * 1e6;
+        if let Some(watchdog) = &self.watchdog {
+            watchdog.disarm();
+        }
+        let PlanOutcome::Found { path, .. } = planned.outcome else {
+            return (search_us, None);
+        };
+        let settings = SmoothSettings::default();
+        // A query has no heading: the robot stands as its way begins, without the grid's own corners.
+        let corners = shortcut(&self.space, &path, settings.rooms.comfort);
+        if let Some(along) = corners
+            .iter()
+            .map(|point| point - start.position())
+            .find(|along| along.norm() > 0.0)
+        {
+            start.yaw = along.y.atan2(along.x);
+        }
+        let asked = SmoothQuery {
+            way: &path,
+            start,
+            start_velocity: Twist2::ZERO,
+            goal_yaw: None,
+        };
+        let mut clock = || self.start.elapsed().as_secs_f64();
+        (
+            search_us,
+            Some(smooth_way(&self.space, &asked, &self.model, &settings, &mut clock)),
+        )
+    }
+}
+
+fn line(search_us: f64, smoothed: Option<&Smoothed>) -> String {
+    let Some(Smoothed { statistics, .. }) = smoothed else {
+        return format!("{search_us:.3} 0 0 0 -1 -1 -1 no_path");
+    };
+    let us = |ms: f64| format!("{:.3}", 1e3 * ms);
+    // A reason of several words would break the columns.
+    let status: String = statistics.status.split_whitespace().collect::<Vec<_>>().join("_");
+    format!(
+        "{search_us:.3} {} {} {} {} {} {} {status}",
+        us(statistics.corridor_ms),
+        us(statistics.geometry_ms),
+        us(statistics.timing_ms),
+        statistics.length,
+        statistics.duration,
+        statistics.min_clearance.unwrap_or(f64::INFINITY),
+    )
+}
+
+fn write_trajectory(path: &Path, smoothed: Option<&Smoothed>) -> Result<(), Failure> {
+    let mut file = Results::create(path)?;
+    file.line(format_args!("t,x,y,yaw,v,w,a,alpha"))?;
+    for state in smoothed
+        .map(|smoothed| smoothed.motion.states(PERIOD))
+        .unwrap_or_default()
+    {
+        let point = state.point;
+        file.line(format_args!(
+            "{},{},{},{},{},{},{},{}",
+            point.t, point.x, point.y, point.yaw, point.v, point.w, state.a, state.alpha
+        ))?;
+    }
+    file.finish()
+}
+
+/// What all queries gave.
+#[derive(Default)]
+struct Tally {
+    queries: usize,
+    found: usize,
+    smooth: usize,
+    solving: Vec<f64>,
+}
+
+impl Tally {
+    fn add(&mut self, smoothed: Option<&Smoothed>) {
+        self.queries += 1;
+        if let Some(smoothed) = smoothed {
+            self.found += 1;
+            self.smooth += usize::from(smoothed.is_smooth());
+            self.solving
+                .push(smoothed.statistics.corridor_ms + smoothed.statistics.geometry_ms);
+        }
+    }
+
+    fn summary(&self) -> String {
+        let mut text = format!("{} of {} found, {} smoothed", self.found, self.queries, self.smooth);
+        if !self.solving.is_empty() {
+            text.push_str(&format!(
+                ", corridor and geometry median {:.2} ms",
+                median(self.solving.clone())
+            ));
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Wrapper {
+        #[command(flatten)]
+        args: SmoothArgs,
+    }
+
+    #[test]
+    fn each_query_gives_a_line_and_a_trajectory_that_reads_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let rows = vec![".".repeat(80); 60].join("\n");
+        std::fs::write(
+            path("m.map"),
+            format!("type octile\nheight 60\nwidth 80\nmap\n{rows}\n"),
+        )
+        .unwrap();
+        std::fs::write(path("q.txt"), "20 20 60 40\n20 20 20 20\n0 0 200 0\n").unwrap();
+        let words = [
+            "smooth",
+            "--map",
+            &path("m.map"),
+            "--queries",
+            &path("q.txt"),
+            "--robot",
+            "tiago",
+            "--resolution",
+            "0.05",
+            "--out",
+            &path("f.txt"),
+            "--trajectory",
+            &path("t"),
+        ];
+        assert_eq!(
+            smooth(&Wrapper::try_parse_from(words).unwrap().args).unwrap(),
+            exit_code::OK
+        );
+        let lines: Vec<String> = std::fs::read_to_string(path("f.txt"))
+            .unwrap()
+            .lines()
+            .map(str::to_owned)
+            .collect();
+        assert_eq!(lines.len(), 3);
+        assert!(lines.iter().all(|line| line.split(' ').count() == 8), "{lines:?}");
+        let ends = |line: usize, status: &str| lines[line].ends_with(status);
+        assert!(
+            (ends(0, " smoothed") || lines[0].contains(" fallback:")) && ends(2, " no_path"),
+            "{lines:?}"
+        );
+        let text = std::fs::read_to_string(path("t/0000.csv")).unwrap();
+        let mut rows = text.lines();
+        assert_eq!(rows.next(), Some("t,x,y,yaw,v,w,a,alpha"));
+        let rows: Vec<Vec<f64>> = rows
+            .map(|row| row.split(',').map(|word| word.parse().unwrap()).collect())
+            .collect();
+        assert!(rows.windows(2).all(|pair| pair[1][0] - pair[0][0] <= PERIOD + 1e-12));
+        // Cell (20, 20) from the top of 60 rows is 39 from the bottom.
+        assert!(
+            (rows[0][1] - 1.025).abs() < 1e-9 && (rows[0][2] - 1.975).abs() < 1e-9,
+            "{:?}",
+            rows[0]
+        );
+        assert_eq!(std::fs::read_to_string(path("t/0002.csv")).unwrap().lines().count(), 1);
+    }
+}

@@ -1,0 +1,108 @@
+//! How is a search ended in time, when searches know no clock? A thread that sets their cancel flag.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Sets a flag some time after it was armed.
+pub(super) struct Watchdog {
+    limit: Duration,
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    cancel: AtomicBool,
+    /// When to cancel, and whether to end.
+    state: Mutex<(Option<Instant>, bool)>,
+    changed: Condvar,
+}
+
+impl Watchdog {
+    /// Watches with this time limit.
+    pub(super) fn new(limit: Duration) -> Self {
+        let shared = Arc::new(Shared {
+            cancel: AtomicBool::new(false),
+            state: Mutex::new((None, false)),
+            changed: Condvar::new(),
+        });
+        let watching = Arc::clone(&shared);
+        std::thread::spawn(move || watching.watch());
+        Self { limit, shared }
+    }
+
+    /// The flag.
+    pub(super) fn cancel(&self) -> &AtomicBool {
+        &self.shared.cancel
+    }
+
+    /// The time runs from now; whatever ran before is forgotten.
+    pub(super) fn arm(&self) {
+        self.set(Instant::now().checked_add(self.limit), false);
+    }
+
+    /// The time does not run any more.
+    pub(super) fn disarm(&self) {
+        self.set(None, false);
+    }
+
+    fn set(&self, deadline: Option<Instant>, end: bool) {
+        let mut state = self.shared.state.lock().unwrap_or_else(PoisonError::into_inner);
+        // Under the lock, so that an old deadline cannot set it again.
+        self.shared.cancel.store(false, Ordering::Relaxed);
+        *state = (deadline, end);
+        self.shared.changed.notify_one();
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.set(None, true);
+    }
+}
+
+impl Shared {
+    fn watch(&self) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        while !state.1 {
+            let left = state
+                .0
+                .map(|deadline| deadline.saturating_duration_since(Instant::now()));
+            if left == Some(Duration::ZERO) {
+                self.cancel.store(true, Ordering::Relaxed);
+                state.0 = None;
+                continue;
+            }
+            state = match left {
+                Some(left) => {
+                    self.changed
+                        .wait_timeout(state, left)
+                        .unwrap_or_else(PoisonError::into_inner)
+                        .0
+                }
+                None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_armed_watchdog_cancels_and_a_new_search_begins_uncancelled() {
+        let dog = Watchdog::new(Duration::from_millis(1));
+        dog.arm();
+        let end = Instant::now() + Duration::from_secs(10);
+        while !dog.cancel().load(Ordering::Relaxed) {
+            assert!(Instant::now() < end, "never cancelled");
+            std::thread::yield_now();
+        }
+        let slow = Watchdog::new(Duration::from_secs(3600));
+        slow.arm();
+        assert!(!slow.cancel().load(Ordering::Relaxed));
+        dog.disarm();
+        assert!(!dog.cancel().load(Ordering::Relaxed));
+    }
+}

@@ -1,0 +1,80 @@
+//! Which file is meant? Worlds, robots and maps by path or by the name of a shipped one.
+
+use std::path::Path;
+
+use zenav_cloud::mapping::map_file;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::exit_code;
+use zenav_protocol::robot::{self, RobotModel};
+use zenav_sim::{World, world};
+
+use crate::failure::Failure;
+
+/// Largest text file that is read, bytes.
+const MAX_TEXT: u64 = 64 * 1024 * 1024;
+/// Side of a cell where a map file does not say, m: that of a Moving AI map or a bare image.
+pub const BARE_RESOLUTION: f64 = 0.05;
+
+/// Reads a text file of a user's.
+///
+/// # Errors
+/// Exit code 3 when it is missing, 2 when it is too large or not text.
+pub fn text(path: &Path) -> Result<String, Failure> {
+    let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
+    let size = std::fs::metadata(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?.len();
+    if size > MAX_TEXT {
+        return Err(named(exit_code::USAGE, &format!("{size} bytes: expected at most {MAX_TEXT}")));
+    }
+    let bytes = std::fs::read(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?;
+    String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
+}
+
+/// Tells that a name is neither shipped nor a file.
+fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
+    let known: Vec<&str> = shipped.collect();
+    Failure::not_found(format!("no {kind} `{name}`: expected a file or one of {}", known.join(", ")))
+}
+
+/// A world by file or shipped name.
+///
+/// # Errors
+/// Exit code 3 when there is none, 2 when it is bad, with line and key.
+pub fn world(name: &str) -> Result<World, Failure> {
+    let path = Path::new(name);
+    if !path.is_file() {
+        if world::shipped(name).is_some() {
+            return World::shipped(name).map_err(|error| Failure::failed(error.to_string()));
+        }
+        return Err(unknown("world", name, world::SHIPPED.iter().map(|(known, _)| *known)));
+    }
+    let folder = path.parent().unwrap_or_else(|| Path::new("."));
+    let load = |yaml: &str| map_file::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());
+    World::from_toml(&text(path)?, name, &load).map_err(|error| Failure::usage(error.to_string()))
+}
+
+/// A robot by file or shipped name.
+///
+/// # Errors
+/// Exit code 3 when there is none, 2 when it is bad, with line and key.
+pub fn robot(name: &str) -> Result<RobotModel, Failure> {
+    let path = Path::new(name);
+    if path.is_file() {
+        return RobotModel::from_toml(&text(path)?, name).map_err(|error| Failure::usage(error.to_string()));
+    }
+    match robot::shipped(name) {
+        Some(text) => RobotModel::from_toml(text, name).map_err(|error| Failure::failed(error.to_string())),
+        None => Err(unknown("robot", name, robot::SHIPPED.iter().map(|(known, _)| *known))),
+    }
+}
+
+/// A map: `map_server` YAML, a bare image, or a Moving AI `.map` (of 1 m cells).
+///
+/// # Errors
+/// Exit code 3 when there is none, 2 when it is bad.
+pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
+    if !path.is_file() {
+        return Err(Failure::not_found(format!("{}: no such map file", path.display())));
+    }
+    let resolution = if path.extension().is_some_and(|ending| ending == "map") { 1.0 } else { BARE_RESOLUTION };
+    map_file::read_map(path, resolution).map_err(|error| Failure::usage(error.to_string()))
+}
