@@ -101,6 +101,7 @@ impl Mul for Pose2 {
     type Output = Self;
 
     /// Chains transforms: `a_from_b * b_from_c = a_from_c`.
+    #[expect(clippy::suspicious_arithmetic_impl, reason = "yaws add up where transforms are multiplied")]
     fn mul(self, b_from_c: Self) -> Self {
         let position = self.transform_point(b_from_c.position());
         Self::new(position.x, position.y, self.yaw + b_from_c.yaw)

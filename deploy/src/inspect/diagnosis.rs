@@ -3,66 +3,12 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use serde::Serialize;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::messages::{
     EdgeState, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate,
 };
 
-/// How a check came out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Verdict {
-    /// As it should be.
-    Ok,
-    /// Works, but look at it.
-    Warn,
-    /// Does not work.
-    Fail,
-}
-
-/// One check.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Check {
-    /// What it is about: `router`, a robot's name, `clock`.
-    pub(super) about: String,
-    /// What was checked.
-    pub(super) check: &'static str,
-    /// How it came out.
-    pub(super) verdict: Verdict,
-    /// What was seen.
-    pub(super) seen: String,
-    /// What to do, unless all is well.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) advice: Option<String>,
-}
-
-impl Check {
-    pub(super) fn ok(about: &str, check: &'static str, seen: impl Into<String>) -> Self {
-        Self {
-            about: about.to_owned(),
-            check,
-            verdict: Verdict::Ok,
-            seen: seen.into(),
-            advice: None,
-        }
-    }
-
-    pub(super) fn warn(about: &str, check: &'static str, seen: impl Into<String>, advice: &str) -> Self {
-        Self {
-            verdict: Verdict::Warn,
-            advice: Some(advice.to_owned()),
-            ..Self::ok(about, check, seen)
-        }
-    }
-
-    pub(super) fn fail(about: &str, check: &'static str, seen: impl Into<String>, advice: &str) -> Self {
-        Self {
-            verdict: Verdict::Fail,
-            ..Self::warn(about, check, seen, advice)
-        }
-    }
-}
+use super::check::Check;
 
 /// A topic as it was heard while listening.
 #[derive(Clone, Debug)]
@@ -345,6 +291,7 @@ pub(super) mod tests {
     use zenav_protocol::messages::{LeaseState, Link};
     use zenav_protocol::time::Stamp;
 
+    use super::super::check::Verdict;
     use super::*;
 
     const TIME: Duration = Duration::from_secs(2);

@@ -11,7 +11,8 @@ use zenav_protocol::messages::{InfoRequest, exit_code};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::diagnosis::{self, Check, ClockSeen, Heard, Robot, Verdict};
+use super::check::{Check, Verdict};
+use super::diagnosis::{self, ClockSeen, Heard, Robot};
 use crate::connect::{self, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};

@@ -2,15 +2,19 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `topic`, `meter`, `payload` | which keys carry what, how often, how much |
-//! | `map`, `draw` | maps: saved, drawn in the terminal, converted, built from logs |
-//! | `bt`, `simulate` | behaviour trees: valid? what do they look like, do now, and under a script? |
-//! | `doctor`, `diagnosis` | is everything there and well? |
+//! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
+//! | `map`, `draw`, `convert`, `build` | maps: saved, drawn in the terminal, converted, built from logs |
+//! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
+//! | `doctor`, `diagnosis`, `check` | is everything there and well? |
 
 mod bt;
+mod build;
+mod check;
+mod convert;
 mod diagnosis;
 mod doctor;
 mod draw;
+mod listen;
 mod map;
 mod meter;
 mod payload;

@@ -4,19 +4,15 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::Serialize;
-use tokio::time::Instant;
-use zenav_protocol::bus::{Bus, RawSample, RawSubscription};
+use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::exit_code;
 use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
-use super::meter::{Meter, Reading, bytes};
-use super::payload;
+use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
+use super::meter::{Reading, bytes};
 use crate::connect::{self, RobotArgs, positive};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
-
-/// Samples that may wait to be shown.
-const BACKLOG: usize = 4096;
 
 /// Topics.
 #[derive(Debug, clap::Args)]
@@ -53,18 +49,6 @@ enum TopicCommand {
         /// A key, or the name of a topic or ask
         key: String,
     },
-}
-
-#[derive(Debug, clap::Args)]
-struct ListenArgs {
-    /// A key (`zenav/*/edge/pose`), a side and name (`edge/pose`), or the name of a topic (`pose`)
-    key: String,
-    /// End after this many messages
-    #[arg(long, value_name = "N")]
-    count: Option<u64>,
-    /// End after this time, s
-    #[arg(long = "for", value_name = "SECS", value_parser = positive)]
-    secs: Option<f64>,
 }
 
 /// Lists, prints and measures topics.
@@ -107,10 +91,6 @@ pub fn topic(args: &TopicArgs) -> Outcome {
     })
 }
 
-fn seconds(secs: f64) -> Duration {
-    Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX)
-}
-
 /// The key expression that is meant.
 fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
     let robot = robot.unwrap_or("*");
@@ -144,200 +124,6 @@ fn row_of(key: &str) -> Option<&'static Row> {
     TABLE
         .iter()
         .find(|row| topics::alive_chunks(row.pattern, key).is_some())
-}
-
-/// Listens for a while, from what is kept for late joiners on.
-async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<BTreeMap<String, (Meter, String)>, Failure> {
-    let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let mut meters = BTreeMap::new();
-    let start = Instant::now();
-    let gather = async {
-        while let Some(sample) = samples.next().await {
-            let (meter, encoding) = meters
-                .entry(sample.key)
-                .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
-            meter.add(start.elapsed(), sample.bytes.len());
-            *encoding = sample.encoding;
-        }
-    };
-    // The end of the time is how this ends.
-    let _ = tokio::time::timeout(time, gather).await;
-    Ok(meters)
-}
-
-/// The next sample, or how the listening ended.
-async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<RawSample, Ending> {
-    let out_of_time = async {
-        match until {
-            Some(instant) => tokio::time::sleep_until(instant).await,
-            None => std::future::pending().await,
-        }
-    };
-    tokio::select! {
-        biased;
-        _ = tokio::signal::ctrl_c() => Err(Ending::Interrupted),
-        () = out_of_time => Err(Ending::OutOfTime),
-        sample = samples.next() => sample.ok_or(Ending::Closed),
-    }
-}
-
-/// Why listening ended.
-enum Ending {
-    Interrupted,
-    OutOfTime,
-    Closed,
-}
-
-impl Ending {
-    fn outcome(&self, messages: u64, pattern: &str) -> Outcome {
-        match self {
-            Self::Interrupted => Ok(exit_code::INTERRUPTED),
-            Self::OutOfTime if messages > 0 => Ok(exit_code::OK),
-            Self::OutOfTime => Err(Failure::new(
-                exit_code::TIMEOUT,
-                format!("nothing came on {pattern} in that time"),
-            )),
-            Self::Closed => Err(Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed")),
-        }
-    }
-}
-
-#[derive(Serialize)]
-struct Echoed {
-    key: String,
-    stamp_ns: Option<u64>,
-    encoding: String,
-    payload: serde_json::Value,
-}
-
-async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
-    let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let until = args
-        .secs
-        .map(|secs| Instant::now() + seconds(secs).min(Duration::from_secs(1 << 30)));
-    let wild = pattern.contains('*') || pattern.contains('$');
-    let mut messages = 0;
-    while args.count.is_none_or(|count| messages < count) {
-        let sample = match next(&mut samples, until).await {
-            Ok(sample) => sample,
-            Err(ending) => return ending.outcome(messages, pattern),
-        };
-        messages += 1;
-        match format {
-            // One key's messages alone, for pipes; of many keys each with its own.
-            Format::Table if !wild => output::line(&payload::text(&sample)),
-            Format::Table => output::line(&format!("{} {}", sample.key, payload::text(&sample))),
-            Format::Json | Format::Ndjson => {
-                let echoed = Echoed {
-                    payload: payload::value(&sample),
-                    stamp_ns: sample.stamp.map(|stamp| stamp.0),
-                    key: sample.key,
-                    encoding: sample.encoding,
-                };
-                output::value(format, &echoed, |_| String::new())?;
-            }
-        }
-    }
-    Ok(exit_code::OK)
-}
-
-/// A key and what its meter read.
-#[derive(Serialize)]
-struct Measured {
-    key: String,
-    #[serde(flatten)]
-    reading: Reading,
-}
-
-/// Measures live messages only: what is kept for late joiners comes all at once.
-async fn measure(
-    bus: &Bus,
-    pattern: &str,
-    args: &ListenArgs,
-    format: Format,
-    line: fn(&Measured) -> String,
-) -> Outcome {
-    let mut samples = bus.raw_subscribe(pattern, BACKLOG)?;
-    let start = Instant::now();
-    let until = args
-        .secs
-        .map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
-    let mut meters = BTreeMap::<String, Meter>::new();
-    let mut messages = 0;
-    let mut told = start;
-    let rows = |meters: &BTreeMap<String, Meter>| {
-        meters
-            .iter()
-            .map(|(key, meter)| Measured {
-                key: key.clone(),
-                reading: meter.read(),
-            })
-            .collect::<Vec<_>>()
-    };
-    let lines = |rows: &[Measured]| rows.iter().map(line).collect::<Vec<_>>().join("\n");
-    let outcome = loop {
-        if args.count.is_some_and(|count| messages >= count) {
-            break Ok(exit_code::OK);
-        }
-        let sample = match next(&mut samples, until).await {
-            Ok(sample) => sample,
-            Err(ending) => break ending.outcome(messages, pattern),
-        };
-        messages += 1;
-        meters
-            .entry(sample.key)
-            .or_insert_with(|| Meter::new(1000))
-            .add(start.elapsed(), sample.bytes.len());
-        if told.elapsed() >= Duration::from_secs(1) && format != Format::Json {
-            told = Instant::now();
-            output::values(format, &rows(&meters), lines)?;
-        }
-    };
-    if !meters.is_empty() {
-        output::values(format, &rows(&meters), lines)?;
-    }
-    if samples.dropped() > 0 {
-        tracing::warn!(
-            dropped = samples.dropped(),
-            "this program was too slow for all messages"
-        );
-    }
-    outcome
-}
-
-fn hz_line(row: &Measured) -> String {
-    let Reading {
-        hz,
-        min_s,
-        max_s,
-        std_s,
-        messages,
-        ..
-    } = &row.reading;
-    match (hz, min_s, max_s, std_s) {
-        (Some(hz), Some(min), Some(max), Some(std)) => {
-            format!(
-                "{}  {hz:.2} Hz  interval {:.1} to {:.1} ms, deviation {:.1} ms  ({messages} messages)",
-                row.key,
-                1e3 * min,
-                1e3 * max,
-                1e3 * std
-            )
-        }
-        _ => format!("{}  {messages} message", row.key),
-    }
-}
-
-fn bw_line(row: &Measured) -> String {
-    let [least, mean, greatest] = row.reading.bytes.map(bytes);
-    let rate = row
-        .reading
-        .bytes_per_s
-        .map_or_else(|| "one message".to_owned(), |rate| format!("{}/s", bytes(rate)));
-    format!(
-        "{}  {rate}  message {least} to {greatest}, mean {mean}  ({} messages)",
-        row.key, row.reading.messages
-    )
 }
 
 /// A key that carries something.

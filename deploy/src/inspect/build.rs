@@ -1,0 +1,143 @@
+//! What did a robot of a log see? A CARMEN log with poses becomes `map_server` files.
+
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use zenav_cloud::mapping::carmen::{self, LOG_BEAMS};
+use zenav_cloud::mapping::{InsertMode, map_file};
+use zenav_protocol::messages::{Scan, exit_code};
+
+use crate::connect::positive;
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// A map from a log.
+#[derive(Debug, clap::Args)]
+pub(super) struct BuildArgs {
+    /// CARMEN log, compressed by gzip or not
+    #[arg(long, value_name = "FILE")]
+    log: PathBuf,
+    /// Side of a cell, m
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = positive)]
+    resolution: f64,
+    /// Folder for map.pgm and map.yaml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Every beam exactly, or by filled wedges
+    #[arg(long, value_enum, default_value_t)]
+    mode: BuildMode,
+}
+
+/// How scans are drawn into a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum BuildMode {
+    /// Every beam, exactly
+    #[default]
+    Reference,
+    /// Wedges between beams are filled; its agreement with `reference` is reported
+    Fast,
+}
+
+/// What `map build` prints.
+#[derive(Debug, Serialize)]
+struct Built {
+    scans: u64,
+    scans_per_s: f64,
+    beams: u64,
+    cells: u64,
+    occupied: u64,
+    free: u64,
+    unknown: u64,
+    agreement_occupied: f64,
+    agreement_free: f64,
+    width: u32,
+    height: u32,
+    resolution: f64,
+    map: PathBuf,
+}
+
+/// Builds a map from a log.
+pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
+    let scans = read_log(&args.log)?;
+    let mode = match args.mode {
+        BuildMode::Reference => InsertMode::Reference,
+        BuildMode::Fast => InsertMode::Fast,
+    };
+    let start = Instant::now();
+    let (grid, report) = carmen::build_map(&scans, args.resolution, mode, &LOG_BEAMS);
+    let took = start.elapsed().as_secs_f64();
+    let agreement = match args.mode {
+        BuildMode::Reference => carmen::Agreement {
+            occupied: 1.0,
+            free: 1.0,
+        },
+        BuildMode::Fast => carmen::agreement(
+            &carmen::build_map(&scans, args.resolution, InsertMode::Reference, &LOG_BEAMS).0,
+            &grid,
+        ),
+    };
+    let map = map_file::write_map(&args.out, "map", &grid, "built from a log")
+        .map_err(|error| Failure::failed(error.to_string()))?;
+    let built = Built {
+        scans: report.scans,
+        scans_per_s: report.scans as f64 / took.max(1e-9),
+        beams: report.beams,
+        cells: report.cells,
+        occupied: report.occupied,
+        free: report.free,
+        unknown: report.unknown,
+        agreement_occupied: agreement.occupied,
+        agreement_free: agreement.free,
+        width: grid.spec().width,
+        height: grid.spec().height,
+        resolution: args.resolution,
+        map,
+    };
+    output::value(format, &built, |built| {
+        format!(
+            "{}: {} scans at {:.0} scans/s, {} x {} cells of {} m, {} occupied, {} free",
+            built.map.display(),
+            built.scans,
+            built.scans_per_s,
+            built.width,
+            built.height,
+            built.resolution,
+            built.occupied,
+            built.free
+        )
+    })?;
+    Ok(exit_code::OK)
+}
+
+fn read_log(path: &Path) -> Result<Vec<Scan>, Failure> {
+    if !path.is_file() {
+        return Err(Failure::not_found(format!("{}: no such log", path.display())));
+    }
+    let bad = |error: &dyn std::fmt::Display| Failure::usage(format!("{}: {error}", path.display()));
+    let progress = std::io::stderr().is_terminal().then(|| {
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} scans read") {
+            bar.set_style(style);
+        }
+        bar
+    });
+    let mut scans = Vec::new();
+    for scan in carmen::open(path).map_err(|error| bad(&error))? {
+        scans.push(scan.map_err(|error| bad(&error))?);
+        if let Some(bar) = &progress {
+            bar.inc(1);
+        }
+    }
+    if let Some(bar) = progress {
+        bar.finish_and_clear();
+    }
+    if scans.is_empty() {
+        Err(bad(&"no laser scan with a pose in it (FLASER, ROBOTLASER1)"))
+    } else {
+        Ok(scans)
+    }
+}

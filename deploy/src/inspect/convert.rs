@@ -1,0 +1,187 @@
+//! How does a map become another kind of file? `map_server` pictures with their description, and Moving AI maps.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use zenav_cloud::mapping::map_yaml::MapMode;
+use zenav_cloud::mapping::{atomic, image, map_file};
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::messages::exit_code;
+
+use super::map::Summary;
+use crate::connect::positive;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{self, Format};
+
+/// A conversion.
+#[derive(Debug, clap::Args)]
+pub(super) struct ConvertArgs {
+    /// Map to read: .yaml, .pgm, .png, .map
+    input: PathBuf,
+    /// Map to write: .yaml (with a .pgm), .pgm or .png (with a .yaml), .map
+    target: PathBuf,
+    /// How cells become grey values
+    #[arg(long, value_enum, default_value_t)]
+    mode: ModeArg,
+    /// Side of a cell where the input does not say, m
+    #[arg(long, value_name = "M", value_parser = positive)]
+    resolution: Option<f64>,
+}
+
+/// How cells become grey values.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum ModeArg {
+    /// Occupied, free, unknown
+    #[default]
+    Trinary,
+    /// Shades, unknown transparent (.png only)
+    Scale,
+    /// The values themselves
+    Raw,
+}
+
+/// Converts a map file.
+pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
+    let grid = match args.resolution {
+        Some(resolution) if args.input.is_file() => {
+            map_file::read_map(&args.input, resolution).map_err(|error| Failure::usage(error.to_string()))?
+        }
+        _ => files::map(&args.input)?,
+    };
+    let mode = match args.mode {
+        ModeArg::Trinary => MapMode::Trinary,
+        ModeArg::Scale => MapMode::Scale,
+        ModeArg::Raw => MapMode::Raw,
+    };
+    let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
+    let target = args.target.as_path();
+    let ending = target
+        .extension()
+        .and_then(|ending| ending.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
+    let picture = match ending.as_str() {
+        "map" => {
+            atomic::write_atomically(target, moving_ai(&grid).as_bytes()).map_err(|error| failed(&error))?;
+            None
+        }
+        "yaml" | "yml" if matches!(mode, MapMode::Scale) => {
+            return Err(Failure::usage(
+                "--mode scale needs a .png: a .pgm has no transparent cells",
+            ));
+        }
+        "pgm" if matches!(mode, MapMode::Scale) => {
+            return Err(Failure::usage(
+                "--mode scale needs a .png: a .pgm has no transparent cells",
+            ));
+        }
+        "yaml" | "yml" => Some(target.with_extension("pgm")),
+        "pgm" | "png" => Some(target.to_owned()),
+        _ => {
+            return Err(Failure::usage(format!(
+                "{}: expected a map: .yaml, .pgm, .png or .map",
+                target.display()
+            )));
+        }
+    };
+    let mut written = target.to_owned();
+    if let Some(picture) = picture {
+        let pixels = map_file::to_image(&grid, mode);
+        let bytes = if picture.extension().is_some_and(|ending| ending == "png") {
+            image::encode_png(&pixels).map_err(|error| failed(&error))?
+        } else {
+            image::encode_pgm(&pixels)
+        };
+        let name = picture.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let yaml = if matches!(ending.as_str(), "yaml" | "yml") {
+            target.to_owned()
+        } else {
+            target.with_extension("yaml")
+        };
+        atomic::write_atomically(&picture, &bytes).map_err(|error| failed(&error))?;
+        atomic::write_atomically(&yaml, map_file::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())
+            .map_err(|error| failed(&error))?;
+        written = yaml;
+    }
+    output::value(format, &Summary::of_file(&written, &grid), Summary::line)?;
+    Ok(exit_code::OK)
+}
+
+/// A Moving AI map: free cells are passable, all others are not.
+fn moving_ai(grid: &OccupancyGrid) -> String {
+    let spec = grid.spec();
+    let mut text = format!("type octile\nheight {}\nwidth {}\nmap\n", spec.height, spec.width);
+    for row in grid.values().chunks_exact((spec.width as usize).max(1)).rev() {
+        text.extend(row.iter().map(|value| {
+            if Occupancy::of(*value) == Occupancy::Free {
+                '.'
+            } else {
+                '@'
+            }
+        }));
+        text.push('\n');
+    }
+    text
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::grid::{Cell, GridSpec};
+
+    use super::*;
+
+    fn grid() -> OccupancyGrid {
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, 2.0),
+            resolution: 0.5,
+            width: 3,
+            height: 2,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        grid[Cell::new(0, 0)] = Occupancy::OCCUPIED;
+        grid[Cell::new(2, 1)] = Occupancy::UNKNOWN;
+        grid
+    }
+
+    #[test]
+    fn a_moving_ai_map_counts_rows_from_the_top() {
+        assert_eq!(moving_ai(&grid()), "type octile\nheight 2\nwidth 3\nmap\n..@\n@..\n");
+    }
+
+    #[test]
+    fn a_map_survives_conversion_and_back() {
+        let folder = tempfile::tempdir().unwrap();
+        map_file::write_map(folder.path(), "a", &grid(), "test").unwrap();
+        for (target, mode) in [
+            ("b.png", ModeArg::Trinary),
+            ("c.png", ModeArg::Scale),
+            ("d.pgm", ModeArg::Raw),
+            ("e.yaml", ModeArg::Trinary),
+        ] {
+            let args = ConvertArgs {
+                input: folder.path().join("a.yaml"),
+                target: folder.path().join(target),
+                mode,
+                resolution: None,
+            };
+            convert(&args, Format::Json).unwrap();
+            let back = files::map(&folder.path().join(target).with_extension("yaml")).unwrap();
+            assert_eq!(back, grid(), "{target}");
+        }
+        let bad = ConvertArgs {
+            input: folder.path().join("a.yaml"),
+            target: folder.path().join("f.jpg"),
+            mode: ModeArg::Trinary,
+            resolution: None,
+        };
+        assert_eq!(convert(&bad, Format::Json).unwrap_err().code, exit_code::USAGE);
+        let none = ConvertArgs {
+            input: folder.path().join("none.yaml"),
+            ..bad
+        };
+        assert_eq!(convert(&none, Format::Json).unwrap_err().code, exit_code::NOT_FOUND);
+    }
+}
