@@ -82,10 +82,16 @@ pub(crate) fn main() -> ExitCode {
 /// Logs go to stderr; `RUST_LOG` overrides what is shown.
 fn init_logging() {
     use std::io::IsTerminal as _;
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_link=off,zenoh_transport=off"));
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_link=off,zenoh_transport=off"));
     let colors = std::io::stderr().is_terminal();
     // A second initialisation (tests in one process) changes nothing.
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colors).with_target(false).try_init();
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(colors)
+        .with_target(false)
+        .try_init();
 }
 
 fn run(command: Command) -> Outcome {

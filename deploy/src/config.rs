@@ -146,7 +146,11 @@ impl Deployment {
     pub fn robot_ids(&self) -> Result<Vec<(Id, &RobotSection)>, Failure> {
         self.robots
             .iter()
-            .map(|(name, section)| Id::robot(name.clone()).map(|id| (id, section)).map_err(|error| Failure::usage(format!("[robots.{name}]: {error}"))))
+            .map(|(name, section)| {
+                Id::robot(name.clone())
+                    .map(|id| (id, section))
+                    .map_err(|error| Failure::usage(format!("[robots.{name}]: {error}")))
+            })
             .collect()
     }
 }
@@ -155,12 +159,16 @@ fn layers(file: Option<&Path>) -> Result<Figment, Failure> {
     let mut figment = Figment::from(Toml::string(SINGLE));
     if let Some(path) = file {
         if !path.is_file() {
-            return Err(Failure::not_found(format!("{}: no such deployment file", path.display())));
+            return Err(Failure::not_found(format!(
+                "{}: no such deployment file",
+                path.display()
+            )));
         }
         // A deployment that names robots means those and no others.
         let own = Figment::from(Toml::file_exact(path));
         if own.find_value("robots").is_ok() {
-            let mut base: figment::value::Dict = figment.extract().map_err(|error| Failure::usage(error.to_string()))?;
+            let mut base: figment::value::Dict =
+                figment.extract().map_err(|error| Failure::usage(error.to_string()))?;
             base.remove("robots");
             figment = Figment::from(Serialized::defaults(base));
         }
@@ -180,12 +188,30 @@ pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
     })?;
     let speed = deployment.simulation.speed;
     let checks = [
-        (speed.is_finite() && speed > 0.0, "simulation.speed: expected a positive number"),
-        (deployment.mapping.resolution.is_finite() && deployment.mapping.resolution >= 0.005, "mapping.resolution: expected at least 0.005 m"),
-        ((0.0..=60.0).contains(&deployment.mission.plan_valid_secs), "mission.plan_valid_secs: expected 0 to 60 s"),
-        ((0.0..=10.0).contains(&deployment.mission.latency_budget_secs), "mission.latency_budget_secs: expected 0 to 10 s"),
-        ((1..=64).contains(&deployment.planning.workers), "planning.workers: expected 1 to 64"),
-        (!deployment.robots.is_empty(), "robots: expected at least one [robots.ID] section"),
+        (
+            speed.is_finite() && speed > 0.0,
+            "simulation.speed: expected a positive number",
+        ),
+        (
+            deployment.mapping.resolution.is_finite() && deployment.mapping.resolution >= 0.005,
+            "mapping.resolution: expected at least 0.005 m",
+        ),
+        (
+            (0.0..=60.0).contains(&deployment.mission.plan_valid_secs),
+            "mission.plan_valid_secs: expected 0 to 60 s",
+        ),
+        (
+            (0.0..=10.0).contains(&deployment.mission.latency_budget_secs),
+            "mission.latency_budget_secs: expected 0 to 10 s",
+        ),
+        (
+            (1..=64).contains(&deployment.planning.workers),
+            "planning.workers: expected 1 to 64",
+        ),
+        (
+            !deployment.robots.is_empty(),
+            "robots: expected at least one [robots.ID] section",
+        ),
     ];
     if let Some((_, what)) = checks.iter().find(|(good, _)| !good) {
         return Err(Failure::usage((*what).to_owned()));
@@ -232,14 +258,23 @@ pub fn run(args: &ConfigArgs) -> Outcome {
     let ConfigCommand::Show { file, origin, output } = &args.command;
     let deployment = load(file.as_deref())?;
     if !origin {
-        value(*output, &deployment, |deployment| toml_text(deployment))?;
+        value(*output, &deployment, toml_text)?;
         return Ok(exit_code::OK);
     }
     let figment = layers(file.as_deref())?;
     let mut rows = Vec::new();
-    collect(&figment, file.as_deref(), "", &serde_json::to_value(&deployment).map_err(|error| Failure::failed(error.to_string()))?, &mut rows);
+    collect(
+        &figment,
+        file.as_deref(),
+        "",
+        &serde_json::to_value(&deployment).map_err(|error| Failure::failed(error.to_string()))?,
+        &mut rows,
+    );
     crate::output::values(*output, &rows, |rows| {
-        let cells: Vec<Vec<String>> = rows.iter().map(|row| vec![row.key.clone(), row.value.clone(), row.origin.clone()]).collect();
+        let cells: Vec<Vec<String>> = rows
+            .iter()
+            .map(|row| vec![row.key.clone(), row.value.clone(), row.origin.clone()])
+            .collect();
         table(&["KEY", "VALUE", "ORIGIN"], &cells)
     })?;
     Ok(exit_code::OK)
@@ -254,11 +289,19 @@ fn collect(figment: &Figment, file: Option<&Path>, prefix: &str, value: &serde_j
     match value {
         serde_json::Value::Object(entries) => {
             for (name, inner) in entries {
-                let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+                let key = if prefix.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{prefix}.{name}")
+                };
                 collect(figment, file, &key, inner, rows);
             }
         }
-        leaf => rows.push(Origin { key: prefix.to_owned(), value: leaf.to_string(), origin: origin_of(figment, file, prefix) }),
+        leaf => rows.push(Origin {
+            key: prefix.to_owned(),
+            value: leaf.to_string(),
+            origin: origin_of(figment, file, prefix),
+        }),
     }
 }
 
@@ -272,7 +315,11 @@ fn origin_of(figment: &Figment, file: Option<&Path>, key: &str) -> String {
     {
         return path.display().to_string();
     }
-    if figment.find_value(key).is_ok() { "shipped single.toml".to_owned() } else { "default".to_owned() }
+    if figment.find_value(key).is_ok() {
+        "shipped single.toml".to_owned()
+    } else {
+        "default".to_owned()
+    }
 }
 
 #[cfg(test)]
@@ -293,14 +340,21 @@ mod tests {
         std::fs::write(&file, "[mapping]\nresolutoin = 0.1\n").unwrap();
         let failure = load(Some(&file)).unwrap_err();
         assert_eq!(failure.code, exit_code::USAGE);
-        assert!(failure.message.contains("resolutoin") && failure.message.contains("mine.toml"), "{failure}");
+        assert!(
+            failure.message.contains("resolutoin") && failure.message.contains("mine.toml"),
+            "{failure}"
+        );
     }
 
     #[test]
     fn a_file_that_names_robots_means_those_alone() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("mine.toml");
-        std::fs::write(&file, "[robots.neato7]\nmodel = \"neato\"\nlisten = \"tcp/127.0.0.1:0\"\n").unwrap();
+        std::fs::write(
+            &file,
+            "[robots.neato7]\nmodel = \"neato\"\nlisten = \"tcp/127.0.0.1:0\"\n",
+        )
+        .unwrap();
         let deployment = load(Some(&file)).unwrap();
         assert_eq!(deployment.robots.keys().collect::<Vec<_>>(), vec!["neato7"]);
     }

@@ -96,14 +96,22 @@ pub fn run(args: &DemoArgs) -> Outcome {
     let file = args.out.join("report.json");
     std::fs::write(&file, text + "\n").map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
     value(args.output, &report, DemoReport::text)?;
-    Ok(if report.outcome == ScenarioOutcome::Succeeded { exit_code::OK } else { exit_code::FAILED })
+    Ok(if report.outcome == ScenarioOutcome::Succeeded {
+        exit_code::OK
+    } else {
+        exit_code::FAILED
+    })
 }
 
 /// The shipped deployment on free ports, with its files in a folder of the run.
 fn deployment(args: &DemoArgs, endpoint: &str, state: &Path) -> Result<Deployment, Failure> {
     let mut deployment = config::load(None)?;
     deployment.bus.connect = endpoint.to_owned();
-    deployment.simulation = config::SimulationSection { world: args.scenario.name().to_owned(), seed: args.seed, speed: args.speed };
+    deployment.simulation = config::SimulationSection {
+        world: args.scenario.name().to_owned(),
+        seed: args.seed,
+        speed: args.speed,
+    };
     deployment.data.dir = state.to_path_buf();
     for section in deployment.robots.values_mut() {
         section.listen = "tcp/127.0.0.1:0".to_owned();
@@ -119,7 +127,8 @@ fn copy_map(from: &Path, to: &Path) -> Result<bool, Failure> {
     let mut found = false;
     for name in MAP_FILES {
         if from.join(name).is_file() {
-            std::fs::copy(from.join(name), to.join(name)).map_err(|error| Failure::failed(format!("{}: {error}", to.join(name).display())))?;
+            std::fs::copy(from.join(name), to.join(name))
+                .map_err(|error| Failure::failed(format!("{}: {error}", to.join(name).display())))?;
             found |= name == "map.yaml";
         }
     }
@@ -133,8 +142,17 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     let robot_dir = state.join(ROBOT);
     let map_found = copy_map(&args.out, &robot_dir)?;
     let result = async {
-        let router = Router::open(&RouterConfig { listen: vec!["tcp/127.0.0.1:0".to_owned()], ..RouterConfig::default() }).await?;
-        let endpoint = router.endpoints().await.into_iter().next().ok_or_else(|| Failure::failed("the router has no endpoint"))?;
+        let router = Router::open(&RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            ..RouterConfig::default()
+        })
+        .await?;
+        let endpoint = router
+            .endpoints()
+            .await
+            .into_iter()
+            .next()
+            .ok_or_else(|| Failure::failed("the router has no endpoint"))?;
         let deployment = deployment(args, &endpoint, &state)?;
         let world = files::world(&deployment.simulation.world)?;
         let mut parts = Parts::default();
@@ -153,14 +171,26 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     Ok(report)
 }
 
-async fn play(args: &DemoArgs, deployment: &Deployment, world: &World, parts: &mut Parts, endpoint: &str) -> Result<DemoReport, Failure> {
+async fn play(
+    args: &DemoArgs,
+    deployment: &Deployment,
+    world: &World,
+    parts: &mut Parts,
+    endpoint: &str,
+) -> Result<DemoReport, Failure> {
     let robots = deployment.robot_ids()?;
-    let (id, section) = robots.first().ok_or_else(|| Failure::failed("the deployment has no robot"))?;
+    let (id, section) = robots
+        .first()
+        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
     let referee = parts.edge(deployment, world, id, section)?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee)?;
-    let request = GoalRequest { id: Some(format!("{}-{}", args.scenario.name(), args.seed)), tree: Some(args.scenario.name().to_owned()), ..GoalRequest::default() };
+    let request = GoalRequest {
+        id: Some(format!("{}-{}", args.scenario.name(), args.seed)),
+        tree: Some(args.scenario.name().to_owned()),
+        ..GoalRequest::default()
+    };
     watch.narrate("waiting for the parts");
     let robot = [id.as_str()];
     let reply = tokio::select! {
@@ -293,7 +323,10 @@ impl Watch {
     }
 
     fn sample(&mut self) {
-        let sample = Sample { now: self.referee.now(), truth: self.referee.truth() };
+        let sample = Sample {
+            now: self.referee.now(),
+            truth: self.referee.truth(),
+        };
         if self.samples.last().is_none_or(|last| last.now < sample.now) {
             self.samples.push(sample);
         }
@@ -313,8 +346,15 @@ impl Watch {
         self.seen_motion = Some(plan.trajectory_id);
         self.motions += 1;
         // The newest scan in the map it was checked on; where the map is not growing, the pose it starts from.
-        let scan = self.revisions.iter().rev().find(|(map, _)| *map == plan.map).map(|(_, stamp)| *stamp);
-        let basis = scan.filter(|stamp| plan.based_on.stamp.secs_since(*stamp).abs() < 1.0).unwrap_or(plan.based_on.stamp);
+        let scan = self
+            .revisions
+            .iter()
+            .rev()
+            .find(|(map, _)| *map == plan.map)
+            .map(|(_, stamp)| *stamp);
+        let basis = scan
+            .filter(|stamp| plan.based_on.stamp.secs_since(*stamp).abs() < 1.0)
+            .unwrap_or(plan.based_on.stamp);
         if let Some((_, arrival)) = self.arrivals.iter().rev().find(|(stamp, _)| *stamp <= basis) {
             self.scan_to_plan.push(arrival.elapsed().as_secs_f64() * 1e3);
         }
@@ -322,7 +362,10 @@ impl Watch {
 
     fn see_goal(&mut self, goal: &GoalState) {
         let begun = |goal: &GoalState| (goal.feedback.step.clone(), goal.legs.len());
-        let at_rest = self.state.as_ref().is_none_or(|state| state.velocity.v.abs() < MOVING && state.velocity.w.abs() < MOVING);
+        let at_rest = self
+            .state
+            .as_ref()
+            .is_none_or(|state| state.velocity.v.abs() < MOVING && state.velocity.w.abs() < MOVING);
         if self.goal.as_ref().map(begun) != Some(begun(goal)) && at_rest {
             self.waiting_for_motion = Some(Instant::now());
         }
@@ -346,8 +389,14 @@ impl Watch {
             "t {:5.1} s  {}  {}{}",
             self.referee.now().as_secs(),
             if step.is_empty() { "starting" } else { &step },
-            goal.feedback.distance_left.map(|left| format!("{left:.1} m left  ")).unwrap_or_default(),
-            self.state.as_ref().map(|state| format!("{:.2} m/s  {:?}  {:?}", state.velocity.v, state.mode, state.link)).unwrap_or_default()
+            goal.feedback
+                .distance_left
+                .map(|left| format!("{left:.1} m left  "))
+                .unwrap_or_default(),
+            self.state
+                .as_ref()
+                .map(|state| format!("{:.2} m/s  {:?}  {:?}", state.velocity.v, state.mode, state.link))
+                .unwrap_or_default()
         );
         if let Some(bar) = &self.bar {
             bar.set_message(line);
@@ -372,7 +421,9 @@ impl Watch {
         let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg)).collect();
         let reason = match &end {
             None => Some("it did not come to an end in time".to_owned()),
-            Some(goal) if goal.state != GoalPhase::Succeeded => Some(format!("{:?}: {}", goal.state, goal.reason.clone().unwrap_or_default())),
+            Some(goal) if goal.state != GoalPhase::Succeeded => {
+                Some(format!("{:?}: {}", goal.state, goal.reason.clone().unwrap_or_default()))
+            }
             Some(_) if truth.collisions > 0 => Some("the robot touched something".to_owned()),
             Some(_) => None,
         };
@@ -385,7 +436,11 @@ impl Watch {
             scenario: args.scenario.name().to_owned(),
             seed: args.seed,
             speed: args.speed,
-            outcome: if reason.is_none() { ScenarioOutcome::Succeeded } else { ScenarioOutcome::Failed },
+            outcome: if reason.is_none() {
+                ScenarioOutcome::Succeeded
+            } else {
+                ScenarioOutcome::Failed
+            },
             reason,
             map_found: false,
             goals,
@@ -395,7 +450,10 @@ impl Watch {
             wall_time_s: 0.0,
             plans: self.motions,
             replans: feedback.replans,
-            latency: Latency { scan_to_plan_ms: Percentiles::of(&self.scan_to_plan), goal_to_motion_ms: Percentiles::of(&self.goal_to_motion) },
+            latency: Latency {
+                scan_to_plan_ms: Percentiles::of(&self.scan_to_plan),
+                goal_to_motion_ms: Percentiles::of(&self.goal_to_motion),
+            },
             energy_j: truth.drawn_j,
             notes,
         }
@@ -403,19 +461,36 @@ impl Watch {
 
     fn leg_report(&self, leg: &Leg) -> GoalReport {
         let end = leg.ended.unwrap_or(Stamp(u64::MAX));
-        let during: Vec<&Sample> = self.samples.iter().filter(|sample| sample.now >= leg.started && sample.now <= end).collect();
+        let during: Vec<&Sample> = self
+            .samples
+            .iter()
+            .filter(|sample| sample.now >= leg.started && sample.now <= end)
+            .collect();
         let length = match (during.first(), during.last()) {
             (Some(first), Some(last)) => last.truth.length - first.truth.length,
             _ => 0.0,
         };
         let last = during.last().map(|sample| sample.truth.map_from_base);
-        let error = leg.goal.zip(last).map(|(goal, pose)| (goal.x - pose.x).hypot(goal.y - pose.y));
+        let error = leg
+            .goal
+            .zip(last)
+            .map(|(goal, pose)| (goal.x - pose.x).hypot(goal.y - pose.y));
         GoalReport {
             name: leg.name.clone(),
-            outcome: if leg.state == GoalPhase::Succeeded { "reached".to_owned() } else { leg.reason.clone().unwrap_or_else(|| format!("{:?}", leg.state)) },
-            time_s: leg.ended.map_or_else(|| self.referee.now().secs_since(leg.started), |ended| ended.secs_since(leg.started)),
+            outcome: if leg.state == GoalPhase::Succeeded {
+                "reached".to_owned()
+            } else {
+                leg.reason.clone().unwrap_or_else(|| format!("{:?}", leg.state))
+            },
+            time_s: leg.ended.map_or_else(
+                || self.referee.now().secs_since(leg.started),
+                |ended| ended.secs_since(leg.started),
+            ),
             length_m: length,
-            min_clearance_m: during.iter().map(|sample| sample.truth.clearance).fold(f64::INFINITY, f64::min),
+            min_clearance_m: during
+                .iter()
+                .map(|sample| sample.truth.clearance)
+                .fold(f64::INFINITY, f64::min),
             final_error_m: error,
         }
     }

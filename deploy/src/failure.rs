@@ -19,7 +19,10 @@ impl Failure {
     /// A failure with a code of its own.
     #[must_use]
     pub fn new(code: u8, message: impl Into<String>) -> Self {
-        Self { code, message: message.into() }
+        Self {
+            code,
+            message: message.into(),
+        }
     }
 
     /// The command's input was wrong.
@@ -65,7 +68,11 @@ impl From<AskError> for Failure {
 
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Self {
-        let code = if error.kind() == std::io::ErrorKind::NotFound { exit_code::NOT_FOUND } else { exit_code::FAILED };
+        let code = if error.kind() == std::io::ErrorKind::NotFound {
+            exit_code::NOT_FOUND
+        } else {
+            exit_code::FAILED
+        };
         Self::new(code, error.to_string())
     }
 }

@@ -21,9 +21,14 @@ pub const BARE_RESOLUTION: f64 = 0.05;
 /// Exit code 3 when it is missing, 2 when it is too large or not text.
 pub fn text(path: &Path) -> Result<String, Failure> {
     let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
-    let size = std::fs::metadata(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?.len();
+    let size = std::fs::metadata(path)
+        .map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?
+        .len();
     if size > MAX_TEXT {
-        return Err(named(exit_code::USAGE, &format!("{size} bytes: expected at most {MAX_TEXT}")));
+        return Err(named(
+            exit_code::USAGE,
+            &format!("{size} bytes: expected at most {MAX_TEXT}"),
+        ));
     }
     let bytes = std::fs::read(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?;
     String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
@@ -32,7 +37,10 @@ pub fn text(path: &Path) -> Result<String, Failure> {
 /// Tells that a name is neither shipped nor a file.
 fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
     let known: Vec<&str> = shipped.collect();
-    Failure::not_found(format!("no {kind} `{name}`: expected a file or one of {}", known.join(", ")))
+    Failure::not_found(format!(
+        "no {kind} `{name}`: expected a file or one of {}",
+        known.join(", ")
+    ))
 }
 
 /// A world by file or shipped name.
@@ -75,6 +83,10 @@ pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such map file", path.display())));
     }
-    let resolution = if path.extension().is_some_and(|ending| ending == "map") { 1.0 } else { BARE_RESOLUTION };
+    let resolution = if path.extension().is_some_and(|ending| ending == "map") {
+        1.0
+    } else {
+        BARE_RESOLUTION
+    };
     map_file::read_map(path, resolution).map_err(|error| Failure::usage(error.to_string()))
 }

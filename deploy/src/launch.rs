@@ -131,7 +131,10 @@ pub struct Parts {
 
 impl Default for Parts {
     fn default() -> Self {
-        Self { tasks: JoinSet::new(), shutdown: Shutdown::new() }
+        Self {
+            tasks: JoinSet::new(),
+            shutdown: Shutdown::new(),
+        }
     }
 }
 
@@ -163,21 +166,42 @@ impl Parts {
     ///
     /// # Errors
     /// Bad files, or a start where something stands.
-    pub fn edge(&mut self, deployment: &Deployment, world: &World, id: &Id, section: &RobotSection) -> Result<Referee, Failure> {
+    pub fn edge(
+        &mut self,
+        deployment: &Deployment,
+        world: &World,
+        id: &Id,
+        section: &RobotSection,
+    ) -> Result<Referee, Failure> {
         let model = files::robot(&section.model)?;
         let start = section.start.unwrap_or_else(|| world.start());
         let start = Pose2::new(start.x, start.y, start.yaw);
-        let spec = RobotSpec { id: id.clone(), model: model.clone(), start };
-        let simulation = Simulation::new(world, vec![spec], deployment.simulation.seed).map_err(|error| Failure::usage(error.to_string()))?;
+        let spec = RobotSpec {
+            id: id.clone(),
+            model: model.clone(),
+            start,
+        };
+        let simulation = Simulation::new(world, vec![spec], deployment.simulation.seed)
+            .map_err(|error| Failure::usage(error.to_string()))?;
         let (body, referee) = SimBody::new(simulation, 0).map_err(|error| Failure::failed(error.to_string()))?;
         let mut edge = EdgeConfig::new(id.clone(), model, start);
         edge.on_lost = section.on_lost;
-        let service = ServiceConfig { edge, state_dir: deployment.robot_dir(id), speed: deployment.simulation.speed, simulated: true };
-        let bus = BusConfig { listen: vec![section.listen.clone()], ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect) };
+        let service = ServiceConfig {
+            edge,
+            state_dir: deployment.robot_dir(id),
+            speed: deployment.simulation.speed,
+            simulated: true,
+        };
+        let bus = BusConfig {
+            listen: vec![section.listen.clone()],
+            ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect)
+        };
         self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
             let endpoints = bus.endpoints().await;
             tracing::info!(?endpoints, "the robot's own endpoint");
-            zenav_edge::run(bus, service, Box::new(body), shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            zenav_edge::run(bus, service, Box::new(body), shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
         });
         Ok(referee)
     }
@@ -190,7 +214,9 @@ impl Parts {
         config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
-            mapping::service::run(bus, clock, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            mapping::service::run(bus, clock, config, shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
         });
     }
 
@@ -203,13 +229,25 @@ impl Parts {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
             let name = worker.clone();
-            self.spawn(format!("planning {worker}"), bus("planning"), move |bus, shutdown| async move {
-                planning::service::run(bus, name, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
-            });
+            self.spawn(
+                format!("planning {worker}"),
+                bus("planning"),
+                move |bus, shutdown| async move {
+                    planning::service::run(bus, name, shutdown)
+                        .await
+                        .map_err(|error| Failure::failed(error.to_string()))
+                },
+            );
             let name = worker.clone();
-            self.spawn(format!("smoothing {worker}"), bus("smoothing"), move |bus, shutdown| async move {
-                smoothing::service::run(bus, name, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
-            });
+            self.spawn(
+                format!("smoothing {worker}"),
+                bus("smoothing"),
+                move |bus, shutdown| async move {
+                    smoothing::service::run(bus, name, shutdown)
+                        .await
+                        .map_err(|error| Failure::failed(error.to_string()))
+                },
+            );
         }
         Ok(())
     }
@@ -217,14 +255,20 @@ impl Parts {
     /// Starts a robot's mission.
     pub fn mission(&mut self, deployment: &Deployment, world: &World, id: &Id) {
         let bus = BusConfig::service(&format!("mission-{id}"), &deployment.bus.connect);
-        let mut config = mission::MissionConfig::new(id.clone(), deployment.mission.holder.clone(), deployment.robot_dir(id).join("mission.redb"));
+        let mut config = mission::MissionConfig::new(
+            id.clone(),
+            deployment.mission.holder.clone(),
+            deployment.robot_dir(id).join("mission.redb"),
+        );
         config.places = places(world);
         config.planner.clone_from(&deployment.planning.planner);
         config.latency_budget = deployment.mission.latency_budget_secs;
         config.plan_valid = deployment.mission.plan_valid_secs;
         self.spawn(format!("mission {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
-            mission::service::run(bus, clock, config, shutdown).await.map_err(|error| Failure::failed(error.to_string()))
+            mission::service::run(bus, clock, config, shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
         });
     }
 
@@ -232,7 +276,13 @@ impl Parts {
     ///
     /// # Errors
     /// A name that no worker may have.
-    pub fn cloud(&mut self, deployment: &Deployment, world: &World, which: CloudPart, worker: &str) -> Result<(), Failure> {
+    pub fn cloud(
+        &mut self,
+        deployment: &Deployment,
+        world: &World,
+        which: CloudPart,
+        worker: &str,
+    ) -> Result<(), Failure> {
         let wanted = |part| which == CloudPart::All || which == part;
         for (id, _) in deployment.robot_ids()? {
             if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
@@ -280,7 +330,20 @@ impl Parts {
 /// A world's places as named goals.
 #[must_use]
 pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
-    world.places().iter().map(|place| (place.name.to_string(), GoalPoint { x: place.x, y: place.y, yaw: place.yaw })).collect()
+    world
+        .places()
+        .iter()
+        .map(|place| {
+            (
+                place.name.to_string(),
+                GoalPoint {
+                    x: place.x,
+                    y: place.y,
+                    yaw: place.yaw,
+                },
+            )
+        })
+        .collect()
 }
 
 /// A runtime for services and commands.
@@ -332,7 +395,10 @@ impl PartArgs {
             let known: Vec<String> = deployment.robots.keys().cloned().collect();
             deployment.robots.retain(|id, _| id == robot);
             if deployment.robots.is_empty() {
-                return Err(Failure::not_found(format!("no robot `{robot}` in the deployment; it has {}", known.join(", "))));
+                return Err(Failure::not_found(format!(
+                    "no robot `{robot}` in the deployment; it has {}",
+                    known.join(", ")
+                )));
             }
         }
         Ok(deployment)
@@ -361,7 +427,12 @@ pub fn up(args: &UpArgs) -> Outcome {
     let world = files::world(&deployment.simulation.world)?;
     runtime()?.block_on(async {
         let router = if deployment.router.enabled {
-            let router = Router::open(&RouterConfig { listen: deployment.router.listen.clone(), connect: deployment.router.connect.clone(), ..RouterConfig::default() }).await?;
+            let router = Router::open(&RouterConfig {
+                listen: deployment.router.listen.clone(),
+                connect: deployment.router.connect.clone(),
+                ..RouterConfig::default()
+            })
+            .await?;
             let endpoints = router.endpoints().await;
             tracing::info!(?endpoints, "router up");
             Some(router)
@@ -396,7 +467,11 @@ fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Resul
 /// # Errors
 /// A taken port or a bad endpoint.
 pub fn router(args: &RouterArgs) -> Outcome {
-    let config = RouterConfig { listen: args.listen.clone(), connect: args.connect.clone(), ..RouterConfig::default() };
+    let config = RouterConfig {
+        listen: args.listen.clone(),
+        connect: args.connect.clone(),
+        ..RouterConfig::default()
+    };
     runtime()?.block_on(async {
         let shutdown = Shutdown::new();
         let ender = shutdown.clone();
@@ -440,7 +515,10 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         deployment.mission.holder.clone_from(holder);
     }
     let world = files::world(&deployment.simulation.world)?;
-    let worker = args.worker.clone().unwrap_or_else(|| format!("worker-{}", std::process::id()));
+    let worker = args
+        .worker
+        .clone()
+        .unwrap_or_else(|| format!("worker-{}", std::process::id()));
     runtime()?.block_on(async {
         let mut parts = Parts::default();
         parts.cloud(&deployment, &world, args.service, &worker)?;

@@ -94,7 +94,10 @@ impl Percentiles {
             let index = (share * sorted.len() as f64).ceil() as usize;
             sorted.get(index.saturating_sub(1)).copied()
         };
-        Self { p50: rank(0.5), p99: rank(0.99) }
+        Self {
+            p50: rank(0.5),
+            p99: rank(0.99),
+        }
     }
 }
 
@@ -116,17 +119,39 @@ impl DemoReport {
                     format!("{:.1}", goal.time_s),
                     format!("{:.2}", goal.length_m),
                     format!("{:.3}", goal.min_clearance_m),
-                    goal.final_error_m.map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
+                    goal.final_error_m
+                        .map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
                 ]
             })
             .collect();
-        let mut lines = vec![crate::output::table(&["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"], &rows)];
+        let mut lines = vec![crate::output::table(
+            &["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"],
+            &rows,
+        )];
         let latency = &self.latency;
         lines.push(String::new());
         let map = if self.map_found { ", with a stored map" } else { "" };
-        lines.push(format!("{} (seed {}{map}): {:?}{}", self.scenario, self.seed, self.outcome, self.reason.as_ref().map(|reason| format!(", {reason}")).unwrap_or_default()).to_lowercase());
-        lines.push(format!("collisions {}, least clearance {:.3} m, energy {:.0} J", self.collisions, self.min_clearance_m, self.energy_j));
-        lines.push(format!("simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans", self.sim_time_s, self.wall_time_s, self.speed, self.plans, self.replans));
+        lines.push(
+            format!(
+                "{} (seed {}{map}): {:?}{}",
+                self.scenario,
+                self.seed,
+                self.outcome,
+                self.reason
+                    .as_ref()
+                    .map(|reason| format!(", {reason}"))
+                    .unwrap_or_default()
+            )
+            .to_lowercase(),
+        );
+        lines.push(format!(
+            "collisions {}, least clearance {:.3} m, energy {:.0} J",
+            self.collisions, self.min_clearance_m, self.energy_j
+        ));
+        lines.push(format!(
+            "simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans",
+            self.sim_time_s, self.wall_time_s, self.speed, self.plans, self.replans
+        ));
         lines.push(format!(
             "latency p50/p99 ms: scan to plan {}/{}, goal to motion {}/{}",
             millis(latency.scan_to_plan_ms.p50),
@@ -146,8 +171,20 @@ mod tests {
     #[test]
     fn percentiles_are_by_nearest_rank() {
         let samples: Vec<f64> = (1..=100).rev().map(f64::from).collect();
-        assert_eq!(Percentiles::of(&samples), Percentiles { p50: Some(50.0), p99: Some(99.0) });
+        assert_eq!(
+            Percentiles::of(&samples),
+            Percentiles {
+                p50: Some(50.0),
+                p99: Some(99.0)
+            }
+        );
         assert_eq!(Percentiles::of(&[]), Percentiles { p50: None, p99: None });
-        assert_eq!(Percentiles::of(&[3.0]), Percentiles { p50: Some(3.0), p99: Some(3.0) });
+        assert_eq!(
+            Percentiles::of(&[3.0]),
+            Percentiles {
+                p50: Some(3.0),
+                p99: Some(3.0)
+            }
+        );
     }
 }

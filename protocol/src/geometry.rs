@@ -37,12 +37,20 @@ pub struct Pose2 {
 
 impl Pose2 {
     /// The transform that changes nothing.
-    pub const IDENTITY: Self = Self { x: 0.0, y: 0.0, yaw: 0.0 };
+    pub const IDENTITY: Self = Self {
+        x: 0.0,
+        y: 0.0,
+        yaw: 0.0,
+    };
 
     /// A pose from metres, metres and radians; the yaw is wrapped.
     #[must_use]
     pub fn new(x: f64, y: f64, yaw: f64) -> Self {
-        Self { x, y, yaw: wrap_angle(yaw) }
+        Self {
+            x,
+            y,
+            yaw: wrap_angle(yaw),
+        }
     }
 
     /// The position alone.
@@ -74,7 +82,10 @@ impl Pose2 {
     #[must_use]
     pub fn transform_point(&self, point: Point2<f64>) -> Point2<f64> {
         let (sin, cos) = self.yaw.sin_cos();
-        Point2::new(self.x + cos * point.x - sin * point.y, self.y + sin * point.x + cos * point.y)
+        Point2::new(
+            self.x + cos * point.x - sin * point.y,
+            self.y + sin * point.x + cos * point.y,
+        )
     }
 
     /// Straight-line distance between two positions in the same frame, m.
@@ -93,7 +104,12 @@ impl Pose2 {
             let radius = twist.v / twist.w;
             (radius * turn.sin(), radius * (1.0 - turn.cos()))
         };
-        *self * Self { x: forward, y: left, yaw: turn }
+        *self
+            * Self {
+                x: forward,
+                y: left,
+                yaw: turn,
+            }
     }
 }
 
@@ -101,7 +117,10 @@ impl Mul for Pose2 {
     type Output = Self;
 
     /// Chains transforms: `a_from_b * b_from_c = a_from_c`.
-    #[expect(clippy::suspicious_arithmetic_impl, reason = "yaws add up where transforms are multiplied")]
+    #[expect(
+        clippy::suspicious_arithmetic_impl,
+        reason = "yaws add up where transforms are multiplied"
+    )]
     fn mul(self, b_from_c: Self) -> Self {
         let position = self.transform_point(b_from_c.position());
         Self::new(position.x, position.y, self.yaw + b_from_c.yaw)
@@ -116,7 +135,11 @@ impl From<Pose2> for Isometry2<f64> {
 
 impl From<Isometry2<f64>> for Pose2 {
     fn from(isometry: Isometry2<f64>) -> Self {
-        Pose2::new(isometry.translation.x, isometry.translation.y, isometry.rotation.angle())
+        Pose2::new(
+            isometry.translation.x,
+            isometry.translation.y,
+            isometry.rotation.angle(),
+        )
     }
 }
 

@@ -86,7 +86,11 @@ impl GridSpec {
             return Err(GridError::Origin);
         }
         if self.width > MAX_SIDE || self.height > MAX_SIDE {
-            return Err(GridError::TooLarge { width: self.width.into(), height: self.height.into(), limit: MAX_SIDE });
+            return Err(GridError::TooLarge {
+                width: self.width.into(),
+                height: self.height.into(),
+                limit: MAX_SIDE,
+            });
         }
         Ok(self)
     }
@@ -106,7 +110,10 @@ impl GridSpec {
     /// A point in units of cells: (0, 0) is the lower-left corner of cell (0, 0).
     #[must_use]
     pub fn to_cells(&self, point: Point2<f64>) -> Point2<f64> {
-        Point2::new((point.x - self.origin.x) / self.resolution, (point.y - self.origin.y) / self.resolution)
+        Point2::new(
+            (point.x - self.origin.x) / self.resolution,
+            (point.y - self.origin.y) / self.resolution,
+        )
     }
 
     /// The cell that holds a point; `None` outside the grid or for a non-finite point.
@@ -125,13 +132,19 @@ impl GridSpec {
         }
         let p = self.to_cells(point);
         // Float to integer casts saturate, and NaN becomes zero.
-        Some(Cell::new((p.x.floor() as u32).min(self.width - 1), (p.y.floor() as u32).min(self.height - 1)))
+        Some(Cell::new(
+            (p.x.floor() as u32).min(self.width - 1),
+            (p.y.floor() as u32).min(self.height - 1),
+        ))
     }
 
     /// The centre of a cell, m.
     #[must_use]
     pub fn center(&self, cell: Cell) -> Point2<f64> {
-        Point2::new(self.origin.x + (f64::from(cell.x) + 0.5) * self.resolution, self.origin.y + (f64::from(cell.y) + 0.5) * self.resolution)
+        Point2::new(
+            self.origin.x + (f64::from(cell.x) + 0.5) * self.resolution,
+            self.origin.y + (f64::from(cell.y) + 0.5) * self.resolution,
+        )
     }
 
     /// Position of a cell in row-major storage.
@@ -156,7 +169,10 @@ impl GridSpec {
     /// Upper-right corner, m.
     #[must_use]
     pub fn upper(&self) -> Point2<f64> {
-        Point2::new(self.origin.x + f64::from(self.width) * self.resolution, self.origin.y + f64::from(self.height) * self.resolution)
+        Point2::new(
+            self.origin.x + f64::from(self.width) * self.resolution,
+            self.origin.y + f64::from(self.height) * self.resolution,
+        )
     }
 
     /// Every cell that a segment touches, in order, both ends included; parts outside the grid are left out.
@@ -228,7 +244,21 @@ impl CellWalk {
         };
         let (step_x, next_x, delta_x) = axis(from.x, x, dx);
         let (step_y, next_y, delta_y) = axis(from.y, y, dy);
-        Self { x, y, last_x, last_y, step_x, step_y, next_x, next_y, delta_x, delta_y, steps_left: (last_x - x).abs() + (last_y - y).abs(), waiting: [None, None, Some((x, y))], ..empty }
+        Self {
+            x,
+            y,
+            last_x,
+            last_y,
+            step_x,
+            step_y,
+            next_x,
+            next_y,
+            delta_x,
+            delta_y,
+            steps_left: (last_x - x).abs() + (last_y - y).abs(),
+            waiting: [None, None, Some((x, y))],
+            ..empty
+        }
     }
 
     fn inside(&self, x: i64, y: i64) -> Option<Cell> {
@@ -274,13 +304,25 @@ impl Iterator for CellWalk {
 }
 
 /// Clips a segment to a rectangle (Liang and Barsky 1984); `None` when nothing is left or a number is not finite.
-fn clip(from: Point2<f64>, to: Point2<f64>, low_x: f64, low_y: f64, high_x: f64, high_y: f64) -> Option<(Point2<f64>, Point2<f64>)> {
+fn clip(
+    from: Point2<f64>,
+    to: Point2<f64>,
+    low_x: f64,
+    low_y: f64,
+    high_x: f64,
+    high_y: f64,
+) -> Option<(Point2<f64>, Point2<f64>)> {
     let d = to - from;
     if !(from.x.is_finite() && from.y.is_finite() && d.x.is_finite() && d.y.is_finite()) {
         return None;
     }
     let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
-    for (p, q) in [(-d.x, from.x - low_x), (d.x, high_x - from.x), (-d.y, from.y - low_y), (d.y, high_y - from.y)] {
+    for (p, q) in [
+        (-d.x, from.x - low_x),
+        (d.x, high_x - from.x),
+        (-d.y, from.y - low_y),
+        (d.y, high_y - from.y),
+    ] {
         if p == 0.0 {
             if q < 0.0 {
                 return None;
@@ -312,7 +354,10 @@ impl<T: Clone> Grid<T> {
     /// A grid filled with one value.
     #[must_use]
     pub fn filled(spec: GridSpec, value: T) -> Self {
-        Self { spec, values: vec![value; spec.len()] }
+        Self {
+            spec,
+            values: vec![value; spec.len()],
+        }
     }
 }
 
@@ -322,7 +367,14 @@ impl<T> Grid<T> {
     /// # Errors
     /// [`GridError::Length`] unless there is one value a cell.
     pub fn from_values(spec: GridSpec, values: Vec<T>) -> Result<Self, GridError> {
-        if values.len() == spec.len() { Ok(Self { spec, values }) } else { Err(GridError::Length { got: values.len(), expected: spec.len() }) }
+        if values.len() == spec.len() {
+            Ok(Self { spec, values })
+        } else {
+            Err(GridError::Length {
+                got: values.len(),
+                expected: spec.len(),
+            })
+        }
     }
 
     /// Where the grid lies.
@@ -356,7 +408,10 @@ impl<T> Grid<T> {
 
     /// The same grid with every value changed.
     pub fn map<U>(&self, change: impl FnMut(&T) -> U) -> Grid<U> {
-        Grid { spec: self.spec, values: self.values.iter().map(change).collect() }
+        Grid {
+            spec: self.spec,
+            values: self.values.iter().map(change).collect(),
+        }
     }
 }
 
@@ -421,7 +476,12 @@ mod tests {
     use proptest::prelude::*;
 
     fn spec() -> GridSpec {
-        GridSpec { origin: Point2::new(-2.0, 1.0), resolution: 0.25, width: 40, height: 30 }
+        GridSpec {
+            origin: Point2::new(-2.0, 1.0),
+            resolution: 0.25,
+            width: 40,
+            height: 30,
+        }
     }
 
     #[test]
@@ -440,9 +500,17 @@ mod tests {
 
     #[test]
     fn a_line_through_a_corner_visits_both_cells_beside_it() {
-        let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 3, height: 3 };
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 1.0,
+            width: 3,
+            height: 3,
+        };
         let cells: Vec<Cell> = spec.walk(Point2::new(0.5, 0.5), Point2::new(1.5, 1.5)).collect();
-        assert_eq!(cells, vec![Cell::new(0, 0), Cell::new(1, 0), Cell::new(0, 1), Cell::new(1, 1)]);
+        assert_eq!(
+            cells,
+            vec![Cell::new(0, 0), Cell::new(1, 0), Cell::new(0, 1), Cell::new(1, 1)]
+        );
     }
 
     proptest! {

@@ -26,8 +26,18 @@ impl Id {
     /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`.
     pub fn new(name: impl Into<String>) -> Result<Self, InvalidId> {
         let name: String = name.into();
-        let valid = (1..=64).contains(&name.len()) && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-');
-        if valid { Ok(Self(name)) } else { Err(InvalidId { name: name.chars().take(80).collect(), note: "" }) }
+        let valid = (1..=64).contains(&name.len())
+            && name
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-');
+        if valid {
+            Ok(Self(name))
+        } else {
+            Err(InvalidId {
+                name: name.chars().take(80).collect(),
+                note: "",
+            })
+        }
     }
 
     /// Checks a robot's name: also not `svc` or `sim`, whose keys belong to services and the simulator.
@@ -36,7 +46,14 @@ impl Id {
     /// [`InvalidId`].
     pub fn robot(name: impl Into<String>) -> Result<Self, InvalidId> {
         let id = Self::new(name)?;
-        if id.0 == "svc" || id.0 == "sim" { Err(InvalidId { name: id.0, note: ", and not svc or sim" }) } else { Ok(id) }
+        if id.0 == "svc" || id.0 == "sim" {
+            Err(InvalidId {
+                name: id.0,
+                note: ", and not svc or sim",
+            })
+        } else {
+            Ok(id)
+        }
     }
 
     /// The name.

@@ -39,7 +39,11 @@ impl LeaseBook {
     /// No grant; epochs go on above `last_epoch`, the greatest that was ever granted.
     #[must_use]
     pub const fn new(ttl: Duration, last_epoch: u64) -> Self {
-        Self { ttl, epoch: last_epoch, grant: None }
+        Self {
+            ttl,
+            epoch: last_epoch,
+            grant: None,
+        }
     }
 
     /// Answers a request for the lease.
@@ -47,31 +51,52 @@ impl LeaseBook {
     /// # Errors
     /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease.
     pub fn request(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
-        let ours = self.grant.as_ref().is_some_and(|grant| grant.holder == request.holder && grant.role == request.role);
+        let ours = self
+            .grant
+            .as_ref()
+            .is_some_and(|grant| grant.holder == request.holder && grant.role == request.role);
         match request.action {
             LeaseAction::Release => {
                 if ours {
                     self.grant = None;
                 }
-                Ok(Granted { epoch: self.epoch, holder_changed: ours })
+                Ok(Granted {
+                    epoch: self.epoch,
+                    holder_changed: ours,
+                })
             }
             LeaseAction::Acquire => {
                 let live = self.is_live(now);
                 if let Some(grant) = &mut self.grant {
                     if ours && live {
                         grant.renewed = now;
-                        return Ok(Granted { epoch: self.epoch, holder_changed: false });
+                        return Ok(Granted {
+                            epoch: self.epoch,
+                            holder_changed: false,
+                        });
                     }
                     let outranks = request.role == LeaseRole::Operator && grant.role == LeaseRole::Mission;
                     if live && !outranks {
-                        return Err(Refusal::Held { holder: grant.holder.clone(), role: grant.role, epoch: self.epoch });
+                        return Err(Refusal::Held {
+                            holder: grant.holder.clone(),
+                            role: grant.role,
+                            epoch: self.epoch,
+                        });
                     }
                 }
                 // A lapsed lease gets a new epoch even for its old holder: what was sent before the lapse is void. The
                 // plan being finished stays: the holder is the same.
                 self.epoch += 1;
-                self.grant = Some(Grant { holder: request.holder.clone(), role: request.role, renewed: now, heartbeat: 0 });
-                Ok(Granted { epoch: self.epoch, holder_changed: !ours })
+                self.grant = Some(Grant {
+                    holder: request.holder.clone(),
+                    role: request.role,
+                    renewed: now,
+                    heartbeat: 0,
+                });
+                Ok(Granted {
+                    epoch: self.epoch,
+                    holder_changed: !ours,
+                })
             }
         }
     }
@@ -98,7 +123,9 @@ impl LeaseBook {
     /// Whether somebody holds a lease that has been renewed within its time to live.
     #[must_use]
     pub fn is_live(&self, now: Stamp) -> bool {
-        self.grant.as_ref().is_some_and(|grant| now.since(grant.renewed) <= self.ttl)
+        self.grant
+            .as_ref()
+            .is_some_and(|grant| now.since(grant.renewed) <= self.ttl)
     }
 
     /// The role of whoever holds or last held the lease.
@@ -128,7 +155,12 @@ impl LeaseBook {
     /// The lease as the edge's state shows it.
     #[must_use]
     pub fn state(&self, now: Stamp) -> LeaseState {
-        LeaseState { holder: self.grant.as_ref().map(|grant| grant.holder.clone()), role: self.role(), epoch: self.epoch, live: self.is_live(now) }
+        LeaseState {
+            holder: self.grant.as_ref().map(|grant| grant.holder.clone()),
+            role: self.role(),
+            epoch: self.epoch,
+            live: self.is_live(now),
+        }
     }
 }
 
@@ -137,7 +169,12 @@ mod tests {
     use super::*;
 
     fn request(holder: &str, role: LeaseRole, action: LeaseAction) -> LeaseRequest {
-        LeaseRequest { holder: holder.into(), role, action, request_id: "r".into() }
+        LeaseRequest {
+            holder: holder.into(),
+            role,
+            action,
+            request_id: "r".into(),
+        }
     }
 
     fn at(secs: f64) -> Stamp {
@@ -150,10 +187,28 @@ mod tests {
     #[test]
     fn two_missions_never_hold_the_lease_at_once() {
         let mut book = LeaseBook::new(Duration::from_secs(1), 41);
-        assert_eq!(book.request(at(0.0), &request("a", MISSION, TAKE)), Ok(Granted { epoch: 42, holder_changed: true }));
-        assert!(matches!(book.request(at(0.9), &request("b", MISSION, TAKE)), Err(Refusal::Held { .. })));
-        assert_eq!(book.request(at(1.5), &request("b", MISSION, TAKE)), Ok(Granted { epoch: 43, holder_changed: true }));
-        assert!(!book.renew(at(1.6), "a", 42, 9), "the old holder's heartbeat renews nothing");
+        assert_eq!(
+            book.request(at(0.0), &request("a", MISSION, TAKE)),
+            Ok(Granted {
+                epoch: 42,
+                holder_changed: true
+            })
+        );
+        assert!(matches!(
+            book.request(at(0.9), &request("b", MISSION, TAKE)),
+            Err(Refusal::Held { .. })
+        ));
+        assert_eq!(
+            book.request(at(1.5), &request("b", MISSION, TAKE)),
+            Ok(Granted {
+                epoch: 43,
+                holder_changed: true
+            })
+        );
+        assert!(
+            !book.renew(at(1.6), "a", 42, 9),
+            "the old holder's heartbeat renews nothing"
+        );
         assert!(!book.admits(at(1.6), 42) && book.admits(at(1.6), 43));
     }
 
@@ -163,17 +218,37 @@ mod tests {
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
         assert!(book.renew(at(0.5), "a", 1, 1));
         assert!(!book.renew(at(0.6), "a", 1, 1), "a replayed heartbeat renews nothing");
-        assert!(!book.renew(at(3.0), "a", 1, 2), "a heartbeat after the lapse renews nothing");
-        assert_eq!(book.request(at(3.0), &request("a", MISSION, TAKE)), Ok(Granted { epoch: 2, holder_changed: false }));
+        assert!(
+            !book.renew(at(3.0), "a", 1, 2),
+            "a heartbeat after the lapse renews nothing"
+        );
+        assert_eq!(
+            book.request(at(3.0), &request("a", MISSION, TAKE)),
+            Ok(Granted {
+                epoch: 2,
+                holder_changed: false
+            })
+        );
     }
 
     #[test]
     fn an_operator_outranks_a_mission_but_not_the_other_way_round() {
         let mut book = LeaseBook::new(Duration::from_secs(1), 0);
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
-        book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE)).unwrap();
-        assert!(matches!(book.request(at(0.2), &request("a", MISSION, TAKE)), Err(Refusal::Held { .. })));
-        book.request(at(0.3), &request("me", LeaseRole::Operator, LeaseAction::Release)).unwrap();
-        assert_eq!(book.request(at(0.4), &request("a", MISSION, TAKE)), Ok(Granted { epoch: 3, holder_changed: true }));
+        book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
+            .unwrap();
+        assert!(matches!(
+            book.request(at(0.2), &request("a", MISSION, TAKE)),
+            Err(Refusal::Held { .. })
+        ));
+        book.request(at(0.3), &request("me", LeaseRole::Operator, LeaseAction::Release))
+            .unwrap();
+        assert_eq!(
+            book.request(at(0.4), &request("a", MISSION, TAKE)),
+            Ok(Granted {
+                epoch: 3,
+                holder_changed: true
+            })
+        );
     }
 }

@@ -57,7 +57,12 @@ impl Footprint {
             Self::Radius(radius) => *radius,
             Self::Polygon(corners) => {
                 let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-                edges.map(|(a, b)| { let d = b - a; (d.x * a.y - d.y * a.x).abs() / d.norm() }).fold(f64::INFINITY, f64::min)
+                edges
+                    .map(|(a, b)| {
+                        let d = b - a;
+                        (d.x * a.y - d.y * a.x).abs() / d.norm()
+                    })
+                    .fold(f64::INFINITY, f64::min)
             }
         }
     }
@@ -151,14 +156,20 @@ impl Drive {
     #[must_use]
     pub fn wheels(&self, twist: crate::geometry::Twist2) -> [f64; 2] {
         let half = 0.5 * self.wheel_separation * twist.w;
-        [(twist.v - half) / self.wheel_radius, (twist.v + half) / self.wheel_radius]
+        [
+            (twist.v - half) / self.wheel_radius,
+            (twist.v + half) / self.wheel_radius,
+        ]
     }
 
     /// Twist of wheel speeds (left, right; rad/s).
     #[must_use]
     pub fn twist(&self, wheels: [f64; 2]) -> crate::geometry::Twist2 {
         let [left, right] = wheels;
-        crate::geometry::Twist2::new(0.5 * (left + right) * self.wheel_radius, (right - left) * self.wheel_radius / self.wheel_separation)
+        crate::geometry::Twist2::new(
+            0.5 * (left + right) * self.wheel_radius,
+            (right - left) * self.wheel_radius / self.wheel_separation,
+        )
     }
 }
 
@@ -188,13 +199,21 @@ impl LidarModel {
     /// Direction of the first beam, rad.
     #[must_use]
     pub fn angle_min(&self) -> f64 {
-        if self.is_full_circle() { -PI } else { -0.5 * self.field_of_view }
+        if self.is_full_circle() {
+            -PI
+        } else {
+            -0.5 * self.field_of_view
+        }
     }
 
     /// Angle between beams, rad.
     #[must_use]
     pub fn angle_increment(&self) -> f64 {
-        if self.is_full_circle() { TAU / self.beams.max(1) as f64 } else { self.field_of_view / (self.beams.max(2) - 1) as f64 }
+        if self.is_full_circle() {
+            TAU / self.beams.max(1) as f64
+        } else {
+            self.field_of_view / (self.beams.max(2) - 1) as f64
+        }
     }
 
     fn is_full_circle(&self) -> bool {
@@ -214,7 +233,10 @@ pub struct EncoderModel {
 
 impl Default for EncoderModel {
     fn default() -> Self {
-        Self { noise: 0.005, resolution: 0.001 }
+        Self {
+            noise: 0.005,
+            resolution: 0.001,
+        }
     }
 }
 
@@ -234,7 +256,12 @@ pub struct ImuModel {
 
 impl Default for ImuModel {
     fn default() -> Self {
-        Self { rate_hz: 50.0, gyro_noise: 0.002, gyro_bias: 0.0, compass_noise: None }
+        Self {
+            rate_hz: 50.0,
+            gyro_noise: 0.002,
+            gyro_bias: 0.0,
+            compass_noise: None,
+        }
     }
 }
 
@@ -264,7 +291,12 @@ pub struct BatteryModel {
 
 impl Default for BatteryModel {
     fn default() -> Self {
-        Self { capacity: 500_000.0, idle_power: 20.0, rolling_power: 40.0, acceleration_energy: 40.0 }
+        Self {
+            capacity: 500_000.0,
+            idle_power: 20.0,
+            rolling_power: 40.0,
+            acceleration_energy: 40.0,
+        }
     }
 }
 
@@ -290,7 +322,15 @@ pub struct ControllerGains {
 
 impl Default for ControllerGains {
     fn default() -> Self {
-        Self { heading_gain: 4.0, distance_gain: 2.0, waypoint_threshold: 0.3, along_gain: 1.5, cross_gain: 8.0, yaw_gain: 4.0, guard_margin: 0.03 }
+        Self {
+            heading_gain: 4.0,
+            distance_gain: 2.0,
+            waypoint_threshold: 0.3,
+            along_gain: 1.5,
+            cross_gain: 8.0,
+            yaw_gain: 4.0,
+            guard_margin: 0.03,
+        }
     }
 }
 
@@ -318,7 +358,9 @@ pub enum RobotError {
         expected: &'static str,
     },
     /// The footprint's corners do not make a convex polygon around the base.
-    #[error("{name}: `footprint.polygon`: expected at least 3 corners of a convex polygon around the base, counter-clockwise")]
+    #[error(
+        "{name}: `footprint.polygon`: expected at least 3 corners of a convex polygon around the base, counter-clockwise"
+    )]
     Polygon {
         /// The file.
         name: String,
@@ -345,7 +387,10 @@ impl RobotModel {
     /// # Errors
     /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
-        let model: Self = toml::from_str(text).map_err(|source| RobotError::Toml { name: name.to_owned(), source: Box::new(source) })?;
+        let model: Self = toml::from_str(text).map_err(|source| RobotError::Toml {
+            name: name.to_owned(),
+            source: Box::new(source),
+        })?;
         model.checked(name)
     }
 
@@ -354,7 +399,14 @@ impl RobotModel {
     /// # Errors
     /// [`RobotError::Value`] and [`RobotError::Polygon`].
     pub fn checked(self, name: &str) -> Result<Self, RobotError> {
-        let fail = |field, value, expected| Err(RobotError::Value { name: name.to_owned(), field, value, expected });
+        let fail = |field, value, expected| {
+            Err(RobotError::Value {
+                name: name.to_owned(),
+                field,
+                value,
+                expected,
+            })
+        };
         let positive = [
             ("footprint", self.footprint.inscribed_radius()),
             ("drive.wheel_radius", self.drive.wheel_radius),
@@ -410,8 +462,15 @@ impl RobotModel {
             return fail("lidar.range_min", self.lidar.range_min, "less than range_max");
         }
         if let Footprint::Polygon(corners) = &self.footprint {
-            let edges: Vec<_> = corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| b - a).collect();
-            let convex = edges.iter().zip(edges.iter().cycle().skip(1)).all(|(a, b)| a.x * b.y - a.y * b.x > 0.0);
+            let edges: Vec<_> = corners
+                .iter()
+                .zip(corners.iter().cycle().skip(1))
+                .map(|(a, b)| b - a)
+                .collect();
+            let convex = edges
+                .iter()
+                .zip(edges.iter().cycle().skip(1))
+                .all(|(a, b)| a.x * b.y - a.y * b.x > 0.0);
             let around_base = self.footprint.distance(Point2::origin()) == 0.0;
             if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
                 return Err(RobotError::Polygon { name: name.to_owned() });
@@ -437,12 +496,17 @@ mod tests {
     fn an_unknown_key_is_named_with_its_line() {
         let text = format!("speed = 3\n{}", shipped("tiago").unwrap());
         let error = RobotModel::from_toml(&text, "my.toml").unwrap_err().to_string();
-        assert!(error.contains("my.toml") && error.contains("line 1") && error.contains("speed"), "{error}");
+        assert!(
+            error.contains("my.toml") && error.contains("line 1") && error.contains("speed"),
+            "{error}"
+        );
     }
 
     #[test]
     fn a_rectangle_knows_its_distances() {
-        let jackal = RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap().footprint;
+        let jackal = RobotModel::from_toml(shipped("jackal").unwrap(), "jackal")
+            .unwrap()
+            .footprint;
         assert!((jackal.inscribed_radius() - 0.165).abs() < 1e-12);
         assert!((jackal.circumscribed_radius() - 0.21_f64.hypot(0.165)).abs() < 1e-12);
         assert!((jackal.distance(Point2::new(0.31, 0.0)) - 0.1).abs() < 1e-12);

@@ -36,27 +36,41 @@ impl Stamp {
     /// Seconds since an earlier stamp, negative when `earlier` is later.
     #[must_use]
     pub fn secs_since(self, earlier: Self) -> f64 {
-        if self >= earlier { (self.0 - earlier.0) as f64 * 1e-9 } else { -((earlier.0 - self.0) as f64 * 1e-9) }
+        if self >= earlier {
+            (self.0 - earlier.0) as f64 * 1e-9
+        } else {
+            -((earlier.0 - self.0) as f64 * 1e-9)
+        }
     }
 
     /// This stamp shifted by seconds (saturating).
     #[must_use]
     pub fn plus_secs(self, secs: f64) -> Self {
-        if secs >= 0.0 { self + Duration::from_nanos((secs * 1e9).round() as u64) } else { self - Duration::from_nanos((-secs * 1e9).round() as u64) }
+        if secs >= 0.0 {
+            self + Duration::from_nanos((secs * 1e9).round() as u64)
+        } else {
+            self - Duration::from_nanos((-secs * 1e9).round() as u64)
+        }
     }
 }
 
 impl Add<Duration> for Stamp {
     type Output = Self;
     fn add(self, later: Duration) -> Self {
-        Self(self.0.saturating_add(u64::try_from(later.as_nanos()).unwrap_or(u64::MAX)))
+        Self(
+            self.0
+                .saturating_add(u64::try_from(later.as_nanos()).unwrap_or(u64::MAX)),
+        )
     }
 }
 
 impl Sub<Duration> for Stamp {
     type Output = Self;
     fn sub(self, earlier: Duration) -> Self {
-        Self(self.0.saturating_sub(u64::try_from(earlier.as_nanos()).unwrap_or(u64::MAX)))
+        Self(
+            self.0
+                .saturating_sub(u64::try_from(earlier.as_nanos()).unwrap_or(u64::MAX)),
+        )
     }
 }
 

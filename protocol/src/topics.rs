@@ -112,7 +112,16 @@ impl<Q, R> Ask<Q, R> {
 
 fn fill(pattern: &str, chunks: &[&str]) -> String {
     let mut rest = chunks.iter();
-    let filled: Vec<&str> = pattern.split('/').map(|chunk| if chunk.starts_with('{') { rest.next().copied().unwrap_or("*") } else { chunk }).collect();
+    let filled: Vec<&str> = pattern
+        .split('/')
+        .map(|chunk| {
+            if chunk.starts_with('{') {
+                rest.next().copied().unwrap_or("*")
+            } else {
+                chunk
+            }
+        })
+        .collect();
     filled.join("/")
 }
 
@@ -248,9 +257,16 @@ pub fn table_markdown() -> String {
             Some(Qos::State) => "advanced, last value kept".to_owned(),
             None => "ask".to_owned(),
         };
-        let size = if row.max_bytes >= MIB { format!("{} MiB", row.max_bytes / MIB) } else { format!("{} KiB", row.max_bytes / KIB) };
+        let size = if row.max_bytes >= MIB {
+            format!("{} MiB", row.max_bytes / MIB)
+        } else {
+            format!("{} KiB", row.max_bytes / KIB)
+        };
         let producer = format!("{:?}", row.producer).to_lowercase();
-        text.push_str(&format!("| `{}` | `{}` | {producer} | {kind} | {size} |\n", row.pattern, row.message));
+        text.push_str(&format!(
+            "| `{}` | `{}` | {producer} | {kind} | {size} |\n",
+            row.pattern, row.message
+        ));
     }
     text
 }

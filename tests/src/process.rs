@@ -23,7 +23,10 @@ pub struct Process {
 #[must_use]
 pub fn free_endpoint() -> String {
     #[expect(clippy::expect_used, reason = "a test cannot go on without a port")]
-    let port = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("a free port").port();
+    let port = TcpListener::bind("127.0.0.1:0")
+        .and_then(|listener| listener.local_addr())
+        .expect("a free port")
+        .port();
     format!("tcp/127.0.0.1:{port}")
 }
 
@@ -54,7 +57,12 @@ impl Process {
                 }
             });
         }
-        Self { child, name: arguments.join(" "), log, seen: Vec::new() }
+        Self {
+            child,
+            name: arguments.join(" "),
+            log,
+            seen: Vec::new(),
+        }
     }
 
     /// Kills it at once, as `kill -9` does.
@@ -110,8 +118,18 @@ pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> 
             bytes
         })
     };
-    let stdout = read(child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>));
-    let stderr = read(child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>));
+    let stdout = read(
+        child
+            .stdout
+            .take()
+            .map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>),
+    );
+    let stderr = read(
+        child
+            .stderr
+            .take()
+            .map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>),
+    );
     let deadline = Instant::now() + limit;
     let status = loop {
         if let Ok(Some(status)) = child.try_wait() {
@@ -126,5 +144,9 @@ pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> 
         // The end of a child cannot be awaited with a deadline otherwise in std.
         std::thread::park_timeout(Duration::from_millis(10));
     };
-    Output { status, stdout: stdout.join().unwrap_or_default(), stderr: stderr.join().unwrap_or_default() }
+    Output {
+        status,
+        stdout: stdout.join().unwrap_or_default(),
+        stderr: stderr.join().unwrap_or_default(),
+    }
 }

@@ -9,7 +9,10 @@ fn root() -> PathBuf {
 
 fn sources(folder: &str) -> Vec<(PathBuf, String)> {
     fn collect(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
-        let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let mut entries: Vec<PathBuf> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
         entries.sort();
         for path in entries {
             if path.is_dir() {
@@ -31,7 +34,12 @@ fn assert_nowhere(folder: &str, words: &[&str]) {
         for (number, line) in text.lines().enumerate() {
             let code = line.split("//").next().unwrap_or_default();
             for word in words {
-                assert!(!code.contains(word), "{}:{}: `{word}` is against the arrows", path.display(), number + 1);
+                assert!(
+                    !code.contains(word),
+                    "{}:{}: `{word}` is against the arrows",
+                    path.display(),
+                    number + 1
+                );
             }
         }
     }
@@ -40,7 +48,10 @@ fn assert_nowhere(folder: &str, words: &[&str]) {
 #[test]
 fn packages_import_only_along_the_arrows() {
     assert_nowhere("protocol/src", &["zenav_sim", "zenav_edge", "zenav_cloud", "parry2d"]);
-    assert_nowhere("sim/src", &["zenav_edge", "zenav_cloud", "zenav_protocol::bus", "zenoh::", "tokio::"]);
+    assert_nowhere(
+        "sim/src",
+        &["zenav_edge", "zenav_cloud", "zenav_protocol::bus", "zenoh::", "tokio::"],
+    );
     assert_nowhere("edge/src", &["zenav_cloud", "clarabel"]);
     assert_nowhere("cloud/src", &["zenav_edge", "zenav_sim", "parry2d"]);
 }
@@ -55,7 +66,10 @@ fn manifests_depend_only_along_the_arrows() {
         ("cloud", &["zenav-edge", "zenav-sim"]),
     ];
     for (package, words) in forbidden {
-        for line in manifest(package).lines().filter(|line| !line.starts_with("description")) {
+        for line in manifest(package)
+            .lines()
+            .filter(|line| !line.starts_with("description"))
+        {
             for word in words {
                 assert!(!line.contains(word), "{package}/Cargo.toml: `{line}`");
             }
@@ -65,11 +79,37 @@ fn manifests_depend_only_along_the_arrows() {
 
 #[test]
 fn inside_the_cloud_knowledge_flows_from_maps_to_missions() {
-    assert_nowhere("cloud/src/mapping", &["crate::planning", "crate::smoothing", "crate::mission", "crate::behaviour_tree"]);
-    assert_nowhere("cloud/src/space", &["crate::planning", "crate::smoothing", "crate::mission", "crate::behaviour_tree"]);
+    assert_nowhere(
+        "cloud/src/mapping",
+        &[
+            "crate::planning",
+            "crate::smoothing",
+            "crate::mission",
+            "crate::behaviour_tree",
+        ],
+    );
+    assert_nowhere(
+        "cloud/src/space",
+        &[
+            "crate::planning",
+            "crate::smoothing",
+            "crate::mission",
+            "crate::behaviour_tree",
+        ],
+    );
     assert_nowhere("cloud/src/planning", &["crate::mission", "crate::behaviour_tree"]);
     assert_nowhere("cloud/src/smoothing", &["crate::mission", "crate::behaviour_tree"]);
-    assert_nowhere("cloud/src/behaviour_tree", &["crate::mapping", "crate::space", "crate::planning", "crate::smoothing", "crate::mission", "zenav_protocol"]);
+    assert_nowhere(
+        "cloud/src/behaviour_tree",
+        &[
+            "crate::mapping",
+            "crate::space",
+            "crate::planning",
+            "crate::smoothing",
+            "crate::mission",
+            "zenav_protocol",
+        ],
+    );
 }
 
 #[test]
@@ -82,7 +122,10 @@ fn zenoh_appears_in_the_bus_and_the_router_alone() {
             }
             for line in text.lines() {
                 let code = line.split("//").next().unwrap_or_default();
-                assert!(!code.contains("zenoh::") && !code.contains("zenoh_ext"), "{inside}: `{line}`");
+                assert!(
+                    !code.contains("zenoh::") && !code.contains("zenoh_ext"),
+                    "{inside}: `{line}`"
+                );
             }
         }
     }
@@ -91,15 +134,37 @@ fn zenoh_appears_in_the_bus_and_the_router_alone() {
 #[test]
 fn cores_are_pure() {
     // Services, and the follower that keeps a map fresh, are where time and the network come in.
-    let shell = ["service.rs", "follower.rs", "main.rs", "state_file.rs", "store.rs", "store", "map_file", "catalogue.rs", "carmen.rs"];
+    let shell = [
+        "service.rs",
+        "follower.rs",
+        "main.rs",
+        "state_file.rs",
+        "store.rs",
+        "store",
+        "map_file",
+        "catalogue.rs",
+        "carmen.rs",
+    ];
     for folder in ["edge/src", "cloud/src"] {
         for (path, text) in sources(folder) {
-            if path.components().any(|part| shell.iter().any(|name| part.as_os_str().to_string_lossy() == *name)) {
+            if path
+                .components()
+                .any(|part| shell.iter().any(|name| part.as_os_str().to_string_lossy() == *name))
+            {
                 continue;
             }
             let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-            for word in ["tokio::", "Instant::now", "SystemTime", "zenav_protocol::bus", "std::net", "thread_rng"] {
-                let found = code.lines().find(|line| line.split("//").next().unwrap_or_default().contains(word));
+            for word in [
+                "tokio::",
+                "Instant::now",
+                "SystemTime",
+                "zenav_protocol::bus",
+                "std::net",
+                "thread_rng",
+            ] {
+                let found = code
+                    .lines()
+                    .find(|line| line.split("//").next().unwrap_or_default().contains(word));
                 assert!(found.is_none(), "{}: a core uses `{word}`", path.display());
             }
         }
@@ -109,7 +174,15 @@ fn cores_are_pure() {
 #[test]
 fn the_key_table_in_the_docs_is_the_one_in_code() {
     let page = fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
-    let between = page.split("<!-- keys: begin -->").nth(1).and_then(|rest| rest.split("<!-- keys: end -->").next()).unwrap();
+    let between = page
+        .split("<!-- keys: begin -->")
+        .nth(1)
+        .and_then(|rest| rest.split("<!-- keys: end -->").next())
+        .unwrap();
     let table = zenav_protocol::topics::table_markdown();
-    assert_eq!(between.trim(), table.trim(), "ARCHITECTURE.md: replace the key table by:\n{table}");
+    assert_eq!(
+        between.trim(),
+        table.trim(),
+        "ARCHITECTURE.md: replace the key table by:\n{table}"
+    );
 }

@@ -127,6 +127,8 @@ pub struct Search {
     begun: Stamp,
     /// The planner has said that the start is occupied, and where it is not.
     escape: Option<Point2<f64>>,
+    /// Only from where the robot stands.
+    from_rest: bool,
     /// Where the way leads while the goal lies outside the map.
     aim: Option<Point2<f64>>,
     /// The aim was occupied; this is the nearest place that is not.
@@ -146,8 +148,18 @@ impl Search {
             stage: Stage::Idle(from),
             begun: from,
             escape: None,
+            from_rest: false,
             aim: None,
             near_aim: None,
+        }
+    }
+
+    /// Waits until the robot stands, and begins there.
+    #[must_use]
+    pub fn from_rest(self) -> Self {
+        Self {
+            from_rest: true,
+            ..self
         }
     }
 
@@ -182,7 +194,7 @@ impl Search {
         let Some(map) = ctx.map.newest() else {
             return Searching::Wait("waits for a map");
         };
-        let begin = match predicted(ctx) {
+        let begin = match predicted(ctx, self.from_rest) {
             Ok(begin) => begin,
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
@@ -302,9 +314,10 @@ impl Search {
                 error_code::START_OCCUPIED,
                 "by the map the robot does not fit where it stands".to_owned(),
             ),
-            PlanOutcome::NoPath => {
-                self.failed(error_code::NO_VALID_PATH, "no path: start and goal are not connected".to_owned())
-            }
+            PlanOutcome::NoPath => self.failed(
+                error_code::NO_VALID_PATH,
+                "no path: start and goal are not connected".to_owned(),
+            ),
             PlanOutcome::OutOfMap => {
                 self.failed(error_code::OUTSIDE_MAP, "start or goal lie outside the map".to_owned())
             }
@@ -398,7 +411,7 @@ impl Search {
 }
 
 /// The state that the robot will be in when a plan made now comes into force.
-fn predicted(ctx: &mut Context) -> Result<Begin, &'static str> {
+fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'static str> {
     let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
         return Err("waits for the robot");
     };
@@ -414,7 +427,8 @@ fn predicted(ctx: &mut Context) -> Result<Begin, &'static str> {
         .motion
         .time(state, ctx.robot.state_age(ctx.now))
         .filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
-    let follows = state.mode == Mode::Follow && !ctx.motion.is_held();
+    // A motion that is held runs on to where the new one begins, if slower.
+    let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
         let time = (time + ctx.config.latency_budget).max(0.0);
         let end = plan.trajectory.last().map_or(0.0, |point| point.t);

@@ -35,7 +35,10 @@ pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusErro
                 None => return Ok(()),
             },
         };
-        let map = follower.map(&request.body.robot, &request.body.map, MAP_DEADLINE).await.cloned();
+        let map = follower
+            .map(&request.body.robot, &request.body.map, MAP_DEADLINE)
+            .await
+            .cloned();
         let cancel = Arc::new(AtomicBool::new(false));
         let budget = Duration::from_millis(request.body.budget_ms).min(MAX_BUDGET);
         let (body, flag) = (request.body.clone(), Arc::clone(&cancel));
@@ -65,7 +68,9 @@ pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusErro
             }
             Err(error) => {
                 core = PlanWorker::default();
-                Err(Refusal::Internal { reason: error.to_string() })
+                Err(Refusal::Internal {
+                    reason: error.to_string(),
+                })
             }
         };
         match answer {

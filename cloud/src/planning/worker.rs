@@ -24,26 +24,69 @@ impl PlanWorker {
     ///
     /// # Errors
     /// [`Refusal::BadRequest`] for numbers that are not finite, a robot that cannot be, and a planner that there is not.
-    pub fn answer(&mut self, map: Option<&MapMirror>, request: &PlanRequest, cancel: Option<&AtomicBool>) -> Result<PlanReply, Refusal> {
-        let planner: Planner = request.planner.parse().map_err(|error: super::planner::UnknownPlanner| Refusal::bad_request(error.to_string()))?;
+    pub fn answer(
+        &mut self,
+        map: Option<&MapMirror>,
+        request: &PlanRequest,
+        cancel: Option<&AtomicBool>,
+    ) -> Result<PlanReply, Refusal> {
+        let planner: Planner = request
+            .planner
+            .parse()
+            .map_err(|error: super::planner::UnknownPlanner| Refusal::bad_request(error.to_string()))?;
         if !(request.start.is_finite() && request.goal.is_finite()) {
             return Err(Refusal::bad_request("start and goal: expected finite numbers"));
         }
-        let model = request.model.clone().checked("model").map_err(|error| Refusal::bad_request(error.to_string()))?;
+        let model = request
+            .model
+            .clone()
+            .checked("model")
+            .map_err(|error| Refusal::bad_request(error.to_string()))?;
         let Some(map) = map.filter(|map| !map.grid().spec().is_empty()) else {
-            return Ok(PlanReply { map: request.map.clone(), outcome: PlanOutcome::NoMap, search_ms: 0.0, expansions: 0 });
+            return Ok(PlanReply {
+                map: request.map.clone(),
+                outcome: PlanOutcome::NoMap,
+                search_ms: 0.0,
+                expansions: 0,
+            });
         };
-        let policy = if request.unknown_is_free { UnknownPolicy::Free } else { UnknownPolicy::Blocked };
+        let policy = if request.unknown_is_free {
+            UnknownPolicy::Free
+        } else {
+            UnknownPolicy::Blocked
+        };
         let space = self.spaces.get(map.map(), map.grid(), &model.footprint, policy);
         if !self.prepared.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &space)) {
-            let searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal { reason: error.to_string() })?;
+            let searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal {
+                reason: error.to_string(),
+            })?;
             self.prepared = Some((Arc::clone(&space), searcher));
         }
         let Some((space, searcher)) = &mut self.prepared else {
-            return Err(Refusal::Internal { reason: "no searcher".to_owned() });
+            return Err(Refusal::Internal {
+                reason: "no searcher".to_owned(),
+            });
         };
-        let options = PlanOptions { planner, ..PlanOptions::default() };
-        let planned = plan(space, searcher, request.start, request.goal, &options, Budget { max_expansions: MAX_EXPANSIONS, cancel });
-        Ok(PlanReply { map: map.map().clone(), outcome: planned.outcome, search_ms: 0.0, expansions: planned.expansions })
+        let options = PlanOptions {
+            planner,
+            ..PlanOptions::default()
+        };
+        let planned = plan(
+            space,
+            searcher,
+            request.start,
+            request.goal,
+            &options,
+            Budget {
+                max_expansions: MAX_EXPANSIONS,
+                cancel,
+            },
+        );
+        Ok(PlanReply {
+            map: map.map().clone(),
+            outcome: planned.outcome,
+            search_ms: 0.0,
+            expansions: planned.expansions,
+        })
     }
 }

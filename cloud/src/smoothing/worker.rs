@@ -23,24 +23,53 @@ impl SmoothWorker {
     /// # Errors
     /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, and a robot that cannot be;
     /// [`Refusal::NotFound`] without a map.
-    pub fn answer(&mut self, map: Option<&MapMirror>, request: &SmoothRequest, clock: &mut dyn FnMut() -> f64) -> Result<SmoothReply, Refusal> {
+    pub fn answer(
+        &mut self,
+        map: Option<&MapMirror>,
+        request: &SmoothRequest,
+        clock: &mut dyn FnMut() -> f64,
+    ) -> Result<SmoothReply, Refusal> {
         let finite = request.start.is_finite()
             && request.start_velocity.is_finite()
             && request.goal_yaw.is_none_or(f64::is_finite)
-            && request.path.iter().all(|point| point.x.is_finite() && point.y.is_finite());
+            && request
+                .path
+                .iter()
+                .all(|point| point.x.is_finite() && point.y.is_finite());
         if !finite || request.path.len() > MAX_POINTS {
-            return Err(Refusal::bad_request(format!("expected finite numbers and at most {MAX_POINTS} points")));
+            return Err(Refusal::bad_request(format!(
+                "expected finite numbers and at most {MAX_POINTS} points"
+            )));
         }
-        let model = request.model.clone().checked("model").map_err(|error| Refusal::bad_request(error.to_string()))?;
+        let model = request
+            .model
+            .clone()
+            .checked("model")
+            .map_err(|error| Refusal::bad_request(error.to_string()))?;
         let Some(map) = map.filter(|map| !map.grid().spec().is_empty()) else {
-            return Err(Refusal::NotFound { what: format!("a map of {}", request.robot) });
+            return Err(Refusal::NotFound {
+                what: format!("a map of {}", request.robot),
+            });
         };
-        let policy = if request.unknown_is_free { UnknownPolicy::Free } else { UnknownPolicy::Blocked };
+        let policy = if request.unknown_is_free {
+            UnknownPolicy::Free
+        } else {
+            UnknownPolicy::Blocked
+        };
         let space = self.spaces.get(map.map(), map.grid(), &model.footprint, policy);
-        let query = SmoothQuery { way: &request.path, start: request.start, start_velocity: request.start_velocity, goal_yaw: request.goal_yaw };
+        let query = SmoothQuery {
+            way: &request.path,
+            start: request.start,
+            start_velocity: request.start_velocity,
+            goal_yaw: request.goal_yaw,
+        };
         let smoothed = smooth(&space, &query, &model, &SmoothSettings::default(), clock);
         let trajectory = smoothed.trajectory(PERIOD);
         let statistics: PlanStatistics = smoothed.statistics;
-        Ok(SmoothReply { map: map.map().clone(), trajectory, statistics })
+        Ok(SmoothReply {
+            map: map.map().clone(),
+            trajectory,
+            statistics,
+        })
     }
 }

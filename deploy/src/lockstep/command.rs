@@ -115,9 +115,18 @@ pub struct RunReport {
 /// # Errors
 /// Bad files or arguments.
 pub fn run(args: &RunArgs) -> Outcome {
-    for (name, number) in [("--goal", args.goal[0]), ("--goal", args.goal[1]), ("--timeout", args.timeout), ("--tolerance", args.tolerance), ("--cloud-delay-ms", args.cloud_delay_ms)] {
+    for (name, number) in [
+        ("--goal", args.goal[0]),
+        ("--goal", args.goal[1]),
+        ("--timeout", args.timeout),
+        ("--tolerance", args.tolerance),
+        ("--cloud-delay-ms", args.cloud_delay_ms),
+    ] {
         if !number.is_finite() || (name != "--goal" && number < 0.0) {
-            return Err(Failure::usage(format!("{name} {number}: expected a finite number{}", if name == "--goal" { "" } else { ", not negative" })));
+            return Err(Failure::usage(format!(
+                "{name} {number}: expected a finite number{}",
+                if name == "--goal" { "" } else { ", not negative" }
+            )));
         }
     }
     let world = files::world(&args.world)?;
@@ -139,8 +148,13 @@ pub fn run(args: &RunArgs) -> Outcome {
 
 fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Failure> {
     let id = Id::robot(ROBOT).map_err(|error| Failure::failed(error.to_string()))?;
-    let spec = RobotSpec { id: id.clone(), model: model.clone(), start: world.start() };
-    let simulation = Simulation::new(world, vec![spec], args.seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let spec = RobotSpec {
+        id: id.clone(),
+        model: model.clone(),
+        start: world.start(),
+    };
+    let simulation =
+        Simulation::new(world, vec![spec], args.seed).map_err(|error| Failure::usage(error.to_string()))?;
     let mut mission = MissionConfig::new(id.clone(), "lockstep", PathBuf::new());
     mission.places = places(world);
     mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
@@ -165,11 +179,22 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     let cells = |length: f64| (length / RESOLUTION).ceil();
     let (width, height) = (cells(upper.x - lower.x), cells(upper.y - lower.y));
     if !(width <= MAX_CELLS && height <= MAX_CELLS) {
-        return Err(Failure::usage(format!("--known-map: a world of {width} by {height} cells: expected at most {MAX_CELLS} a side")));
+        return Err(Failure::usage(format!(
+            "--known-map: a world of {width} by {height} cells: expected at most {MAX_CELLS} a side"
+        )));
     }
-    let spec = GridSpec { origin: lower, resolution: RESOLUTION, width: width as u32, height: height as u32 };
+    let spec = GridSpec {
+        origin: lower,
+        resolution: RESOLUTION,
+        width: width as u32,
+        height: height as u32,
+    };
     let mut map = Grid::filled(spec, Occupancy::FREE);
-    let cell = zenav_protocol::robot::Footprint::Polygon([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| Point2::new(x * RESOLUTION, y * RESOLUTION)).to_vec());
+    let cell = zenav_protocol::robot::Footprint::Polygon(
+        [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+            .map(|(x, y)| Point2::new(x * RESOLUTION, y * RESOLUTION))
+            .to_vec(),
+    );
     for y in 0..spec.height {
         for x in 0..spec.width {
             let center = spec.center(Cell::new(x, y));
@@ -183,14 +208,29 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
 
 fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
     let goal = Point2::new(args.goal[0], args.goal[1]);
-    stage.submit(GoalRequest { id: Some("run".to_owned()), x: Some(goal.x), y: Some(goal.y), tolerance: Some(args.tolerance), ..GoalRequest::default() });
+    stage.submit(GoalRequest {
+        id: Some("run".to_owned()),
+        x: Some(goal.x),
+        y: Some(goal.y),
+        tolerance: Some(args.tolerance),
+        ..GoalRequest::default()
+    });
     let mut reason = None;
     let outcome = loop {
         stage.tick();
         let truth = stage.truth();
         let (pose, twist) = (truth.map_from_base, truth.twist);
         // Writing to a String cannot fail.
-        let _ = writeln!(rows, "{},{},{},{},{},{}", stage.now().as_secs(), pose.x, pose.y, pose.yaw, twist.v, twist.w);
+        let _ = writeln!(
+            rows,
+            "{},{},{},{},{},{}",
+            stage.now().as_secs(),
+            pose.x,
+            pose.y,
+            pose.yaw,
+            twist.v,
+            twist.w
+        );
         if truth.collisions > 0 {
             break RunOutcome::Collision;
         }
@@ -205,7 +245,12 @@ fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
             reason.clone_from(&state.reason);
             break match state.state {
                 GoalPhase::Rejected => RunOutcome::Rejected,
-                _ if reason.as_ref().is_some_and(|reason| reason.contains("no path") || reason.contains("NoPath")) => RunOutcome::NoPath,
+                _ if reason
+                    .as_ref()
+                    .is_some_and(|reason| reason.contains("no path") || reason.contains("NoPath")) =>
+                {
+                    RunOutcome::NoPath
+                }
                 _ => RunOutcome::Aborted,
             };
         }
@@ -235,7 +280,11 @@ fn text(report: &RunReport) -> String {
     format!(
         "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans",
         report.outcome,
-        report.reason.as_ref().map(|reason| format!(" ({reason})")).unwrap_or_default(),
+        report
+            .reason
+            .as_ref()
+            .map(|reason| format!(" ({reason})"))
+            .unwrap_or_default(),
         report.time_s,
         report.length_m,
         report.min_clearance_m,

@@ -21,7 +21,11 @@ impl<T> Link<T> {
     /// A link whose messages take `mean_secs`, a fifth more or less.
     #[must_use]
     pub fn new(mean_secs: f64, seed: u64) -> Self {
-        Self { mean_secs, rng: Pcg64Mcg::seed_from_u64(seed), under_way: VecDeque::new() }
+        Self {
+            mean_secs,
+            rng: Pcg64Mcg::seed_from_u64(seed),
+            under_way: VecDeque::new(),
+        }
     }
 
     /// Sends a message; it never overtakes an earlier one.
@@ -50,7 +54,9 @@ mod tests {
             for number in 0..50_u64 {
                 link.send(Stamp::from_secs(0.02 * number as f64), number);
             }
-            (0..200).map(|tick| link.receive(Stamp::from_secs(0.01 * f64::from(tick)))).collect::<Vec<_>>()
+            (0..200)
+                .map(|tick| link.receive(Stamp::from_secs(0.01 * f64::from(tick))))
+                .collect::<Vec<_>>()
         };
         let (once, again) = (arrivals(7), arrivals(7));
         assert_eq!(once, again);

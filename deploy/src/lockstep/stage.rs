@@ -3,7 +3,7 @@
 //! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
 //! links' delay stands for the whole way from scan to plan.
 
-use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig};
+use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
 use zenav_cloud::mission::{self, Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
 use zenav_cloud::planning::PlanWorker;
 use zenav_cloud::smoothing::SmoothWorker;
@@ -70,8 +70,15 @@ impl Stage {
     /// Sets the stage; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: StageConfig) -> Self {
-        let mapper_config = MapperConfig { resolution: config.resolution, footprint: Some(config.edge.model.footprint.clone()), ..MapperConfig::default() };
-        let map = MapRef { id: "lockstep".to_owned(), revision: 1 };
+        let mapper_config = MapperConfig {
+            resolution: config.resolution,
+            footprint: Some(config.edge.model.footprint.clone()),
+            ..MapperConfig::default()
+        };
+        let map = MapRef {
+            id: "lockstep".to_owned(),
+            revision: 1,
+        };
         let mut mapper = match &config.known_map {
             Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),
             None => Mapper::new(mapper_config, map.id),
@@ -97,7 +104,9 @@ impl Stage {
     /// Hands the mission a goal at its next step.
     pub fn submit(&mut self, request: GoalRequest) {
         self.clients += 1;
-        self.inputs.requests.push((mission::Client(self.clients), Request::Goal(Box::new(request))));
+        self.inputs
+            .requests
+            .push((mission::Client(self.clients), Request::Goal(Box::new(request))));
     }
 
     /// One control tick.
@@ -124,7 +133,8 @@ impl Stage {
             self.up.send(now, Up::Publication(publication));
         }
         for (ticket, answer) in outbox.answers.drain(..) {
-            self.up.send(now, Up::Answer(mission::Ticket(ticket.0), answer_of(answer)));
+            self.up
+                .send(now, Up::Answer(mission::Ticket(ticket.0), answer_of(answer)));
         }
         outbox
     }
@@ -143,7 +153,9 @@ impl Stage {
             }
         }
         while let Some(patch) = self.mapper.take_patch() {
-            self.workers.mirror.apply(&patch);
+            if self.workers.mirror.apply(&patch) == Mirrored::Gap {
+                self.workers.mirror.replace(&self.mapper.reply());
+            }
             self.inputs.map_patches.push(patch);
             self.inputs.map_info = Some(self.mapper.info());
         }
@@ -220,7 +232,6 @@ impl Stage {
     }
 
     /// What the mission has answered so far.
-    #[must_use]
     pub fn replies(&self) -> &[Result<Response, Refusal>] {
         &self.replies
     }
@@ -252,11 +263,17 @@ struct Workers {
 
 impl Workers {
     fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
-        self.planning.answer(Some(&self.mirror), request, None).map(Answer::Plan).map_err(NoAnswer::Refused)
+        self.planning
+            .answer(Some(&self.mirror), request, None)
+            .map(Answer::Plan)
+            .map_err(NoAnswer::Refused)
     }
 
     fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
         // No clock: times would differ from run to run.
-        self.smoothing.answer(Some(&self.mirror), request, &mut || 0.0).map(Answer::Smooth).map_err(NoAnswer::Refused)
+        self.smoothing
+            .answer(Some(&self.mirror), request, &mut || 0.0)
+            .map(Answer::Smooth)
+            .map_err(NoAnswer::Refused)
     }
 }

@@ -164,6 +164,10 @@ mod occupancy_bytes {
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<i8>, D::Error> {
-        if deserializer.is_human_readable() { deserializer.deserialize_seq(Values) } else { deserializer.deserialize_any(Values) }
+        if deserializer.is_human_readable() {
+            deserializer.deserialize_seq(Values)
+        } else {
+            deserializer.deserialize_any(Values)
+        }
     }
 }

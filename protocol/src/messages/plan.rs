@@ -38,7 +38,11 @@ impl TrajectoryPoint {
     /// The pose.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
-        Pose2 { x: self.x, y: self.y, yaw: self.yaw }
+        Pose2 {
+            x: self.x,
+            y: self.y,
+            yaw: self.yaw,
+        }
     }
 
     /// The velocity.

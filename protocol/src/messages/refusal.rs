@@ -72,14 +72,20 @@ pub enum Refusal {
 }
 
 fn nearest(nearest_free: &Option<GoalPoint>) -> String {
-    nearest_free.as_ref().map(|p| format!(" (nearest free place: {:.2}, {:.2})", p.x, p.y)).unwrap_or_default()
+    nearest_free
+        .as_ref()
+        .map(|p| format!(" (nearest free place: {:.2}, {:.2})", p.x, p.y))
+        .unwrap_or_default()
 }
 
 impl Refusal {
     /// A rejection with a reason alone.
     #[must_use]
     pub fn rejected(reason: impl Into<String>) -> Self {
-        Self::Rejected { reason: reason.into(), nearest_free: None }
+        Self::Rejected {
+            reason: reason.into(),
+            nearest_free: None,
+        }
     }
 
     /// A request that could not be understood.
@@ -129,9 +135,19 @@ mod tests {
 
     #[test]
     fn a_refusal_reads_as_the_contract_says() {
-        let refusal = Refusal::Rejected { reason: "the goal is occupied".into(), nearest_free: Some(GoalPoint { x: 1.0, y: 2.0, yaw: None }) };
+        let refusal = Refusal::Rejected {
+            reason: "the goal is occupied".into(),
+            nearest_free: Some(GoalPoint {
+                x: 1.0,
+                y: 2.0,
+                yaw: None,
+            }),
+        };
         let text = serde_json::to_string(&refusal).unwrap();
-        assert_eq!(text, r#"{"error":"Rejected","reason":"the goal is occupied","nearest_free":{"x":1.0,"y":2.0}}"#);
+        assert_eq!(
+            text,
+            r#"{"error":"Rejected","reason":"the goal is occupied","nearest_free":{"x":1.0,"y":2.0}}"#
+        );
         assert_eq!(serde_json::from_str::<Refusal>(&text).unwrap(), refusal);
         assert_eq!(refusal.exit_code(), 7);
     }

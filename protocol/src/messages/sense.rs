@@ -54,10 +54,14 @@ impl Scan {
 
     /// End points of all real returns, in the laser frame, m.
     pub fn returns(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
-        self.ranges.iter().enumerate().filter(|(_, range)| self.is_return(**range)).map(|(beam, range)| {
-            let (sin, cos) = self.angle(beam).sin_cos();
-            Point2::new(f64::from(*range) * cos, f64::from(*range) * sin)
-        })
+        self.ranges
+            .iter()
+            .enumerate()
+            .filter(|(_, range)| self.is_return(**range))
+            .map(|(beam, range)| {
+                let (sin, cos) = self.angle(beam).sin_cos();
+                Point2::new(f64::from(*range) * cos, f64::from(*range) * sin)
+            })
     }
 
     /// Whether the description makes sense: finite numbers, at most a full circle and 100,000 beams.

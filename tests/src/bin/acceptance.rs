@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p zenav-tests --bin acceptance -- kitchen 20 --speed 4`
 
+#![expect(clippy::print_stdout, reason = "a command that prints its findings")]
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode, Stdio};
@@ -17,9 +19,13 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words.as_slice() {
-        [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => demo(scenario, seeds.parse().unwrap_or(0), rest),
+        [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
+            demo(scenario, seeds.parse().unwrap_or(0), rest)
+        }
         _ => {
-            eprintln!("usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4");
+            eprintln!(
+                "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4"
+            );
             ExitCode::from(2)
         }
     }
@@ -37,7 +43,16 @@ fn demo(scenario: &str, seeds: u64, more: &[&str]) -> ExitCode {
     for seed in 1..=seeds {
         let out = std::env::temp_dir().join(format!("zenav-acceptance-{}-{scenario}-{seed}", std::process::id()));
         let output = Command::new(zenav())
-            .args(["demo", scenario, "--no-ui", "-o", "json", "--seed", &seed.to_string(), "--out"])
+            .args([
+                "demo",
+                scenario,
+                "--no-ui",
+                "-o",
+                "json",
+                "--seed",
+                &seed.to_string(),
+                "--out",
+            ])
             .arg(&out)
             .args(more)
             .env("RUST_LOG", "warn")
@@ -53,9 +68,17 @@ fn demo(scenario: &str, seeds: u64, more: &[&str]) -> ExitCode {
         };
         let report: Value = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
         let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
-        let error = report["goals"].as_array().into_iter().flatten().filter_map(|goal| goal["final_error_m"].as_f64()).fold(0.0, f64::max);
+        let error = report["goals"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(|goal| goal["final_error_m"].as_f64())
+            .fold(0.0, f64::max);
         let clearance = number(&report["min_clearance_m"]);
-        let good = output.status.code() == Some(0) && report["collisions"] == 0 && clearance > MIN_CLEARANCE && error <= MAX_ERROR;
+        let good = output.status.code() == Some(0)
+            && report["collisions"] == 0
+            && clearance > MIN_CLEARANCE
+            && error <= MAX_ERROR;
         println!(
             "seed {seed:3}: {} exit {:?}, collisions {}, clearance {clearance:.3} m, error {error:.3} m, simulated {:.1} s, wall {:.1} s",
             if good { "ok    " } else { "FAILED" },
@@ -79,6 +102,18 @@ fn demo(scenario: &str, seeds: u64, more: &[&str]) -> ExitCode {
     for (name, value) in worst {
         println!("{name}: {value:.3}");
     }
-    println!("{} of {seeds} seeds passed{}", seeds - failed.len() as u64, if failed.is_empty() { String::new() } else { format!(", failed: {failed:?}") });
-    if failed.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    println!(
+        "{} of {seeds} seeds passed{}",
+        seeds - failed.len() as u64,
+        if failed.is_empty() {
+            String::new()
+        } else {
+            format!(", failed: {failed:?}")
+        }
+    );
+    if failed.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
 }

@@ -16,6 +16,7 @@ use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
 use crate::mission::motion::{Recheck, Standing, recheck};
 use crate::mission::route::{Route, RouteData, Search, Searching};
+use crate::smoothing::timing::Limits;
 
 /// Nav2's codes of why a path is not followed.
 mod error_code {
@@ -34,8 +35,8 @@ const AFTER_REFUSAL: f64 = 0.3;
 const BEGIN_DISTANCE: f64 = 0.15;
 /// Time between two looks beyond the border of a growing map, s.
 const LOOK_PERIOD: f64 = 1.0;
-/// Blocked nearer than this ahead, the robot is brought to rest at once, s of plan time.
-const BLOCKED_NEAR: f64 = 2.5;
+/// Time besides braking and the latency budget at which a robot that drives towards something is brought to rest, s.
+const BRAKE_EARLY: f64 = 0.4;
 
 /// Drives `path`.
 #[derive(Default)]
@@ -53,6 +54,8 @@ pub struct FollowPath {
     /// The way in force ends where this grid does.
     partial: Option<GridSpec>,
     next_look: Stamp,
+    /// Plan time of the motion in force at which something stands on the way, s.
+    blocked_at: Option<f64>,
 }
 
 /// What must not be forgotten over a restart.
@@ -158,6 +161,7 @@ impl Leaf<Context> for FollowPath {
                         return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
                     }
                     ctx.motion.clear();
+                    self.blocked_at = None;
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(Standing::Sent | Standing::Taken) => {
@@ -219,6 +223,7 @@ impl FollowPath {
             return step(io, ctx, "plans anew: the map has changed");
         }
         self.stop_search(ctx);
+        self.blocked_at = None;
         ctx.drive(route.course.clone());
         self.partial = ctx.map.spec().filter(|_| route.partial);
         self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
@@ -253,10 +258,9 @@ impl FollowPath {
                 Recheck::Free if due => ctx.renew(),
                 Recheck::Free => {}
                 Recheck::Blocked(ahead) => {
-                    if ahead < BLOCKED_NEAR {
-                        ctx.hold();
-                    }
                     self.begin_search(ctx, memory.goal, 0.0);
+                    self.blocked_at = Some(time + ahead);
+                    self.brake_in_time(ctx);
                     return step(io, ctx, "plans anew: the way is blocked");
                 }
             }
@@ -308,6 +312,7 @@ impl FollowPath {
     }
 
     fn search(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
+        self.brake_in_time(ctx);
         let Some(search) = &mut self.search else {
             return Status::Running;
         };
@@ -322,12 +327,31 @@ impl FollowPath {
                     step(io, ctx, "plans anew: the robot is elsewhere by now")
                 }
             }
+            Searching::Failed(no_route)
+                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&Standing::Taken) =>
+            {
+                // Perhaps only not at this speed.
+                ctx.hold();
+                self.begin_search(ctx, memory.goal, 0.0);
+                self.search = self.search.take().map(Search::from_rest);
+                step(io, ctx, &format!("stops: {}", no_route.reason))
+            }
             Searching::Failed(no_route) => self.end(
                 io,
                 ctx,
                 error_code::NO_VALID_CONTROL,
                 format!("no way on: {}", no_route.reason),
             ),
+        }
+    }
+
+    /// Holds the motion in force once what stands on the way comes near.
+    fn brake_in_time(&mut self, ctx: &mut Context) {
+        if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
+            let braking = Limits::of(model).braking_time(ctx.robot.velocity());
+            if at - self.where_it_is(ctx).0 < braking + ctx.config.latency_budget + BRAKE_EARLY {
+                ctx.hold();
+            }
         }
     }
 
