@@ -10,7 +10,7 @@ use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
-#[command(name = "zenav", version, about, propagate_version = true)]
+#[command(name = "zenav", version, about = "Mobile-robot navigation, split between robot and cloud, over Zenoh", propagate_version = true)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -1,3 +1,11 @@
 //! The rig that tests and benches across parts stand on: processes of the binary under test, on free ports.
+//!
+//! | module | answers |
+//! |---|---|
+//! | [`process`] | how does a test start and end real processes? |
+//! | [`deployment`] | how do a router, a robot and a cloud stand, each as a process of its own? |
+//! | [`observer`] | what does a test see of a robot, and how does it wait for it? |
 
+pub mod deployment;
+pub mod observer;
 pub mod process;

@@ -1,6 +1,7 @@
 //! How does a test start and end real processes? As a user would, on ports that nobody else has.
 
-use std::io::{BufRead as _, BufReader, Read as _};
+use std::ffi::OsStr;
+use std::io::{BufRead as _, BufReader, Read};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -36,7 +37,7 @@ impl Process {
     /// # Panics
     /// When it cannot be started.
     #[must_use]
-    pub fn start(binary: &str, arguments: &[&str], folder: &Path) -> Self {
+    pub fn start(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path) -> Self {
         #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
         let mut child = Command::new(binary)
             .args(arguments)
@@ -77,6 +78,14 @@ impl Process {
         matches!(self.child.try_wait(), Ok(None))
     }
 
+    /// That it still runs.
+    ///
+    /// # Panics
+    /// With its log, when it does not.
+    pub fn assert_running(&mut self) {
+        assert!(self.is_running(), "`zenav {}` has ended", self.name);
+    }
+
     /// What it has logged so far.
     pub fn log(&mut self) -> String {
         self.seen.extend(self.log.try_iter());
@@ -88,8 +97,9 @@ impl Drop for Process {
     fn drop(&mut self) {
         self.kill();
         if std::thread::panicking() {
-            let log = self.log();
-            eprintln!("--- {} ---\n{log}", self.name);
+            // Its end closes the pipe: nothing of the log is missed.
+            self.seen.extend(self.log.iter());
+            eprintln!("--- zenav {} ---\n{}", self.name, self.seen.join("\n"));
         }
     }
 }
@@ -99,7 +109,7 @@ impl Drop for Process {
 /// # Panics
 /// When it cannot be started or does not end in time.
 #[must_use]
-pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> Output {
+pub fn run(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path, limit: Duration) -> Output {
     #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
     let mut child = Command::new(binary)
         .args(arguments)
@@ -109,7 +119,7 @@ pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> 
         .stderr(Stdio::piped())
         .spawn()
         .expect("the binary under test starts");
-    let read = |pipe: Option<Box<dyn std::io::Read + Send>>| {
+    let read = |pipe: Option<Box<dyn Read + Send>>| {
         std::thread::spawn(move || {
             let mut bytes = Vec::new();
             if let Some(mut pipe) = pipe {
@@ -122,13 +132,13 @@ pub fn run(binary: &str, arguments: &[&str], folder: &Path, limit: Duration) -> 
         child
             .stdout
             .take()
-            .map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>),
+            .map(|pipe| Box::new(pipe) as Box<dyn Read + Send>),
     );
     let stderr = read(
         child
             .stderr
             .take()
-            .map(|pipe| Box::new(pipe) as Box<dyn std::io::Read + Send>),
+            .map(|pipe| Box::new(pipe) as Box<dyn Read + Send>),
     );
     let deadline = Instant::now() + limit;
     let status = loop {

@@ -119,28 +119,24 @@ impl Leaf<Context> for FollowPath {
         {
             return self.drive(io, ctx, memory, &route);
         }
+        if let Some(Standing::Refused(why)) = ctx.motion.standing().cloned() {
+            self.refusals += 1;
+            tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
+            if self.refusals > MAX_REFUSALS {
+                let why = format!("the robot refuses the plan: {why}");
+                return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
+            }
+            if !ctx.motion.revert() {
+                ctx.motion.clear();
+            }
+            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+        }
         if self.search.is_none() || self.beside {
             match ctx.motion.standing().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(Standing::Void(why)) => {
                     tracing::info!(goal = ctx.goal.id, why, "plans anew");
                     self.begin_search(ctx, memory.goal, 0.0);
-                }
-                Some(Standing::Refused(why)) => {
-                    self.refusals += 1;
-                    tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
-                    if self.refusals > MAX_REFUSALS {
-                        return self.end(
-                            io,
-                            ctx,
-                            error_code::NO_VALID_CONTROL,
-                            format!("the robot refuses the plan: {why}"),
-                        );
-                    }
-                    if !ctx.motion.revert() {
-                        ctx.motion.clear();
-                    }
-                    self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
                 }
                 Some(Standing::Finished) => {
                     let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| {
@@ -164,7 +160,7 @@ impl Leaf<Context> for FollowPath {
                     self.blocked_at = None;
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
-                Some(Standing::Sent | Standing::Taken) => {
+                Some(Standing::Sent | Standing::Taken | Standing::Refused(_)) => {
                     let status = self.supervise(io, ctx, memory);
                     return self.look_further(io, ctx, memory).unwrap_or(status);
                 }

@@ -205,7 +205,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
     let mut rig = Rig::new();
     rig.edge.stuck = true;
     rig.submit(to(5.0, 0.0, "a")).unwrap();
-    rig.run_until(120.0, |rig| rig.state("a").is_end());
+    rig.run_until(160.0, |rig| rig.state("a").is_end());
     let goal = rig.goal("a");
     assert_eq!(goal.state, GoalPhase::Aborted);
     assert!(
@@ -220,7 +220,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
         goal.legs
     );
     let took = goal.legs[0].ended.unwrap().secs_since(goal.legs[0].started);
-    assert!((70.0..100.0).contains(&took), "{took}");
+    assert!((80.0..130.0).contains(&took), "{took}");
 }
 
 #[test]

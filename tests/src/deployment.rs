@@ -1,0 +1,156 @@
+//! How do a router, a robot and a cloud stand, each as a process of its own, as on three machines?
+//!
+//! Endpoints are free ones, chosen once, so that a part that is killed comes back where the others look for it. Robot and cloud keep
+//! their files in folders of their own.
+
+#![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::time::Duration;
+
+use tempfile::TempDir;
+use zenav_protocol::bus::{Bus, BusConfig};
+
+use crate::process::{Process, free_endpoint, run};
+
+/// The robot of the shipped deployment.
+pub const ROBOT: &str = "tiago";
+
+/// Longest run of a command.
+const COMMAND: Duration = Duration::from_secs(60);
+
+/// A straight corridor with room for a drive of 25 s and more: 17 m between its ends, 3 m between its walls.
+pub const CORRIDOR: &str = r#"
+name = "corridor"
+size = [18.0, 4.0]
+origin = [-1.0, -2.0]
+[[wall]]
+from = [-0.95, -1.5]
+to = [16.95, -1.5]
+thickness = 0.1
+[[wall]]
+from = [-0.95, 1.5]
+to = [16.95, 1.5]
+thickness = 0.1
+[[wall]]
+from = [-0.95, -1.5]
+to = [-0.95, 1.5]
+thickness = 0.1
+[[wall]]
+from = [16.95, -1.5]
+to = [16.95, 1.5]
+thickness = 0.1
+[[place]]
+name = "far_end"
+x = 15.0
+y = 0.0
+"#;
+
+/// Where the parts of one deployment meet and keep their files.
+#[derive(Debug)]
+pub struct Deployment {
+    binary: PathBuf,
+    folder: TempDir,
+    world: String,
+    speed: f64,
+    /// The router's endpoint.
+    pub router: String,
+    /// The robot's own endpoint.
+    pub edge: String,
+}
+
+impl Deployment {
+    /// Nothing runs yet. `world` is a shipped name, or the text of a world file; `speed` is simulated seconds a second.
+    ///
+    /// # Panics
+    /// When the machine gives no folder or port.
+    #[must_use]
+    pub fn new(binary: &str, world: &str, speed: f64) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let world = if world.contains('\n') {
+            let file = folder.path().join("world.toml");
+            std::fs::write(&file, world).expect("a world file");
+            file.to_string_lossy().into_owned()
+        } else {
+            world.to_owned()
+        };
+        Self { binary: binary.into(), folder, world, speed, router: free_endpoint(), edge: free_endpoint() }
+    }
+
+    /// The folder of everything that is kept.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn start(&self, arguments: &[&str]) -> Process {
+        Process::start(&self.binary, arguments, self.folder())
+    }
+
+    /// `zenav router`.
+    #[must_use]
+    pub fn start_router(&self) -> Process {
+        self.start(&["router", "--listen", &self.router])
+    }
+
+    /// `zenav edge`.
+    #[must_use]
+    pub fn start_edge(&self) -> Process {
+        let speed = self.speed.to_string();
+        self.start(&["edge", "--connect", &self.router, "--listen", &self.edge, "--data", "edge", "--world", &self.world, "--speed", &speed])
+    }
+
+    /// `zenav cloud all`.
+    #[must_use]
+    pub fn start_cloud(&self) -> Process {
+        self.start(&["cloud", "all", "--connect", &self.router, "--data", "cloud", "--world", &self.world])
+    }
+
+    /// `zenav up`: everything in one process, from a deployment file.
+    ///
+    /// # Panics
+    /// When the file cannot be written.
+    #[must_use]
+    pub fn start_up(&self) -> Process {
+        let file = self.folder().join("deployment.toml");
+        let (world, speed, router, edge) = (&self.world, self.speed, &self.router, &self.edge);
+        let text = format!(
+            "[router]\nlisten = [\"{router}\"]\n[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\nspeed = {speed:?}\n\
+             [robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{edge}\"\n[data]\ndir = \"up\"\n"
+        );
+        std::fs::write(file, text).expect("a deployment file");
+        self.start(&["up", "deployment.toml"])
+    }
+
+    /// Runs a command to its end.
+    #[must_use]
+    pub fn zenav(&self, arguments: &[&str]) -> Output {
+        run(&self.binary, arguments, self.folder(), COMMAND)
+    }
+
+    /// Runs a client command against the router to its end.
+    #[must_use]
+    pub fn client(&self, arguments: &[&str]) -> Output {
+        let mut all = arguments.to_vec();
+        all.extend(["--connect", &self.router]);
+        self.zenav(&all)
+    }
+
+    /// Joins at the router, which may still be starting.
+    ///
+    /// # Panics
+    /// When it cannot.
+    pub async fn bus(&self) -> Bus {
+        self.bus_at(&self.router).await
+    }
+
+    /// Joins at an endpoint that may still be starting.
+    ///
+    /// # Panics
+    /// When it cannot.
+    pub async fn bus_at(&self, endpoint: &str) -> Bus {
+        let joined = tokio::time::timeout(Duration::from_secs(20), Bus::open(BusConfig::service("test", endpoint))).await;
+        joined.expect("somebody listens in time").expect("the bus opens")
+    }
+}
