@@ -75,7 +75,14 @@ impl Deployment {
         } else {
             world.to_owned()
         };
-        Self { binary: binary.into(), folder, world, speed, router: free_endpoint(), edge: free_endpoint() }
+        Self {
+            binary: binary.into(),
+            folder,
+            world,
+            speed,
+            router: free_endpoint(),
+            edge: free_endpoint(),
+        }
     }
 
     /// The folder of everything that is kept.
@@ -98,13 +105,34 @@ impl Deployment {
     #[must_use]
     pub fn start_edge(&self) -> Process {
         let speed = self.speed.to_string();
-        self.start(&["edge", "--connect", &self.router, "--listen", &self.edge, "--data", "edge", "--world", &self.world, "--speed", &speed])
+        self.start(&[
+            "edge",
+            "--connect",
+            &self.router,
+            "--listen",
+            &self.edge,
+            "--data",
+            "edge",
+            "--world",
+            &self.world,
+            "--speed",
+            &speed,
+        ])
     }
 
     /// `zenav cloud all`.
     #[must_use]
     pub fn start_cloud(&self) -> Process {
-        self.start(&["cloud", "all", "--connect", &self.router, "--data", "cloud", "--world", &self.world])
+        self.start(&[
+            "cloud",
+            "all",
+            "--connect",
+            &self.router,
+            "--data",
+            "cloud",
+            "--world",
+            &self.world,
+        ])
     }
 
     /// `zenav up`: everything in one process, from a deployment file.
@@ -150,7 +178,8 @@ impl Deployment {
     /// # Panics
     /// When it cannot.
     pub async fn bus_at(&self, endpoint: &str) -> Bus {
-        let joined = tokio::time::timeout(Duration::from_secs(20), Bus::open(BusConfig::service("test", endpoint))).await;
+        let joined =
+            tokio::time::timeout(Duration::from_secs(20), Bus::open(BusConfig::service("test", endpoint))).await;
         joined.expect("somebody listens in time").expect("the bus opens")
     }
 }

@@ -57,7 +57,9 @@ impl Observer {
     /// When none comes within `limit` (wall time).
     pub async fn next(&mut self, limit: Duration) -> EdgeState {
         let next = tokio::time::timeout(limit, self.states.next()).await;
-        next.expect("the robot says how it is").expect("the bus is open").message
+        next.expect("the robot says how it is")
+            .expect("the bus is open")
+            .message
     }
 
     /// The first state from now on of which `fits` holds.
@@ -69,7 +71,10 @@ impl Observer {
         let mut last = None;
         loop {
             let Ok(next) = timeout_at(deadline, self.states.next()).await else {
-                panic!("not within {limit:?}: {what}; last: {last:#?}; events: {:#?}", self.events());
+                panic!(
+                    "not within {limit:?}: {what}; last: {last:#?}; events: {:#?}",
+                    self.events()
+                );
             };
             let state = next.expect("the bus is open").message;
             if fits(&state) {
@@ -129,7 +134,10 @@ impl Observer {
     /// # Panics
     /// When something was.
     pub fn assert_untouched(&mut self) {
-        assert!(!self.events().contains(&EventKind::Bumped), "the robot touched something");
+        assert!(
+            !self.events().contains(&EventKind::Bumped),
+            "the robot touched something"
+        );
     }
 }
 

@@ -138,9 +138,25 @@ fn cores_are_pure() {
     // Where time, threads and the network come in: services, the follower that keeps a map fresh, the robot's control thread and the
     // boxes through which it meets the network.
     let network = ["service.rs", "follower.rs", "control.rs", "exchange.rs", "main.rs"];
-    let impure = ["tokio::", "Instant::now", "SystemTime", "zenav_protocol::bus", "std::net", "std::thread", "thread_rng"];
+    let impure = [
+        "tokio::",
+        "Instant::now",
+        "SystemTime",
+        "zenav_protocol::bus",
+        "std::net",
+        "std::thread",
+        "thread_rng",
+    ];
     // Where files come in.
-    let disk = ["service.rs", "main.rs", "state_file.rs", "store.rs", "map_file.rs", "atomic.rs", "carmen.rs"];
+    let disk = [
+        "service.rs",
+        "main.rs",
+        "state_file.rs",
+        "store.rs",
+        "map_file.rs",
+        "atomic.rs",
+        "carmen.rs",
+    ];
     for folder in ["edge/src", "cloud/src", "sim/src"] {
         for (path, text) in sources(folder) {
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
@@ -148,7 +164,10 @@ fn cores_are_pure() {
                 continue;
             }
             let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-            let find = |word: &str| code.lines().find(|line| line.split("//").next().unwrap_or_default().contains(word));
+            let find = |word: &str| {
+                code.lines()
+                    .find(|line| line.split("//").next().unwrap_or_default().contains(word))
+            };
             for word in impure.iter().filter(|_| !network.contains(&name.as_str())) {
                 assert_eq!(find(word), None, "{}: a core uses `{word}`", path.display());
             }

@@ -11,10 +11,29 @@ const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 
 /// Report and trajectory, as bytes.
 fn drive(folder: &Path, seed: &str, file: &str) -> (Vec<u8>, Vec<u8>) {
-    let arguments =
-        ["run", "--world", "kitchen", "--robot", "tiago", "--goal", "0.9", "-0.4", "--seed", seed, "--trajectory", file, "-o", "json"];
+    let arguments = [
+        "run",
+        "--world",
+        "kitchen",
+        "--robot",
+        "tiago",
+        "--goal",
+        "0.9",
+        "-0.4",
+        "--seed",
+        seed,
+        "--trajectory",
+        file,
+        "-o",
+        "json",
+    ];
     let output = run(ZENAV, &arguments, folder, Duration::from_secs(60));
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     (output.stdout, std::fs::read(folder.join(file)).unwrap())
 }
 
@@ -23,7 +42,12 @@ fn a_seed_gives_the_same_report_and_trajectory_twice_and_another_seed_does_not()
     let folder = tempfile::tempdir().unwrap();
     let first = drive(folder.path(), "11", "first.csv");
     let second = drive(folder.path(), "11", "second.csv");
-    assert!(first.0 == second.0, "{}\n{}", String::from_utf8_lossy(&first.0), String::from_utf8_lossy(&second.0));
+    assert!(
+        first.0 == second.0,
+        "{}\n{}",
+        String::from_utf8_lossy(&first.0),
+        String::from_utf8_lossy(&second.0)
+    );
     assert!(first.1 == second.1, "the trajectories differ");
     let rows = first.1.iter().filter(|byte| **byte == b'\n').count();
     assert!(first.1.starts_with(b"t,x,y,yaw,v,w\n") && rows > 100, "{rows} rows");

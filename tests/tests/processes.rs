@@ -1,0 +1,403 @@
+//! What becomes of a robot when the parts around it die, and when plans come that are not for it? With real processes, killed as the
+//! machines they stand for would be.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::time::Duration;
+
+use nalgebra::Point2;
+use tokio::time::timeout;
+use zenav_protocol::bus::{Bus, RawSample};
+use zenav_protocol::messages::*;
+use zenav_protocol::topics;
+use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
+use zenav_tests::observer::{Observer, assert_rests, is_rest};
+
+const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
+/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+const LONG: Duration = Duration::from_secs(30);
+/// Simulated seconds a second.
+const SPEED: f64 = 4.0;
+/// The far end of the corridor, m.
+const FAR_END: f64 = 15.0;
+
+/// Submits a goal at the far end and waits until the robot is well on its way, with more than 10 s left.
+async fn set_out(deployment: &Deployment, robot: &mut Observer, id: &str) -> EdgeState {
+    let submitted = deployment.client(&["goal", "submit", "--place", "far_end", "--id", id, "--timeout", "30"]);
+    assert_eq!(submitted.status.code(), Some(0), "{submitted:?}");
+    let under_way = |state: &EdgeState| {
+        let plan = state.plan.as_ref().filter(|plan| plan.goal_id == id);
+        state.mode == Mode::Follow && state.velocity.v > 0.2 && plan.is_some_and(|plan| plan.time_left > 10.0)
+    };
+    robot.until("well on its way", LONG, under_way).await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn without_its_cloud_a_robot_is_at_rest_by_its_plan_s_expiry_and_drives_on_when_the_cloud_is_back() {
+    let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
+    let _router = deployment.start_router();
+    let mut edge = deployment.start_edge();
+    let mut cloud = deployment.start_cloud();
+    let bus = deployment.bus().await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    let driving = set_out(&deployment, &mut robot, "far").await;
+
+    cloud.kill();
+    let alone = robot.until("the lease lapses", LONG, |state| !state.lease.live).await;
+    assert!(alone.velocity.v > 0.2, "it finishes what is valid: {alone:#?}");
+    let in_force = alone.plan.clone().expect("the plan in force");
+    let plan = robot
+        .plans()
+        .iter()
+        .find(|plan| plan.revision == in_force.revision)
+        .expect("the plan was seen")
+        .clone();
+    assert!(plan.valid_for <= 5.0, "{}", plan.valid_for);
+    let expiry = plan.based_on.stamp.plus_secs(plan.valid_for);
+    assert!(expiry.secs_since(driving.stamp) < 8.0 && plan.based_on.boot_id == alone.boot_id);
+
+    let seen = robot.up_to(expiry.plus_secs(2.0), vec![alone]).await;
+    let late: Vec<EdgeState> = seen.into_iter().filter(|state| state.stamp >= expiry).collect();
+    assert_rests(&late, "its plan has expired");
+    assert_eq!(late.last().unwrap().link, Link::Lost);
+    let rest = robot.pose().map_from_base;
+    assert!(rest.x > 0.5 && rest.x < FAR_END - 3.0, "short of the goal: {rest:?}");
+    robot.assert_untouched();
+    edge.assert_running();
+
+    let _cloud = deployment.start_cloud();
+    robot
+        .until("it drives on, for the same goal", LONG, |state| {
+            state.velocity.v > 0.2 && state.plan.as_ref().is_some_and(|plan| plan.goal_id == "far")
+        })
+        .await;
+    let watched = deployment.client(&["goal", "watch", "far", "-o", "json"]);
+    assert_eq!(watched.status.code(), Some(0), "{watched:?}");
+    let there = robot
+        .until("it rests there", LONG, |state| is_rest(state.velocity))
+        .await;
+    assert_eq!(there.boot_id, late[0].boot_id);
+    let pose = robot.pose().map_from_base;
+    assert!((pose.x - FAR_END).hypot(pose.y) < 0.3, "{pose:?}");
+    robot.assert_untouched();
+    let listed = deployment.client(&["goal", "list", "-o", "json"]);
+    let goals: Vec<GoalState> = serde_json::from_slice(&listed.stdout).unwrap();
+    assert_eq!(
+        goals
+            .iter()
+            .map(|goal| (goal.id.as_str(), goal.state))
+            .collect::<Vec<_>>(),
+        [("far", GoalPhase::Succeeded)]
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn without_a_router_a_stop_still_reaches_the_robot_and_outlives_its_restart() {
+    let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
+    let mut router = deployment.start_router();
+    let mut edge = deployment.start_edge();
+    let _cloud = deployment.start_cloud();
+    // On the robot's own endpoint, as the one who stops it.
+    let bus = deployment.bus_at(&deployment.edge).await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    set_out(&deployment, &mut robot, "far").await;
+
+    router.kill();
+    let stopped = deployment.zenav(&["stop", "--connect", &deployment.edge]);
+    assert_eq!(stopped.status.code(), Some(0), "{stopped:?}");
+    let resting = robot
+        .until("stopped, at rest", LONG, |state| {
+            state.mode == Mode::Stopped && is_rest(state.velocity)
+        })
+        .await;
+    assert_eq!(resting.plan, None, "a stop discards the plan");
+    robot.assert_untouched();
+
+    edge.kill();
+    bus.close().await;
+    let _edge = deployment.start_edge();
+    let bus = deployment.bus_at(&deployment.edge).await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    let again = robot.next(LONG).await;
+    assert_ne!(again.boot_id, resting.boot_id);
+    assert_eq!(again.mode, Mode::Stopped, "a stop latches across a restart");
+
+    // The goal is still to be driven, and its mission comes back with the router: until somebody resumes, nothing moves.
+    let _router = deployment.start_router();
+    robot.until("the mission is back", LONG, |state| state.lease.live).await;
+    let states = robot.during(3.0).await;
+    assert_rests(&states, "it is stopped");
+    assert!(
+        states
+            .iter()
+            .all(|state| state.mode == Mode::Stopped && state.plan.is_none())
+    );
+
+    let resumed = deployment.client(&["resume"]);
+    assert_eq!(resumed.status.code(), Some(0), "{resumed:?}");
+    robot.until("it drives on", LONG, |state| state.velocity.v > 0.2).await;
+    robot.assert_untouched();
+}
+
+/// A mission of the test's own: holds the robot's lease and writes plans.
+struct Writer {
+    bus: Bus,
+    epoch: u64,
+    heart: tokio::task::JoinHandle<()>,
+}
+
+impl Writer {
+    async fn new(bus: &Bus, holder: &str) -> Self {
+        let request = LeaseRequest {
+            holder: holder.to_owned(),
+            role: LeaseRole::Mission,
+            action: LeaseAction::Acquire,
+            request_id: format!("{holder}-1"),
+        };
+        let epoch = bus.ask(&topics::LEASE, &[ROBOT], &request, LONG).await.unwrap().epoch;
+        let (beat, key, holder) = (bus.clone(), topics::HEARTBEAT.key(&[ROBOT]), holder.to_owned());
+        let heart = tokio::spawn(async move {
+            let mut interval = tokio::time::interval(Duration::from_millis(20));
+            for counter in 1.. {
+                interval.tick().await;
+                let bytes = serde_json::to_vec(&Heartbeat {
+                    holder: holder.clone(),
+                    epoch,
+                    counter,
+                })
+                .unwrap();
+                if beat.raw_put(&key, bytes, "application/json").is_err() {
+                    return;
+                }
+            }
+        });
+        Self {
+            bus: bus.clone(),
+            epoch,
+            heart,
+        }
+    }
+
+    /// A plan of a metre straight ahead from where the robot is.
+    fn plan(&self, robot: &mut Observer, now: &EdgeState, counter: u64) -> Plan {
+        let pose = robot.pose().map_from_base;
+        Plan {
+            goal_id: "test".into(),
+            epoch: self.epoch,
+            revision: Revision {
+                incarnation: 7,
+                counter,
+            },
+            trajectory_id: 1000 + counter,
+            map: MapRef::default(),
+            frame: "map".into(),
+            based_on: BasedOn {
+                stamp: now.stamp,
+                boot_id: now.boot_id.clone(),
+            },
+            valid_for: 5.0,
+            waypoints: vec![Point2::new(pose.x + pose.yaw.cos(), pose.y + pose.yaw.sin())],
+            trajectory: Vec::new(),
+            splice: None,
+            statistics: PlanStatistics::default(),
+        }
+    }
+
+    fn write(&self, plan: &Plan) {
+        put(&self.bus, &serde_json::to_vec(plan).unwrap(), "application/json");
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.heart.abort();
+    }
+}
+
+fn put(bus: &Bus, bytes: &[u8], encoding: &str) {
+    bus.raw_put(&topics::PLAN.key(&[ROBOT]), bytes.to_vec(), encoding)
+        .unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_stale_replayed_reordered_or_foreign_plan_never_moves_the_robot() {
+    let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
+    let _router = deployment.start_router();
+    let mut edge = deployment.start_edge();
+    let mut cloud = deployment.start_cloud();
+    let bus = deployment.bus().await;
+    let mut wire = bus.raw_subscribe(&topics::PLAN.key(&[ROBOT]), 4096).unwrap();
+    let mut robot = Observer::new(&bus, ROBOT);
+    set_out(&deployment, &mut robot, "far").await;
+    let renewed = |state: &EdgeState| state.plan.as_ref().is_some_and(|plan| plan.revision.counter >= 3);
+    robot.until("its plan has been renewed twice", LONG, renewed).await;
+    let mut recorded: Vec<RawSample> = Vec::new();
+    while let Ok(Some(sample)) = timeout(Duration::from_millis(1), wire.next()).await {
+        recorded.push(sample);
+    }
+    assert!(recorded.len() >= 3);
+
+    // Stopped and resumed: at once, while the recorded plans are still valid, they come again, under the lease they were written for.
+    cloud.kill();
+    assert_eq!(deployment.client(&["stop"]).status.code(), Some(0));
+    robot
+        .until("stopped, at rest", LONG, |state| {
+            state.mode == Mode::Stopped && is_rest(state.velocity)
+        })
+        .await;
+    assert_eq!(deployment.client(&["resume"]).status.code(), Some(0));
+    robot.until("resumed", LONG, |state| state.mode == Mode::Idle).await;
+    let replay = |bus: &Bus| {
+        recorded
+            .iter()
+            .chain(recorded.iter().rev())
+            .for_each(|sample| put(bus, &sample.bytes, &sample.encoding))
+    };
+    replay(&bus);
+    assert_rests(&robot.during(2.0).await, "replayed after a stop");
+
+    // Another holder, another epoch.
+    robot
+        .until("the dead mission's lease lapses", LONG, |state| !state.lease.live)
+        .await;
+    let writer = Writer::new(&bus, "tester").await;
+    let now = robot
+        .until("the lease is the test's", LONG, |state| {
+            state.lease.live && state.lease.epoch == writer.epoch
+        })
+        .await;
+    replay(&bus);
+    assert_rests(&robot.during(2.0).await, "replayed under another epoch");
+    let good = writer.plan(&mut robot, &now, 5);
+    for foreign in [
+        Plan {
+            epoch: writer.epoch - 1,
+            ..good.clone()
+        },
+        Plan {
+            epoch: writer.epoch + 1,
+            ..good.clone()
+        },
+        Plan {
+            epoch: u64::MAX,
+            ..good.clone()
+        },
+        Plan {
+            based_on: BasedOn {
+                boot_id: "another".into(),
+                ..good.based_on.clone()
+            },
+            ..good.clone()
+        },
+        Plan {
+            based_on: BasedOn {
+                stamp: now.stamp.plus_secs(1e6),
+                ..good.based_on.clone()
+            },
+            ..good.clone()
+        },
+    ] {
+        writer.write(&foreign);
+    }
+    assert_rests(&robot.during(2.0).await, "foreign plans");
+
+    // The rightful one does move it; while it drives, older ones change nothing.
+    let now = robot.next(LONG).await;
+    let good = writer.plan(&mut robot, &now, 6);
+    writer.write(&good);
+    robot
+        .until("the rightful plan is driven", LONG, |state| state.velocity.v > 0.1)
+        .await;
+    writer.write(&Plan {
+        revision: Revision {
+            incarnation: 7,
+            counter: 4,
+        },
+        trajectory_id: 4,
+        waypoints: vec![Point2::new(0.0, 0.0)],
+        ..good.clone()
+    });
+    writer.write(&Plan {
+        revision: Revision {
+            incarnation: 6,
+            counter: 9,
+        },
+        trajectory_id: 9,
+        waypoints: vec![Point2::new(0.0, 0.0)],
+        ..good.clone()
+    });
+    for state in robot.during(0.5).await {
+        assert_eq!(state.plan.map(|plan| plan.trajectory_id), Some(good.trajectory_id));
+    }
+
+    // Nor does it come again: not after a stop, not as a newer revision of the motion that was thrown away.
+    assert_eq!(deployment.client(&["stop"]).status.code(), Some(0));
+    robot
+        .until("stopped, at rest", LONG, |state| {
+            state.mode == Mode::Stopped && is_rest(state.velocity)
+        })
+        .await;
+    writer.write(&writer.plan(&mut robot, &now, 7));
+    assert_rests(&robot.during(1.0).await, "stopped");
+    assert_eq!(deployment.client(&["resume"]).status.code(), Some(0));
+    let now = robot
+        .until("resumed", LONG, |state| state.mode == Mode::Idle && state.lease.live)
+        .await;
+    writer.write(&good);
+    writer.write(&Plan {
+        trajectory_id: good.trajectory_id,
+        ..writer.plan(&mut robot, &now, 8)
+    });
+    assert_rests(&robot.during(2.0).await, "discarded by a stop");
+    let now = robot.next(LONG).await;
+    writer.write(&writer.plan(&mut robot, &now, 9));
+    robot
+        .until("a new plan is driven", LONG, |state| state.velocity.v > 0.1)
+        .await;
+    robot.assert_untouched();
+    edge.assert_running();
+}
+
+#[test]
+fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 8.0);
+    let mut up = deployment.start_up();
+    // The robot and its mission may still be starting: a command waits for them, but not for a router.
+    tokio::runtime::Runtime::new()
+        .unwrap()
+        .block_on(async { deployment.bus().await.close().await });
+    let code = |arguments: &[&str]| {
+        let output = deployment.client(arguments);
+        (
+            output.status.code(),
+            String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr),
+        )
+    };
+    let assert_code = |arguments: &[&str], expected: i32| {
+        let (got, text) = code(arguments);
+        assert_eq!(got, Some(expected), "{arguments:?}: {text}");
+        text
+    };
+    let text = assert_code(
+        &["goal", "submit", "--wait", "--id", "first", "-o", "json", "-0.9", "0.2"],
+        0,
+    );
+    assert!(text.contains("\"state\": \"Succeeded\""), "{text}");
+    // A repeated id is the same goal: it is not driven again, and is no other goal.
+    let text = assert_code(&["goal", "submit", "--id", "first", "-o", "json", "-0.9", "0.2"], 0);
+    assert!(text.contains("\"state\": \"Succeeded\""), "{text}");
+    assert_code(&["goal", "submit", "--id", "first", "0.9", "0.0"], 7);
+    assert_code(&["goal", "submit", "--id", "second", "--place", "corner"], 0);
+    let text = assert_code(&["goal", "list", "-o", "ndjson"], 0);
+    assert_eq!(text.lines().filter(|line| line.starts_with('{')).count(), 2, "{text}");
+    assert_code(&["stop"], 0);
+    assert_code(&["resume"], 0);
+    assert_code(&["goal", "cancel", "second"], 0);
+    assert_code(&["goal", "watch", "second"], 6);
+    assert_code(&["goal", "watch", "no_such_goal"], 3);
+    assert_code(&["goal", "cancel", "no_such_goal"], 3);
+    assert_code(&["goal", "submit", "--place", "no_such_place"], 3);
+    assert_code(&["goal", "submit", "--robot", "nobody", "0", "0"], 3);
+    assert_code(&["goal", "submit", "NaN", "0"], 2);
+    up.assert_running();
+}
