@@ -10,7 +10,12 @@ use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
-#[command(name = "zenav", version, about = "Mobile-robot navigation, split between robot and cloud, over Zenoh", propagate_version = true)]
+#[command(
+    name = "zenav",
+    version,
+    about = "Mobile-robot navigation, split between robot and cloud, over Zenoh",
+    propagate_version = true
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -83,7 +88,7 @@ pub(crate) fn main() -> ExitCode {
 fn init_logging() {
     use std::io::IsTerminal as _;
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_link=off,zenoh_transport=off"));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off,zenoh_link=off,zenoh_transport=off"));
     let colors = std::io::stderr().is_terminal();
     // A second initialisation (tests in one process) changes nothing.
     let _ = tracing_subscriber::fmt()
@@ -117,7 +122,10 @@ fn run(command: Command) -> Outcome {
         Command::Bench(args) => batch::bench(&args),
         Command::Config(args) => config::run(&args),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Cli::command(), "zenav", &mut std::io::stdout());
+            // Into memory first: a closed pipe is no reason to panic.
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "zenav", &mut script);
+            crate::output::line(String::from_utf8_lossy(&script).trim_end());
             Ok(exit_code::OK)
         }
     }

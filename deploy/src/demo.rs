@@ -90,6 +90,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
     if !(args.speed.is_finite() && args.speed > 0.0) {
         return Err(Failure::usage("--speed: expected a positive number"));
     }
+    crate::receivers::ensure_enough();
     std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
     let report = runtime()?.block_on(scenario(args))?;
     let text = serde_json::to_string_pretty(&report).map_err(|error| Failure::failed(error.to_string()))?;
@@ -123,7 +124,7 @@ fn deployment(args: &DemoArgs, endpoint: &str, state: &Path) -> Result<Deploymen
 const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
 
 fn copy_map(from: &Path, to: &Path) -> Result<bool, Failure> {
-    std::fs::create_dir_all(to)?;
+    std::fs::create_dir_all(to).map_err(|error| Failure::failed(format!("{}: {error}", to.display())))?;
     let mut found = false;
     for name in MAP_FILES {
         if from.join(name).is_file() {
@@ -204,7 +205,12 @@ async fn play(
     let end = tokio::select! {
         end = watch.until_end(&reply.id, args.scenario.time_limit()) => end,
         ended = parts.first_end() => { ended?; None }
-        () = interrupted() => None,
+        () = interrupted() => {
+            if let Some(bar) = &watch.bar {
+                bar.finish_and_clear();
+            }
+            return Err(Failure::new(exit_code::INTERRUPTED, "interrupted"));
+        }
     };
     if let Some(bar) = &watch.bar {
         bar.finish_and_clear();

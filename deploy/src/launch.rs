@@ -425,6 +425,9 @@ pub fn up(args: &UpArgs) -> Outcome {
         deployment.data.dir.clone_from(data);
     }
     let world = files::world(&deployment.simulation.world)?;
+    if deployment.router.enabled {
+        crate::receivers::ensure_enough();
+    }
     runtime()?.block_on(async {
         let router = if deployment.router.enabled {
             let router = Router::open(&RouterConfig {

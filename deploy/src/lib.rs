@@ -6,6 +6,7 @@
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | how the parts start and end, in one process or in many |
 //! | `router` | the router |
+//! | `receivers` | how many threads receive, where router and parts share a process |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
@@ -28,6 +29,7 @@ pub mod launch;
 pub mod lockstep;
 pub mod operator;
 pub mod output;
+pub mod receivers;
 pub mod report;
 pub mod router;
 

@@ -27,6 +27,8 @@ use crate::teleop::Stick;
 const LONGEST_TICK: f64 = 0.1;
 /// Discarded motions remembered.
 const DISCARDED: usize = 32;
+/// Refused plans remembered.
+const REFUSED: usize = 256;
 
 /// The robot's side, whole and pure.
 #[derive(Clone, Debug)]
@@ -44,6 +46,8 @@ pub struct Pilot {
     stick: Stick,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
+    /// Plans refused under the current grant: none comes back later, when it would fit by chance.
+    refused: std::collections::VecDeque<(u64, Revision)>,
     discarded: std::collections::VecDeque<u64>,
     last: Option<Stamp>,
     pressed: bool,
@@ -69,6 +73,7 @@ impl Pilot {
             stick: Stick::new(config.dead_man),
             telemetry: Telemetry::default(),
             newest: None,
+            refused: std::collections::VecDeque::new(),
             discarded: std::collections::VecDeque::new(),
             last: None,
             pressed: false,
@@ -166,7 +171,9 @@ impl Pilot {
             return;
         };
         let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
-        if newest == Some(plan.revision) && plan.epoch == epoch {
+        let of_epoch = plan.epoch == epoch;
+        let again = newest == Some(plan.revision) || self.refused.contains(&(epoch, plan.revision));
+        if again && of_epoch {
             // The bus brings a kept sample again after every reconnection: nothing to tell.
             return;
         }
@@ -175,7 +182,20 @@ impl Pilot {
             plan.revision,
             plan.trajectory_id,
         );
-        match self.take_plan(now, plan, newest) {
+        let taken = self.take_plan(now, plan, newest);
+        // What a refused plan overtook is stale all the same; but a stranger's number must not lock the holder out.
+        let of_the_writer =
+            newest.is_some_and(|newest| newest.incarnation == revision.incarnation && revision > newest);
+        if taken.is_ok() || (of_the_writer && of_epoch) {
+            self.newest = Some((epoch, revision));
+        }
+        if taken.is_err() && of_epoch {
+            self.refused.push_back((epoch, revision));
+            if self.refused.len() > REFUSED {
+                self.refused.pop_front();
+            }
+        }
+        match taken {
             Ok(Taken::Renewed) => {}
             Ok(Taken::Begun) => self.journal.tell(
                 now,
@@ -208,15 +228,7 @@ impl Pilot {
             newest,
             max_validity: self.config.max_validity,
         };
-        let head = judge_head(&plan, &grant);
-        if plan.epoch == grant.epoch
-            && plan.based_on.boot_id == grant.boot_id
-            && newest.is_none_or(|newest| plan.revision > newest)
-        {
-            // Also a plan that is refused now must not come back later, when it would fit by chance.
-            self.newest = Some((plan.epoch, plan.revision));
-        }
-        let expiry = head?;
+        let expiry = judge_head(&plan, &grant)?;
         if self.discarded.contains(&plan.trajectory_id) {
             return Err(Rejection::Discarded(plan.trajectory_id));
         }

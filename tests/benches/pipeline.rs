@@ -176,7 +176,7 @@ fn search(criterion: &mut Criterion) {
             bencher.iter(|| {
                 searcher
                     .search(planner, start, goal, Budget::UNLIMITED)
-                    .path
+                    .result
                     .expect("a way")
             });
         });

@@ -26,6 +26,9 @@ const LONG: Duration = Duration::from_secs(20);
 /// More than any ask takes.
 const HUGE: usize = 10_000_000;
 
+/// Whether a refusal is the right one.
+type Fits = fn(&Refusal) -> bool;
+
 fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
@@ -223,8 +226,8 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
     drive("-0.9", "0.3");
 
     // Words that can be read, and ask for what is not.
-    let bad: fn(&Refusal) -> bool = |refusal| matches!(refusal, Refusal::BadRequest { .. });
-    let goals: [(&str, fn(&Refusal) -> bool); 8] = [
+    let bad: Fits = |refusal| matches!(refusal, Refusal::BadRequest { .. });
+    let goals: [(&str, Fits); 8] = [
         ("{}", bad),
         (r#"{"x": "one", "y": 0}"#, bad),
         (r#"{"x": 1e999, "y": 0}"#, bad),

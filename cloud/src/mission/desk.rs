@@ -14,6 +14,9 @@ const LONGEST_ID: usize = 128;
 impl Mission {
     /// Answers one request.
     pub(super) fn serve(&mut self, request: Request) -> Result<Response, Refusal> {
+        if self.ctx.lease.stands_by() && !matches!(request, Request::Info(_)) {
+            return Err(Refusal::NotLeader);
+        }
         match request {
             Request::Goal(request) => self.submit(*request).map(Response::Goal),
             Request::Cancel(request) => {

@@ -1,15 +1,18 @@
 //! Is this a goal, and can it be reached? Answered when it is asked for, with the reason and the nearest place that would do.
 
 use nalgebra::Point2;
-use zenav_protocol::grid::GridSpec;
+use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 
 use super::context::Context;
 use super::trees;
+use crate::space::reach;
 
 /// Waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
+/// Largest map on which a goal's connection to the robot is looked at before it is accepted, cells: some 50 ms.
+const MAX_FLOODED: usize = 4_000_000;
 /// Entries for a tree's blackboard.
 const MAX_ENTRIES: usize = 256;
 /// Longest name of an entry, bytes.
@@ -156,9 +159,13 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     };
     let explore = ctx.config.explore;
     let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
-    let Some(space) = ctx.map.space(&model.footprint) else {
+    let stands = ctx.robot.pose().map(|pose| pose.position());
+    let Some((space, known)) = ctx.map.space_and_grid(&model.footprint) else {
         return Ok(());
     };
+    let reached = stands
+        .filter(|_| space.spec().len() <= MAX_FLOODED)
+        .and_then(|stands| reach::flood(space, stands));
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
         let spec = space.spec();
@@ -166,15 +173,30 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         if outside && growing && distance(spec, point) <= explore {
             continue;
         }
-        if !outside && space.clearance(point) > model.footprint.inscribed_radius() {
+        let fits = !outside && space.clearance(point) > model.footprint.inscribed_radius();
+        let connected = reached
+            .as_ref()
+            .is_none_or(|reached| reach::is_reached(space, reached, point));
+        if fits && connected {
             continue;
         }
         let what = if outside {
             "lies outside the map"
+        } else if fits {
+            "cannot be reached: it is closed off from the robot"
         } else {
             "is occupied: the robot does not fit there"
         };
-        let nearest_free = space.nearest_free(point).map(|free| GoalPoint {
+        let seen_free = |cell| {
+            known
+                .get(cell)
+                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Free)
+        };
+        let nearest = match &reached {
+            Some(reached) => reach::nearest(space, reached, point, seen_free),
+            None => space.nearest_free(point),
+        };
+        let nearest_free = nearest.map(|free| GoalPoint {
             x: free.x,
             y: free.y,
             yaw: goal.yaw,

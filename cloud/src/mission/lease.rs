@@ -34,6 +34,8 @@ pub struct LeaseKeeper {
     last_step: Option<Stamp>,
     /// Why there is no lease, in words.
     why_not: String,
+    /// Another mission that holds a live lease, by the robot's newest word.
+    leader: Option<String>,
 }
 
 impl LeaseKeeper {
@@ -51,6 +53,7 @@ impl LeaseKeeper {
             last_beat: None,
             last_step: None,
             why_not: "the robot has not answered yet".to_owned(),
+            leader: None,
         }
     }
 
@@ -66,8 +69,21 @@ impl LeaseKeeper {
         &self.why_not
     }
 
+    /// Whether another mission leads: then this one stands by, and promises nothing to anybody.
+    #[must_use]
+    pub fn stands_by(&self) -> bool {
+        self.leader.is_some() && self.grant.is_none()
+    }
+
     /// Takes the robot's word.
     pub fn observe(&mut self, now: Stamp, state: &EdgeState) {
+        let led = state.lease.live && state.lease.role == Some(LeaseRole::Mission);
+        let other = state
+            .lease
+            .holder
+            .as_ref()
+            .filter(|holder| led && **holder != self.holder);
+        self.leader = other.cloned();
         let Some(grant) = &self.grant else {
             // Nobody commands: no need to wait for the next try.
             if !state.lease.live && self.asking.is_none() {

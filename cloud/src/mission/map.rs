@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use zenav_protocol::grid::GridSpec;
+use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest, TILE, Tile};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
@@ -95,6 +95,12 @@ impl MapBook {
     #[must_use]
     pub fn newest(&self) -> Option<MapRef> {
         self.mirror.has_map().then(|| self.mirror.map().clone())
+    }
+
+    /// Where the robot may be, as [`Self::space`], beside what is known of each cell.
+    pub fn space_and_grid(&mut self, footprint: &Footprint) -> Option<(&ConfigurationSpace, &OccupancyGrid)> {
+        self.space(footprint)?;
+        Some((self.space.as_ref()?, self.mirror.grid()))
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

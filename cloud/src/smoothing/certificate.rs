@@ -17,7 +17,8 @@ pub struct Collision;
 
 /// Least distance (m) of the true footprint to an obstacle along a motion; `None` when there is nothing within the space's reach.
 ///
-/// The first `exempt` metres around the start are not looked at: a robot that stands where it should not has to leave.
+/// The first `exempt` metres around the start are no reason to refuse: a robot that stands where it should not has to leave. They
+/// count in the clearance that is told.
 ///
 /// # Errors
 /// [`Collision`].
@@ -30,30 +31,31 @@ pub fn clearance(
     let period = (STEP / limits.speed).min(TURN / limits.yaw_rate);
     // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
     let bulge = limits.lateral_acceleration * period * period / 8.0;
-    let mut poses: Vec<Pose2> = motion
+    let all: Vec<Pose2> = motion
         .states(period)
         .into_iter()
         .map(|state| state.point.pose())
         .collect();
-    if exempt > 0.0
-        && let Some(start) = poses.first().copied()
-    {
-        let left = poses
-            .iter()
-            .position(|pose| pose.distance(&start) > exempt)
-            .unwrap_or(poses.len());
-        poses.drain(..left);
-    }
+    let leaving = all.first().filter(|_| exempt > 0.0).map_or(0, |start| {
+        let left = all.iter().position(|pose| pose.distance(start) > exempt);
+        left.unwrap_or(all.len())
+    });
+    let poses = &all[leaving..];
     if poses
         .windows(2)
         .any(|pair| !is_permitted_along(space, pair[0].position(), pair[1].position()))
     {
         return Err(Collision);
     }
-    let least = sweep(space, &poses);
+    let least = sweep(space, poses);
     if least <= bulge && !poses.is_empty() {
         return Err(Collision);
     }
+    let least = if leaving > 0 {
+        least.min(sweep(space, &all[..leaving]))
+    } else {
+        least
+    };
     Ok((least < space.reach()).then_some(least))
 }
 

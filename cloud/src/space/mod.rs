@@ -7,6 +7,7 @@
 //! | [`configuration`] | which cells admit the robot, and how far is any point from an obstacle? |
 //! | [`cache`] | which space belongs to a map, a robot and a policy? |
 //! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
+//! | [`reach`] | which places can be got to at all? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
@@ -16,6 +17,7 @@ pub mod bits;
 pub mod cache;
 pub mod configuration;
 pub mod distance;
+pub mod reach;
 mod shapes;
 pub mod validity;
 

@@ -153,6 +153,10 @@ impl Workshop {
         let PlanOutcome::Found { path, .. } = planned.outcome else {
             return (search_us, None);
         };
+        // A robot on its way may leave a place that is too narrow by the map; nobody asks for a way from inside an obstacle.
+        if self.space.clearance(start.position()) <= self.model.footprint.inscribed_radius() {
+            return (search_us, None);
+        }
         let settings = SmoothSettings::default();
         // A query has no heading: the robot stands as its way begins, without the grid's own corners.
         let corners = shortcut(&self.space, &path, settings.rooms.comfort);

@@ -181,7 +181,11 @@ impl Validated {
                 .iter()
                 .map(|(id, nodes)| format!("{id} ({nodes} nodes)"))
                 .collect();
-            let trees = if trees.is_empty() { "no tree in it".to_owned() } else { trees.join(", ") };
+            let trees = if trees.is_empty() {
+                "no tree in it".to_owned()
+            } else {
+                trees.join(", ")
+            };
             return format!("{}: valid: {trees}", self.file);
         }
         let mut lines: Vec<String> = self

@@ -72,7 +72,16 @@ pub fn doctor(args: &DoctorArgs) -> Outcome {
 }
 
 async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure> {
-    let mut checks = vec![Check::ok("router", "link", "connected")];
+    let mut checks = vec![if bus.is_connected().await {
+        Check::ok("router", "link", "connected")
+    } else {
+        Check::warn(
+            "router",
+            "link",
+            "none: this is a robot's own endpoint",
+            "the cloud is reached through a router only",
+        )
+    }];
     if wanted.is_some() {
         connect::find(bus, wanted).await?;
     }

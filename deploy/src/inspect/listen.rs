@@ -35,22 +35,30 @@ pub(super) fn seconds(secs: f64) -> Duration {
     Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX)
 }
 
-/// Listens for a while, from what is kept for late joiners on.
+/// Listens for a while. What is kept for late joiners counts as one message, since it comes all at once: rates are of live messages.
 pub(super) async fn listen(
     bus: &Bus,
     pattern: &str,
     time: Duration,
 ) -> Result<BTreeMap<String, (Meter, String)>, Failure> {
-    let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let mut meters = BTreeMap::new();
+    let mut live = bus.raw_subscribe(pattern, BACKLOG)?;
+    let mut kept = bus.raw_subscribe_kept(pattern, BACKLOG)?;
+    let mut meters = BTreeMap::<String, (Meter, String)>::new();
     let start = Instant::now();
     let gather = async {
-        while let Some(sample) = samples.next().await {
-            let (meter, encoding) = meters
-                .entry(sample.key)
-                .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
-            meter.add(start.elapsed(), sample.bytes.len());
-            *encoding = sample.encoding;
+        loop {
+            let (sample, counts) = tokio::select! {
+                Some(sample) = live.next() => (sample, true),
+                Some(sample) = kept.next() => (sample, false),
+                else => return,
+            };
+            if counts || !meters.contains_key(&sample.key) {
+                let (meter, encoding) = meters
+                    .entry(sample.key)
+                    .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
+                meter.add(start.elapsed(), sample.bytes.len());
+                *encoding = sample.encoding;
+            }
         }
     };
     // The end of the time is how this ends.

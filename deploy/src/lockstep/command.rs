@@ -247,7 +247,7 @@ fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
                 GoalPhase::Rejected => RunOutcome::Rejected,
                 _ if reason
                     .as_ref()
-                    .is_some_and(|reason| reason.contains("no path") || reason.contains("NoPath")) =>
+                    .is_some_and(|reason| reason.contains("no path") || reason.contains("the goal is occupied")) =>
                 {
                     RunOutcome::NoPath
                 }

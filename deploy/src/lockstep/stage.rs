@@ -77,7 +77,7 @@ impl Stage {
         };
         let map = MapRef {
             id: "lockstep".to_owned(),
-            revision: 1,
+            revision: 0,
         };
         let mut mapper = match &config.known_map {
             Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),

@@ -296,12 +296,13 @@ impl Session {
             ""
         };
         let limit = self.hand.limit();
+        // What matters most comes first: a narrow terminal shows the beginning.
         format!(
-            "{}: {command} in command | {:?}{stopped} | v {:+.2} m/s w {:+.2} rad/s of {:.2}, {:.2} | guard {:?} | link {link} | battery {:.0} %  {}",
+            "{} | {command} | {:?}{stopped} | {} m/s {} rad/s (of {:.2} {:.2}) | guard {:?} | {link} | {:.0} % | {}",
             self.robot,
             state.mode,
-            state.velocity.v,
-            state.velocity.w,
+            signed(state.velocity.v),
+            signed(state.velocity.w),
             limit.v,
             limit.w,
             state.guard,
@@ -333,6 +334,12 @@ impl Session {
             Err(Failure::failed("it says that it is not stopped"))
         }
     }
+}
+
+/// With its sign, and without one for what rounds to zero.
+fn signed(value: f64) -> String {
+    let text = format!("{value:+.2}");
+    if text == "-0.00" { "+0.00".to_owned() } else { text }
 }
 
 /// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.

@@ -68,11 +68,15 @@ impl Clock {
 
     /// The simulated clock that others publish; stands at zero until the first message. In a Tokio runtime only.
     ///
+    /// When a simulation begins anew, this clock goes on from where it stood: no deadline of a service waits for a time that has
+    /// been before. Stamps of others are theirs; nobody compares clocks.
+    ///
     /// # Errors
     /// [`BusError`] when the topic cannot be subscribed to.
     pub fn follow(bus: &Bus) -> Result<Self, BusError> {
         let mut topic = bus.latest(&SIM_CLOCK, &[])?;
         let (clock, handle) = Self::simulated(Stamp::ZERO);
+        let mut ahead = Duration::ZERO;
         tokio::spawn(async move {
             loop {
                 tokio::select! {
@@ -81,7 +85,11 @@ impl Clock {
                     open = topic.changed() => if !open { return },
                 }
                 if let Some(message) = topic.take() {
-                    handle.set(message.stamp);
+                    let shown = *handle.0.borrow();
+                    if shown.since(message.stamp + ahead) > RESTART {
+                        ahead = shown.since(message.stamp);
+                    }
+                    handle.set(message.stamp + ahead);
                 }
             }
         });

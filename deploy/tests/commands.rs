@@ -1,0 +1,341 @@
+//! What do the commands answer, and with which exit code? The binary itself against small fake robots on a router of the test's own.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+mod fake;
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use fake::{Fake, router};
+use serde_json::Value;
+
+/// The exit code and what was printed.
+struct Answer {
+    code: i32,
+    out: String,
+    err: String,
+}
+
+impl Answer {
+    fn of(output: &Output) -> Self {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Self {
+            code: output.status.code().unwrap_or(-1),
+            out: text(&output.stdout),
+            err: text(&output.stderr),
+        }
+    }
+
+    #[track_caller]
+    fn expect(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "stdout: {}\nstderr: {}", self.out, self.err);
+        self
+    }
+
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.out).unwrap_or_else(|error| panic!("{error}: {}", self.out))
+    }
+}
+
+fn command(endpoint: &str, words: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_zenav"));
+    command
+        .args(words)
+        .args(["--connect", endpoint])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+async fn zenav(endpoint: &str, words: &[&str]) -> Answer {
+    let mut command = command(endpoint, words);
+    let output = tokio::task::spawn_blocking(move || command.output().unwrap());
+    Answer::of(
+        &tokio::time::timeout(Duration::from_secs(60), output)
+            .await
+            .expect("the command ends")
+            .unwrap(),
+    )
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_is_waited_for_and_its_end_is_the_exit_code() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let answer = zenav(&endpoint, &["goal", "submit", "-1.46", "-3.12", "--wait", "-o", "json"])
+        .await
+        .expect(0);
+    let end = answer.json();
+    assert_eq!(
+        (end["state"].as_str(), end["reason"].is_null()),
+        (Some("Succeeded"), true)
+    );
+    assert!(end["id"].as_str().unwrap().starts_with("goal-"));
+    assert_eq!(
+        zenav(
+            &endpoint,
+            &["goal", "submit", "--place", "blocked", "--wait", "-o", "json"]
+        )
+        .await
+        .expect(1)
+        .json()["reason"],
+        "blocked"
+    );
+    zenav(&endpoint, &["goal", "submit", "--place", "canceled", "--wait"])
+        .await
+        .expect(6);
+    let refused = zenav(&endpoint, &["goal", "submit", "99", "0", "-o", "json"])
+        .await
+        .expect(7)
+        .json();
+    assert_eq!(
+        (refused["state"].as_str(), refused["nearest_free"]["x"].as_f64()),
+        (Some("Rejected"), Some(2.0))
+    );
+    let known = zenav(&endpoint, &["goal", "list", "-o", "json"]).await.expect(0).json();
+    assert_eq!(known.as_array().unwrap().len(), 3);
+    zenav(&endpoint, &["goal", "watch", end["id"].as_str().unwrap()])
+        .await
+        .expect(0);
+    zenav(&endpoint, &["goal", "watch", "nope"]).await.expect(3);
+    zenav(&endpoint, &["goal", "cancel", "nope"]).await.expect(3);
+    zenav(&endpoint, &["goal", "submit", "NaN", "0"]).await.expect(2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_sent_twice_by_one_id_is_one_goal() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    for _ in 0..2 {
+        zenav(&endpoint, &["goal", "submit", "1", "2", "--id", "mine"])
+            .await
+            .expect(0);
+    }
+    assert_eq!(
+        zenav(&endpoint, &["goal", "list", "-o", "json"])
+            .await
+            .expect(0)
+            .json()
+            .as_array()
+            .unwrap()
+            .len(),
+        1
+    );
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_detaches_from_a_goal_and_does_not_cancel_it() {
+    use std::io::{BufRead as _, BufReader};
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let mut child: Child = command(
+        &endpoint,
+        &["goal", "submit", "--place", "forever", "--id", "long", "--wait"],
+    )
+    .spawn()
+    .unwrap();
+    // Told once the goal was accepted: from then on Ctrl-C means to detach.
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let output = tokio::task::spawn_blocking(move || {
+        assert!(lines.any(|line| line.unwrap().contains("Active")));
+        assert!(
+            Command::new("kill")
+                .args(["-INT", &child.id().to_string()])
+                .status()
+                .unwrap()
+                .success()
+        );
+        let detached = lines.any(|line| line.unwrap().contains("detached"));
+        (child.wait().unwrap().code(), detached)
+    });
+    assert_eq!(output.await.unwrap(), (Some(130), true));
+    assert_eq!(
+        zenav(&endpoint, &["goal", "list", "-o", "json"]).await.expect(0).json()[0]["state"],
+        "Active"
+    );
+    assert_eq!(
+        zenav(&endpoint, &["goal", "cancel", "-o", "json"])
+            .await
+            .expect(0)
+            .json()["id"],
+        "long"
+    );
+    zenav(&endpoint, &["goal", "watch", "long"]).await.expect(6);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_robot_meant_is_found_or_the_answer_names_those_that_there_are() {
+    let (router, endpoint) = router().await;
+    zenav(&endpoint, &["goal", "list"]).await.expect(3);
+    let _one = Fake::start(&endpoint, "r1").await;
+    zenav(&endpoint, &["stop"]).await.expect(0);
+    let _two = Fake::start(&endpoint, "r2").await;
+    let several = zenav(&endpoint, &["stop"]).await.expect(2);
+    assert!(several.err.contains("r1, r2"), "{}", several.err);
+    assert_eq!(
+        zenav(&endpoint, &["stop", "--all", "-o", "json"])
+            .await
+            .expect(0)
+            .json()
+            .as_array()
+            .unwrap()
+            .len(),
+        2
+    );
+    let unknown = zenav(&endpoint, &["goal", "submit", "1", "2", "--robot", "r9"])
+        .await
+        .expect(3);
+    assert!(
+        unknown.err.contains("r9") && unknown.err.contains("r1, r2"),
+        "{}",
+        unknown.err
+    );
+    zenav(&endpoint, &["stop", "--robot", "r9"]).await.expect(3);
+    zenav(&endpoint, &["stop", "--robot", "a/b"]).await.expect(2);
+    zenav("nonsense", &["stop"]).await.expect(2);
+    router.close().await;
+    let gone = zenav(&endpoint, &["goal", "list"]).await.expect(4);
+    assert!(gone.err.contains(&endpoint), "{}", gone.err);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_takes_the_lease_and_another_is_refused_meanwhile() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let mut first = command(&endpoint, &["lease", "acquire", "--holder", "me", "--for", "600"])
+        .spawn()
+        .unwrap();
+    let told = {
+        use std::io::{BufRead as _, BufReader};
+        let mut lines = BufReader::new(first.stdout.take().unwrap()).lines();
+        tokio::task::spawn_blocking(move || lines.next().unwrap().unwrap())
+            .await
+            .unwrap()
+    };
+    assert!(told.contains("me may command r1"), "{told}");
+    assert_eq!(
+        zenav(&endpoint, &["lease", "-o", "json"]).await.expect(0).json()["holder"],
+        "me"
+    );
+    zenav(&endpoint, &["lease", "acquire", "--holder", "other"])
+        .await
+        .expect(7);
+    zenav(&endpoint, &["lease", "release", "--holder", "other"])
+        .await
+        .expect(3);
+    first.kill().unwrap();
+    first.wait().unwrap();
+    zenav(&endpoint, &["lease", "release", "--holder", "me"])
+        .await
+        .expect(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn topics_are_printed_as_they_are_and_measured() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let echo = zenav(&endpoint, &["topic", "echo", "zenav/r1/edge/state", "--count", "2"])
+        .await
+        .expect(0);
+    assert_eq!(
+        echo.out
+            .lines()
+            .filter(|line| serde_json::from_str::<Value>(line).unwrap()["boot_id"] == "b")
+            .count(),
+        2
+    );
+    // Kept for late joiners, and CBOR shown as JSON.
+    let patch = zenav(
+        &endpoint,
+        &["topic", "echo", "map_patch", "--count", "1", "-o", "ndjson"],
+    )
+    .await
+    .expect(0)
+    .json();
+    assert_eq!(patch["payload"]["tiles"][0]["values"], serde_json::json!([-1, 0, 100]));
+    let hz = zenav(&endpoint, &["topic", "hz", "state", "--count", "20", "-o", "json"])
+        .await
+        .expect(0)
+        .json();
+    assert!(hz[0]["hz"].as_f64().unwrap() > 1.0, "{hz}");
+    zenav(&endpoint, &["topic", "hz", "heartbeat", "--for", "0.3"])
+        .await
+        .expect(5);
+    zenav(&endpoint, &["topic", "echo", "nothing"]).await.expect(3);
+    let list = zenav(&endpoint, &["topic", "list", "-o", "json"])
+        .await
+        .expect(0)
+        .json();
+    let keys: Vec<&str> = list
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| row["key"].as_str().unwrap())
+        .collect();
+    assert!(
+        keys.contains(&"zenav/r1/edge/state") && keys.contains(&"zenav/r1/cloud/map"),
+        "{keys:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_is_saved_as_map_server_files_and_drawn() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let folder = tempfile::tempdir().unwrap();
+    let name = folder.path().join("sub/kitchen");
+    let saved = zenav(&endpoint, &["map", "save", name.to_str().unwrap(), "-o", "json"])
+        .await
+        .expect(0)
+        .json();
+    assert_eq!(
+        (saved["width"].as_u64(), saved["occupied"].as_u64()),
+        (Some(10), Some(10))
+    );
+    assert!(Path::new(saved["file"].as_str().unwrap()).is_file() && name.with_extension("pgm").is_file());
+    let drawn = zenav(
+        &endpoint,
+        &["map", "show", name.with_extension("yaml").to_str().unwrap()],
+    )
+    .await
+    .expect(0);
+    assert!(drawn.out.starts_with("▀▀▀▀▀▀▀▀▀▀\n"), "{}", drawn.out);
+    assert!(
+        zenav(&endpoint, &["map", "show"])
+            .await
+            .expect(0)
+            .out
+            .contains("robot at (0.25, 0.12)")
+    );
+    zenav(&endpoint, &["map", "show", "no/such.yaml"]).await.expect(3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_doctor_finds_what_is_missing() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let report = zenav(&endpoint, &["doctor", "-o", "json"]).await.expect(1).json();
+    let verdict = |about: &str, check: &str| {
+        let checks = report["checks"].as_array().unwrap();
+        let found = checks
+            .iter()
+            .find(|found| found["about"] == about && found["check"] == check);
+        found.unwrap_or_else(|| panic!("no {about} {check}: {report}"))["verdict"]
+            .as_str()
+            .unwrap()
+            .to_owned()
+    };
+    assert_eq!(
+        (verdict("router", "link"), verdict("r1", "edge"), verdict("r1", "state")),
+        ("ok".into(), "ok".into(), "ok".into())
+    );
+    assert_eq!(
+        (verdict("r1", "mapping"), verdict("svc", "plan"), verdict("r1", "scan")),
+        ("fail".into(), "fail".into(), "fail".into())
+    );
+    zenav(&endpoint, &["doctor", "--robot", "r9"]).await.expect(3);
+}
