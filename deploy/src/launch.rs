@@ -470,6 +470,7 @@ fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Resul
 /// # Errors
 /// A taken port or a bad endpoint.
 pub fn router(args: &RouterArgs) -> Outcome {
+    crate::receivers::ensure_enough();
     let config = RouterConfig {
         listen: args.listen.clone(),
         connect: args.connect.clone(),

@@ -6,7 +6,7 @@
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | how the parts start and end, in one process or in many |
 //! | `router` | the router |
-//! | `receivers` | how many threads receive, where router and parts share a process |
+//! | `receivers` | how many threads receive, in a process with a router |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |

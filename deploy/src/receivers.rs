@@ -1,10 +1,10 @@
-//! How many of Zenoh's threads receive, where the router and the parts share one process?
+//! How many of Zenoh's threads receive, in a process with a router?
 //!
 //! All sessions of a process share Zenoh's receiving threads, two by default. A router's receiving thread waits while the next hop
-//! has not taken a large message, and so does every other one that has something for the same hop: with both waiting, the hop
-//! itself, in the same process, is never read, until Zenoh cuts its link five seconds later. There must be more threads than links
-//! of the router. Zenoh takes their number from the environment alone, and a process may not safely change its own: it starts
-//! itself anew, as the same process, with the variable set.
+//! has not taken a large message, and so does every other one that has something for the same hop. With both waiting the router
+//! serves nobody; and if the hop is a session of the same process it is never read, until Zenoh cuts its link five seconds later.
+//! There must be more threads than links of the router. Zenoh takes their number from the environment alone, and a process may not
+//! safely change its own: it starts itself anew, as the same process, with the variable set.
 
 use std::ffi::OsStr;
 

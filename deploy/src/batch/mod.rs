@@ -77,14 +77,21 @@ impl Results {
     }
 
     fn line(&mut self, text: std::fmt::Arguments<'_>) -> Result<(), Failure> {
-        self.out
-            .write_fmt(text)
-            .and_then(|()| self.out.write_all(b"\n"))
-            .map_err(|error| at(&self.path, &error))
+        let written = self.out.write_fmt(text).and_then(|()| self.out.write_all(b"\n"));
+        self.written(written)
     }
 
     fn finish(mut self) -> Result<(), Failure> {
-        self.out.flush().map_err(|error| at(&self.path, &error))
+        let flushed = self.out.flush();
+        self.written(flushed)
+    }
+
+    fn written(&self, result: std::io::Result<()>) -> Result<(), Failure> {
+        match result {
+            // Whoever reads stdout has seen enough (`zenav plan … | head`).
+            Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
+            result => result.map_err(|error| at(&self.path, &error)),
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use zenav_protocol::messages::exit_code;
 
 use super::queries::{self, Query, from_top};
 use super::watchdog::Watchdog;
-use super::{Results, at, folder, median, planner, progress, read_map};
+use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -172,7 +172,6 @@ fn write_path(path: &Path, spec: &GridSpec, way: Option<&GridPath>) -> Result<()
         file.line(format_args!("{x} {y}"))?;
     }
     file.finish()
-        .map_err(|failure| at(path, &std::io::Error::other(failure.to_string())))
 }
 
 /// The corners of a way and the cells between those that lie straight or diagonal to each other.
