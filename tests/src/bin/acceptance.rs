@@ -1,6 +1,6 @@
 //! The long runs that the test suite leaves out: many seeds of a scenario, each as a process of its own.
 //!
-//! `cargo run --release -p zenav-tests --bin acceptance -- kitchen 20 --speed 4`
+//! `cargo build --release -p zenav-tests --bins && target/release/acceptance kitchen 20 --speed 4`
 
 #![expect(clippy::print_stdout, reason = "a command that prints its findings")]
 
