@@ -436,7 +436,7 @@ impl Watch {
         let feedback = goal.map(|goal| goal.feedback).unwrap_or_default();
         let mut notes = Vec::new();
         if args.speed >= FAST {
-            notes.push("at speed 4 and above a wall-clock delay counts as so many times more simulated time: latencies below the plan's lead show as replans".to_owned());
+            notes.push("at speed 4 and above a delay on the wall clock counts as so many times more simulated time: a plan that comes later than its lead is refused and made anew".to_owned());
         }
         DemoReport {
             scenario: args.scenario.name().to_owned(),
