@@ -116,6 +116,15 @@ impl GridSpec {
         )
     }
 
+    /// A point in cells, in the grid's frame: undoes [`to_cells`](Self::to_cells).
+    #[must_use]
+    pub fn from_cells(&self, point: Point2<f64>) -> Point2<f64> {
+        Point2::new(
+            self.origin.x + point.x * self.resolution,
+            self.origin.y + point.y * self.resolution,
+        )
+    }
+
     /// The cell that holds a point; `None` outside the grid or for a non-finite point.
     #[must_use]
     pub fn cell_at(&self, point: Point2<f64>) -> Option<Cell> {

@@ -18,7 +18,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_cloud::behaviour_tree::samples::reactive_tree;
 use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
-use zenav_cloud::planning::{Budget, PlanOptions, PlanWorker, Planner, Searcher, plan};
+use zenav_cloud::planning::{Budget, PlanOptions, PlanWorker, Planner, Query, Searcher, plan};
 use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, SmoothWorker, smooth};
 use zenav_cloud::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
@@ -169,13 +169,19 @@ fn search(criterion: &mut Criterion) {
         cell == start || cell == goal || random.random::<f64>() > 0.1
     });
     let mut searcher = Searcher::new(&free).unwrap();
+    let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
+    let query = Query {
+        start: center(start),
+        goal: center(goal),
+        seed: 1,
+    };
     let mut group = criterion.benchmark_group("1000 x 1000 cells, corner to corner");
     group.sample_size(20);
     for planner in [Planner::AStar, Planner::Jps] {
         group.bench_function(planner.name(), |bencher| {
             bencher.iter(|| {
                 searcher
-                    .search(planner, start, goal, Budget::UNLIMITED)
+                    .search(planner, &free, &query, Budget::UNLIMITED)
                     .result
                     .expect("a way")
             });

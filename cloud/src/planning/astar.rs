@@ -11,6 +11,7 @@ use zenav_protocol::grid::Cell;
 
 use super::budget::Budget;
 use super::lattice::{DIAGONAL, GridPath, Lattice, STEPS, UNREACHED, octile};
+use super::searcher::Searched;
 
 /// Costs beyond the way's length.
 pub trait CellCost {
@@ -29,15 +30,6 @@ impl CellCost for Uniform {
     fn extra(&self, _cell: Cell) -> u8 {
         0
     }
-}
-
-/// What a search over the lattice found, and what it took.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Searched {
-    /// The way, or why there is none.
-    pub result: Result<GridPath, NotFound>,
-    /// Nodes expanded.
-    pub expansions: u64,
 }
 
 /// Why a search ended without a way.
@@ -105,7 +97,7 @@ pub fn search(
     goal: Cell,
     memory: &mut Memory,
     budget: Budget<'_>,
-) -> Searched {
+) -> Searched<GridPath> {
     let mut expansions = 0;
     let result = expand(lattice, costs, start, goal, memory, budget, &mut expansions);
     Searched { result, expansions }

@@ -13,9 +13,10 @@ use std::collections::BinaryHeap;
 
 use zenav_protocol::grid::Cell;
 
-use super::astar::{Memory, NotFound, Searched, ends};
+use super::astar::{Memory, NotFound, ends};
 use super::budget::Budget;
 use super::lattice::{GridPath, Lattice, UNREACHED, octile};
+use super::searcher::Searched;
 
 /// Free cells along columns, and memory for searches.
 #[derive(Clone, Debug)]
@@ -132,7 +133,7 @@ pub fn search(
     goal: Cell,
     memory: &mut Memory,
     budget: Budget<'_>,
-) -> Searched {
+) -> Searched<GridPath> {
     let (start_node, goal_node) = match ends(lattice, start, goal) {
         Ok(nodes) => nodes,
         Err(reason) => {

@@ -6,7 +6,10 @@
 //! | [`budget`] | how long may a search take? |
 //! | [`astar`] | what is the cheapest way over the lattice? |
 //! | [`jps`] | the shortest way, where every cell costs the same? |
-//! | [`planner`] | is there a way for this robot? which searches are there (and where to add one) |
+//! | [`planner`] | which planners are there (and where to add one)? |
+//! | [`searcher`] | which search runs, and on what memory? |
+//! | [`way`] | what does a search give? |
+//! | [`mod@plan`] | is there a way for this robot? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 
@@ -14,11 +17,17 @@ pub mod astar;
 pub mod budget;
 pub mod jps;
 pub mod lattice;
+pub mod plan;
 pub mod planner;
+pub mod searcher;
 pub mod service;
+pub mod way;
 pub mod worker;
 
 pub use budget::Budget;
 pub use lattice::GridPath;
-pub use planner::{PlanOptions, Planned, Planner, Searcher, plan};
+pub use plan::{Planned, plan};
+pub use planner::{PlanOptions, Planner};
+pub use searcher::{Query, Searched, Searcher};
+pub use way::Way;
 pub use worker::PlanWorker;

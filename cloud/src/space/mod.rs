@@ -8,6 +8,7 @@
 //! | [`cache`] | which space belongs to a map, a robot and a policy? |
 //! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
 //! | [`reach`] | which places can be got to at all? |
+//! | [`sight`] | can one go straight from here to there? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
@@ -19,9 +20,11 @@ pub mod configuration;
 pub mod distance;
 pub mod reach;
 mod shapes;
+pub mod sight;
 pub mod validity;
 
 pub use bits::BitGrid;
 pub use cache::SpaceCache;
 pub use configuration::{ConfigurationSpace, GridChanged, UnknownPolicy};
 pub use distance::DistanceField;
+pub use sight::Sight;

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use zenav_cloud::planning::{Budget, GridPath, Planner, Searcher};
+use nalgebra::Point2;
+use zenav_cloud::planning::{Budget, Planner, Query as Question, Searched, Searcher, Way};
 use zenav_cloud::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 
-use super::queries::{self, Query, from_top};
+use super::queries::{self, Query};
 use super::watchdog::Watchdog;
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
@@ -64,11 +65,11 @@ pub struct PlanArgs {
 pub fn plan(args: &PlanArgs) -> Outcome {
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
-    let free = free_cells(&grid, args.robot.as_deref(), args.unknown_is_free)?;
+    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free)?;
     let spec = *grid.spec();
     drop(grid);
     let mut searcher =
-        Searcher::new(&free).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+        Searcher::new(ground.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
     let watchdog = args
         .time_limit_ms
         .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
@@ -78,8 +79,8 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     let mut tally = Tally::default();
     let bar = progress(queries.len());
     for (number, query) in queries.iter().enumerate() {
-        let answer = answer(&mut searcher, args.planner, &spec, query, watchdog.as_ref());
-        let (length, found) = answer.way.as_ref().map_or((-1.0, 0), |way| (way.length(), 1));
+        let answer = answer(&mut searcher, &ground, args, &spec, query, watchdog.as_ref());
+        let (length, found) = answer.way.as_ref().map_or((-1.0, 0), |way| (way.length, 1));
         results.line(format_args!(
             "{:.3} {length} {found} {}",
             answer.micros, answer.expansions
@@ -96,41 +97,68 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// The cells that a point, or a robot's centre, may be in.
-fn free_cells(grid: &OccupancyGrid, robot: Option<&str>, unknown_is_free: bool) -> Result<BitGrid, Failure> {
-    if let Some(robot) = robot {
-        let model = files::robot(robot)?;
-        let policy = if unknown_is_free {
-            UnknownPolicy::Free
-        } else {
-            UnknownPolicy::default()
-        };
-        return Ok(ConfigurationSpace::new(grid, &model.footprint, policy, 0.0)
-            .free()
-            .clone());
-    }
-    let spec = grid.spec();
-    Ok(BitGrid::from_fn(spec.width, spec.height, |cell| {
-        match Occupancy::of(grid[cell]) {
-            Occupancy::Free => true,
-            Occupancy::Unknown => unknown_is_free,
-            Occupancy::Occupied => false,
+/// Where a point, or a robot, may be.
+enum Ground {
+    Point(BitGrid),
+    Robot(Box<ConfigurationSpace>),
+}
+
+impl Ground {
+    fn of(grid: &OccupancyGrid, robot: Option<&str>, unknown_is_free: bool) -> Result<Self, Failure> {
+        if let Some(robot) = robot {
+            let model = files::robot(robot)?;
+            let policy = if unknown_is_free {
+                UnknownPolicy::Free
+            } else {
+                UnknownPolicy::default()
+            };
+            return Ok(Self::Robot(Box::new(ConfigurationSpace::new(
+                grid,
+                &model.footprint,
+                policy,
+                0.0,
+            ))));
         }
-    }))
+        let spec = grid.spec();
+        Ok(Self::Point(BitGrid::from_fn(
+            spec.width,
+            spec.height,
+            |cell| match Occupancy::of(grid[cell]) {
+                Occupancy::Free => true,
+                Occupancy::Unknown => unknown_is_free,
+                Occupancy::Occupied => false,
+            },
+        )))
+    }
+
+    fn free(&self) -> &BitGrid {
+        match self {
+            Self::Point(free) => free,
+            Self::Robot(space) => space.free(),
+        }
+    }
+
+    fn search(&self, searcher: &mut Searcher, planner: Planner, question: &Question, budget: Budget<'_>) -> Searched {
+        match self {
+            Self::Point(free) => searcher.search(planner, free, question, budget),
+            Self::Robot(space) => searcher.search(planner, &**space, question, budget),
+        }
+    }
 }
 
 /// What one query gave.
 struct Answer {
     /// Time around the search alone, µs.
     micros: f64,
-    way: Option<GridPath>,
+    way: Option<Way>,
     expansions: u64,
     outside: bool,
 }
 
 fn answer(
     searcher: &mut Searcher,
-    planner: Planner,
+    ground: &Ground,
+    args: &PlanArgs,
     spec: &GridSpec,
     query: &Query,
     watchdog: Option<&Watchdog>,
@@ -150,8 +178,14 @@ fn answer(
     if let Some(watchdog) = watchdog {
         watchdog.arm();
     }
+    let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
+    let question = Question {
+        start: center(start),
+        goal: center(goal),
+        seed: args.seed,
+    };
     let begin = Instant::now();
-    let searched = searcher.search(planner, start, goal, budget);
+    let searched = ground.search(searcher, args.planner, &question, budget);
     let took = begin.elapsed();
     if let Some(watchdog) = watchdog {
         watchdog.disarm();
@@ -164,30 +198,30 @@ fn answer(
     }
 }
 
-/// Every cell of a way, rows from the top; no line for a way that was not found.
-fn write_path(path: &Path, spec: &GridSpec, way: Option<&GridPath>) -> Result<(), Failure> {
+/// The way in the map file's cells, rows from the top, whole numbers at centres: every cell that a straight or diagonal leg passes,
+/// the ends of any other leg. No line for a way that was not found.
+fn write_path(path: &Path, spec: &GridSpec, way: Option<&Way>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
-    for cell in way.map(cells).unwrap_or_default() {
-        let [x, y] = from_top(spec, cell);
+    for point in way.map(points).unwrap_or_default() {
+        let [x, y] = [point.x - 0.5, f64::from(spec.height) - 0.5 - point.y];
         file.line(format_args!("{x} {y}"))?;
     }
     file.finish()
 }
 
-/// The corners of a way and the cells between those that lie straight or diagonal to each other.
-fn cells(way: &GridPath) -> Vec<Cell> {
-    let mut cells: Vec<Cell> = way.corners.iter().take(1).copied().collect();
-    for (from, to) in way.corners.iter().zip(way.corners.iter().skip(1)) {
-        let (dx, dy) = (i64::from(to.x) - i64::from(from.x), i64::from(to.y) - i64::from(from.y));
-        if dx == 0 || dy == 0 || dx.abs() == dy.abs() {
-            let steps = dx.abs().max(dy.abs());
-            let at = |start: u32, step: i64, i: i64| (i64::from(start) + step.signum() * i) as u32;
-            cells.extend((1..=steps).map(|i| Cell::new(at(from.x, dx, i), at(from.y, dy, i))));
+fn points(way: &Way) -> Vec<Point2<f64>> {
+    let mut points: Vec<Point2<f64>> = way.corners.iter().take(1).copied().collect();
+    for leg in way.corners.windows(2) {
+        let step = leg[1] - leg[0];
+        let steps = step.x.abs().max(step.y.abs());
+        let along_grid = step.x == 0.0 || step.y == 0.0 || step.x.abs() == step.y.abs();
+        if along_grid && steps.fract() == 0.0 {
+            points.extend((1..=steps as u64).map(|i| leg[0] + step * (i as f64 / steps)));
         } else {
-            cells.push(*to);
+            points.push(leg[1]);
         }
     }
-    cells
+    points
 }
 
 /// What all queries gave.
@@ -210,7 +244,7 @@ impl Tally {
             self.times.push(answer.micros);
             if let Some(optimum) = query.optimum {
                 self.known += 1;
-                self.optimal += usize::from((way.length() - optimum).abs() <= SAME * optimum.max(1.0));
+                self.optimal += usize::from((way.length - optimum).abs() <= SAME * optimum.max(1.0));
             }
         }
     }

@@ -28,11 +28,6 @@ impl Query {
     }
 }
 
-/// A cell's column and row counted from the top left, as the map file is written.
-pub(super) fn from_top(spec: &GridSpec, cell: Cell) -> [u32; 2] {
-    [cell.x, spec.height.saturating_sub(1).saturating_sub(cell.y)]
-}
-
 /// Reads queries; a file that ends in `.scen` is a Moving AI scenario.
 ///
 /// # Errors
@@ -126,7 +121,6 @@ mod tests {
     fn rows_count_from_the_top() {
         let query = &parse("0 0 3 2").unwrap()[0];
         assert_eq!(query.cells(&SPEC), Some((Cell::new(0, 2), Cell::new(3, 0))));
-        assert_eq!(from_top(&SPEC, Cell::new(0, 2)), [0, 0]);
         assert_eq!(parse("-1 0 0 0").unwrap()[0].cells(&SPEC), None, "outside the map");
         assert_eq!(parse("0 0 4 0").unwrap()[0].cells(&SPEC), None);
     }
