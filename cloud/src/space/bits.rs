@@ -166,6 +166,25 @@ impl BitGrid {
     }
 }
 
+/// For which of 64 values something is true, the first one in the lowest bit.
+#[inline]
+#[allow(
+    clippy::needless_range_loop,
+    reason = "a loop over zipped arrays does not become vector instructions everywhere"
+)]
+pub(super) fn pack<T: Copy>(values: &[T; 64], is: impl Fn(T) -> bool) -> u64 {
+    let mut flags = [0_u8; 64];
+    for i in 0..64 {
+        flags[i] = u8::from(is(values[i]));
+    }
+    let mut word = 0;
+    for (byte, flags) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // Each flag is the lowest bit of its byte; the product brings all of them side by side into the highest byte.
+        word |= (u64::from_le_bytes(*flags).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * byte);
+    }
+    word
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -182,6 +201,13 @@ mod tests {
             prop_assert_eq!(bits.previous_set(0, from, to), inside.last().copied());
             prop_assert_eq!(bits.set_in_row(0, from, to).collect::<Vec<_>>(), inside);
             prop_assert_eq!(bits.count(), set.len() as u64);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn flags_are_packed_in_order(word in any::<u64>()) {
+            prop_assert_eq!(pack(&std::array::from_fn(|bit| word >> bit & 1), |bit: u64| bit == 1), word);
         }
     }
 
