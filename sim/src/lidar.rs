@@ -11,12 +11,14 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{Point2, Vector2};
+use rand::RngExt as _;
 use rand_distr::{Distribution, StandardNormal};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::LidarModel;
 
 use crate::crowd::Crowd;
 use crate::scene::Scene;
+use crate::sensors::stepped;
 use crate::shape::{Disc, Edge, cross};
 
 /// Largest error of [`turn`], rad (Abramowitz and Stegun 4.4.49 promises 1e-5).
@@ -182,12 +184,13 @@ impl AngularBuffer {
     }
 }
 
-/// What the lidar reports of true ranges: noise added, rounded to millimetres; outside its limits there is no return.
+/// What the lidar reports of true ranges: bias and noise added, rounded to its steps; outside its limits there is no return, and none
+/// of beams that are lost.
 pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut impl rand::Rng, ranges: &mut Vec<f32>) {
     ranges.clear();
     ranges.extend(truth.map(|range| {
         // Far beyond the limit no noise brings it back.
-        if range > model.range_max + 8.0 * model.noise {
+        if range > model.range_max + 8.0 * model.noise + model.bias.abs() {
             return f32::INFINITY;
         }
         let noise: f64 = if model.noise > 0.0 {
@@ -195,7 +198,10 @@ pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut i
         } else {
             0.0
         };
-        let range = (((range + noise * model.noise) * 1000.0).round() / 1000.0) as f32;
+        if model.dropout > 0.0 && rng.random::<f64>() < model.dropout {
+            return f32::INFINITY;
+        }
+        let range = stepped(range + model.bias + noise * model.noise, model.resolution) as f32;
         if (model.range_min..=model.range_max).contains(&f64::from(range)) {
             range
         } else {
@@ -242,6 +248,10 @@ mod tests {
             beams,
             field_of_view,
             noise: 0.0,
+            bias: 0.0,
+            dropout: 0.0,
+            resolution: 0.001,
+            latency: 0.0,
         }
     }
 
