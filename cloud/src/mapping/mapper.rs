@@ -216,7 +216,7 @@ impl Mapper {
     pub fn reply(&self) -> MapReply {
         MapReply {
             info: self.info(),
-            values: self.grid.values(),
+            values: self.grid.to_occupancy().into_values(),
             trajectory: self.trajectory.clone(),
         }
     }

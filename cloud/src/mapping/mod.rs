@@ -5,7 +5,8 @@
 //! | [`beams`] | which beams of a scan tell something, and what? |
 //! | [`evidence`] | what does one look at a cell say? |
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
-//! | `tiles`, `window` | how does it grow, and which cells did one scan look at? |
+//! | `tiles`, `tile` | how does it grow, and what is known of a square of cells? |
+//! | `window` | which cells did one scan look at? |
 //! | [`mapper`] | how do a robot's scans become its map? |
 //! | [`mirror`] | how does another machine keep a copy? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
@@ -29,6 +30,7 @@ pub mod moving_ai;
 pub mod occupancy;
 pub mod service;
 pub mod store;
+mod tile;
 mod tiles;
 mod window;
 

@@ -1,0 +1,130 @@
+//! What is known of one square of cells? Log-odds, a byte a cell, and which cells have nothing more to learn.
+//!
+//! Most looks tell what has been known for long: a cell that is as free as cells get is seen to be free once more. A bit for
+//! each such cell spares its byte: a scan's whole footprint is compared 64 cells at a time, and only bytes that change are touched.
+
+use super::evidence::{Evidence, UNSEEN};
+use super::tiles::TILE_SIDE;
+
+/// Rows of bits, a word a row, the lowest row first and the lowest bit left.
+pub(super) type Bits = [u64; TILE_SIDE];
+
+/// From so many changing cells of a row on, all 64 are computed at once.
+const MANY: u32 = 6;
+
+/// Eight bits as eight bytes, 255 for a set bit.
+const BYTES_OF_BITS: [[u8; 8]; 256] = {
+    let mut table = [[0; 8]; 256];
+    let mut at = 0;
+    while at < 256 * 8 {
+        if (at / 8) >> (at % 8) & 1 == 1 {
+            table[at / 8][at % 8] = 255;
+        }
+        at += 1;
+    }
+    table
+};
+
+/// A square of `TILE_SIDE` by `TILE_SIDE` cells.
+#[derive(Clone, Debug)]
+pub(super) struct EvidenceTile {
+    /// Bytes of [`Evidence`], row by row from the lowest.
+    cells: [[u8; TILE_SIDE]; TILE_SIDE],
+    /// Cells that another miss leaves as they are.
+    freest: Bits,
+    /// Cells that another hit leaves as they are.
+    fullest: Bits,
+}
+
+impl EvidenceTile {
+    /// Nobody has seen any of it.
+    pub(super) const UNSEEN: Self = Self {
+        cells: [[UNSEEN; TILE_SIDE]; TILE_SIDE],
+        freest: [0; TILE_SIDE],
+        fullest: [0; TILE_SIDE],
+    };
+
+    /// Bytes, row by row from the lowest.
+    pub(super) fn rows(&self) -> &[[u8; TILE_SIDE]; TILE_SIDE] {
+        &self.cells
+    }
+
+    /// Writes a cell.
+    pub(super) fn set(&mut self, x: usize, y: usize, byte: u8, evidence: &Evidence) {
+        let (row, bit) = (y % TILE_SIDE, 1 << (x % TILE_SIDE));
+        self.cells[row][x % TILE_SIDE] = byte;
+        mark(&mut self.freest[row], bit, byte == evidence.least);
+        mark(&mut self.fullest[row], bit, byte == evidence.most);
+    }
+
+    /// Takes notice of one scan: a hit in every cell of `hits`, a miss in every other cell of `seen`. Says whether anything changed.
+    pub(super) fn look(&mut self, seen: &Bits, hits: &Bits, evidence: &Evidence) -> bool {
+        let mut news = [(0, 0); TILE_SIDE];
+        let mut changed = 0;
+        for (row, news) in news.iter_mut().enumerate() {
+            *news = (
+                seen[row] & !hits[row] & !self.freest[row],
+                hits[row] & !self.fullest[row],
+            );
+            changed |= news.0 | news.1;
+        }
+        if changed == 0 {
+            return false;
+        }
+        for (row, (missed, hit)) in news.into_iter().enumerate() {
+            if missed | hit != 0 {
+                self.miss(row, missed, evidence);
+                self.hit(row, hit, evidence);
+            }
+        }
+        true
+    }
+
+    fn miss(&mut self, row: usize, mut missed: u64, evidence: &Evidence) {
+        let cells = &mut self.cells[row];
+        self.fullest[row] &= !missed;
+        if missed.count_ones() < MANY {
+            while missed != 0 {
+                let (x, bit) = (missed.trailing_zeros() as usize, missed & missed.wrapping_neg());
+                cells[x] = evidence.after_miss(cells[x]);
+                mark(&mut self.freest[row], bit, cells[x] == evidence.least);
+                missed ^= bit;
+            }
+        } else {
+            let mut mask = [0; TILE_SIDE];
+            for (mask, bits) in mask.as_chunks_mut::<8>().0.iter_mut().zip(missed.to_le_bytes()) {
+                *mask = BYTES_OF_BITS[usize::from(bits)];
+            }
+            for (cell, mask) in cells.iter_mut().zip(&mask) {
+                *cell ^= (evidence.after_miss(*cell) ^ *cell) & mask;
+            }
+            self.freest[row] = equal(cells, evidence.least);
+        }
+    }
+
+    fn hit(&mut self, row: usize, mut hit: u64, evidence: &Evidence) {
+        let cells = &mut self.cells[row];
+        self.freest[row] &= !hit;
+        while hit != 0 {
+            let (x, bit) = (hit.trailing_zeros() as usize, hit & hit.wrapping_neg());
+            cells[x] = evidence.after_hit(cells[x]);
+            mark(&mut self.fullest[row], bit, cells[x] == evidence.most);
+            hit ^= bit;
+        }
+    }
+}
+
+fn mark(bits: &mut u64, bit: u64, set: bool) {
+    *bits = *bits & !bit | if set { bit } else { 0 };
+}
+
+/// A bit for every byte that has this value.
+fn equal(bytes: &[u8; TILE_SIDE], value: u8) -> u64 {
+    let mut bits = 0;
+    for (at, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
+        let differ = u64::from_le_bytes(eight.map(|byte| u8::from(byte != value)));
+        // The product brings the lowest bits of all eight bytes into the highest byte.
+        bits |= (differ.wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
+    }
+    !bits
+}
