@@ -132,14 +132,13 @@ impl Mapper {
         if self.scans > 0 && scan.stamp <= self.stamp && self.stamp.secs_since(scan.stamp) < ANOTHER_CLOCK {
             return Insertion::OutOfOrder;
         }
-        if self.grid.insert(
+        let drawn = self.grid.insert(
             scan,
             &self.config.beams,
             self.config.mode,
             self.config.footprint.as_ref(),
-        ) == 0
-            && !self.grid.is_dirty()
-        {
+        );
+        if drawn.is_none() {
             return Insertion::OutOfMap;
         }
         self.stamp = scan.stamp;

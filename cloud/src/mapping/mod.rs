@@ -39,6 +39,6 @@ pub use evidence::SensorModel;
 pub use follower::MapFollower;
 pub use mapper::{Insertion, Mapper, MapperConfig};
 pub use mirror::{MapMirror, Mirrored};
-pub use occupancy::{CellCounts, InsertMode, LogOddsGrid};
+pub use occupancy::{CellCounts, Drawn, InsertMode, LogOddsGrid};
 pub use service::MappingConfig;
 pub use tiles::MAX_CELLS;

@@ -25,7 +25,7 @@ pub enum InsertMode {
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as long as every cell there is met by a beam, and only what lies
-    /// beyond is drawn beam by beam.
+    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::carmen::agreement) tells how many.
     Fast,
 }
 
@@ -54,6 +54,15 @@ impl CellCounts {
         }
         counts
     }
+}
+
+/// What became of a scan's beams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drawn {
+    /// Beams in the map.
+    pub beams: usize,
+    /// Beams that would have made the map too large.
+    pub left_out: usize,
 }
 
 /// Log-odds of every cell seen so far.
@@ -123,14 +132,14 @@ impl LogOddsGrid {
     }
 
     /// Inserts a sane scan, and clears the cells under the robot's own footprint, where one is given. Beams that end
-    /// beyond the largest map are left out. Returns how many beams were drawn.
+    /// beyond the largest map are left out. `None`, and nothing changed, for a scan that was taken beyond it.
     pub fn insert(
         &mut self,
         scan: &Scan,
         options: &BeamOptions,
         mode: InsertMode,
         footprint: Option<&Footprint>,
-    ) -> usize {
+    ) -> Option<Drawn> {
         let mut beams = std::mem::take(&mut self.beams);
         beams.clear();
         self.reader.read(scan, options, &self.map.frame, &mut beams);
@@ -152,7 +161,7 @@ impl LogOddsGrid {
         beams: &mut Vec<Beam>,
         dense: Option<f64>,
         body: Option<(&Footprint, Pose2)>,
-    ) -> usize {
+    ) -> Option<Drawn> {
         let mut bounds = Bounds::at(laser);
         let body_bounds = body.map(|(footprint, base)| {
             let radius = footprint.circumscribed_radius();
@@ -163,8 +172,9 @@ impl LogOddsGrid {
             bounds.add(*corner);
         }
         if !self.map.cover(&bounds) {
-            return 0;
+            return None;
         }
+        let read = beams.len();
         let mut all = bounds;
         for beam in beams.iter() {
             all.add(beam.end);
@@ -196,7 +206,10 @@ impl LogOddsGrid {
                 map.dirty[index] |= tile.look(seen, hits, evidence);
             }
         });
-        beams.len()
+        Some(Drawn {
+            beams: beams.len(),
+            left_out: read - beams.len(),
+        })
     }
 
     /// Marks the cells between two corners whose centre the robot itself covers as empty.
@@ -277,7 +290,11 @@ impl LogOddsGrid {
         let mut histogram = [0_u64; 256];
         for tile in &self.map.tiles {
             match tile {
-                Some(tile) => tile.rows().iter().flatten().for_each(|byte| histogram[usize::from(*byte)] += 1),
+                Some(tile) => tile
+                    .rows()
+                    .iter()
+                    .flatten()
+                    .for_each(|byte| histogram[usize::from(*byte)] += 1),
                 None => histogram[usize::from(UNSEEN)] += (TILE_SIDE * TILE_SIDE) as u64,
             }
         }
@@ -458,9 +475,10 @@ mod tests {
         let mut map = empty();
         let mut far = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0, 1e9]);
         far.range_max = 1e10;
-        assert_eq!(map.insert(&far, &OPTIONS, InsertMode::Reference, None), 1);
+        let drawn = Drawn { beams: 1, left_out: 1 };
+        assert_eq!(map.insert(&far, &OPTIONS, InsertMode::Reference, None), Some(drawn));
         let nowhere = scan(Pose2::new(1e12, 0.0, 0.0), 0.1, vec![1.0]);
-        assert_eq!(map.insert(&nowhere, &OPTIONS, InsertMode::Reference, None), 0);
+        assert_eq!(map.insert(&nowhere, &OPTIONS, InsertMode::Reference, None), None);
         assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
     }
 

@@ -9,8 +9,11 @@ use super::tiles::TILE_SIDE;
 /// Rows of bits, a word a row, the lowest row first and the lowest bit left.
 pub(super) type Bits = [u64; TILE_SIDE];
 
-/// From so many changing cells of a row on, all 64 are computed at once.
-const MANY: u32 = 6;
+/// Rows that are looked through together for news.
+const ROWS_AT_ONCE: usize = 8;
+
+/// So many cells of a row are changed one by one; when there are more, all others are computed at once.
+const FEW: usize = 4;
 
 /// Eight bits as eight bytes, 255 for a set bit.
 const BYTES_OF_BITS: [[u8; 8]; 256] = {
@@ -59,47 +62,58 @@ impl EvidenceTile {
 
     /// Takes notice of one scan: a hit in every cell of `hits`, a miss in every other cell of `seen`. Says whether anything changed.
     pub(super) fn look(&mut self, seen: &Bits, hits: &Bits, evidence: &Evidence) -> bool {
-        let mut news = [(0, 0); TILE_SIDE];
-        let mut changed = 0;
-        for (row, news) in news.iter_mut().enumerate() {
-            *news = (
-                seen[row] & !hits[row] & !self.freest[row],
-                hits[row] & !self.fullest[row],
-            );
-            changed |= news.0 | news.1;
-        }
-        if changed == 0 {
-            return false;
-        }
-        for (row, (missed, hit)) in news.into_iter().enumerate() {
-            if missed | hit != 0 {
-                self.miss(row, missed, evidence);
-                self.hit(row, hit, evidence);
+        let mut changed = false;
+        for first in (0..TILE_SIDE).step_by(ROWS_AT_ONCE) {
+            let rows = first..first + ROWS_AT_ONCE;
+            let news = |row: usize| {
+                (
+                    seen[row] & !hits[row] & !self.freest[row],
+                    hits[row] & !self.fullest[row],
+                )
+            };
+            let any = rows.clone().map(news).fold(0, |any, (missed, hit)| any | missed | hit);
+            if any == 0 {
+                continue;
+            }
+            changed = true;
+            for row in rows {
+                let missed = seen[row] & !hits[row] & !self.freest[row];
+                let hit = hits[row] & !self.fullest[row];
+                if missed != 0 {
+                    self.miss(row, missed, evidence);
+                }
+                if hit != 0 {
+                    self.hit(row, hit, evidence);
+                }
             }
         }
-        true
+        changed
     }
 
     fn miss(&mut self, row: usize, mut missed: u64, evidence: &Evidence) {
         let cells = &mut self.cells[row];
         self.fullest[row] &= !missed;
-        if missed.count_ones() < MANY {
-            while missed != 0 {
-                let (x, bit) = (missed.trailing_zeros() as usize, missed & missed.wrapping_neg());
-                cells[x] = evidence.after_miss(cells[x]);
-                mark(&mut self.freest[row], bit, cells[x] == evidence.least);
-                missed ^= bit;
+        for _ in 0..FEW {
+            if missed == 0 {
+                return;
             }
-        } else {
-            let mut mask = [0; TILE_SIDE];
-            for (mask, bits) in mask.as_chunks_mut::<8>().0.iter_mut().zip(missed.to_le_bytes()) {
-                *mask = BYTES_OF_BITS[usize::from(bits)];
-            }
-            for (cell, mask) in cells.iter_mut().zip(&mask) {
-                *cell ^= (evidence.after_miss(*cell) ^ *cell) & mask;
-            }
-            self.freest[row] = equal(cells, evidence.least);
+            let (x, bit) = (missed.trailing_zeros() as usize, missed & missed.wrapping_neg());
+            let after = evidence.after_miss(cells[x]);
+            cells[x] = after;
+            self.freest[row] |= if after == evidence.least { bit } else { 0 };
+            missed ^= bit;
         }
+        if missed == 0 {
+            return;
+        }
+        let mut mask = [0; TILE_SIDE];
+        for (mask, bits) in mask.as_chunks_mut::<8>().0.iter_mut().zip(missed.to_le_bytes()) {
+            *mask = BYTES_OF_BITS[usize::from(bits)];
+        }
+        for (cell, mask) in cells.iter_mut().zip(&mask) {
+            *cell ^= (evidence.after_miss(*cell) ^ *cell) & mask;
+        }
+        self.freest[row] = equal(cells, evidence.least);
     }
 
     fn hit(&mut self, row: usize, mut hit: u64, evidence: &Evidence) {
@@ -107,8 +121,9 @@ impl EvidenceTile {
         self.freest[row] &= !hit;
         while hit != 0 {
             let (x, bit) = (hit.trailing_zeros() as usize, hit & hit.wrapping_neg());
-            cells[x] = evidence.after_hit(cells[x]);
-            mark(&mut self.fullest[row], bit, cells[x] == evidence.most);
+            let after = evidence.after_hit(cells[x]);
+            cells[x] = after;
+            self.fullest[row] |= if after == evidence.most { bit } else { 0 };
             hit ^= bit;
         }
     }

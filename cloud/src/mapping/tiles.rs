@@ -66,8 +66,12 @@ impl Tiles {
 
     /// Position of a tile in storage, by column and row from the anchor; `None` outside the grid.
     pub(super) fn index(&self, [x, y]: [i64; 2]) -> Option<usize> {
-        let column = usize::try_from(x - self.first[0]).ok().filter(|x| *x < self.counts[0])?;
-        let row = usize::try_from(y - self.first[1]).ok().filter(|y| *y < self.counts[1])?;
+        let column = usize::try_from(x - self.first[0])
+            .ok()
+            .filter(|x| *x < self.counts[0])?;
+        let row = usize::try_from(y - self.first[1])
+            .ok()
+            .filter(|y| *y < self.counts[1])?;
         Some(row * self.counts[0] + column)
     }
 
@@ -88,7 +92,10 @@ impl Tiles {
     /// Columns and rows of a grid that would be too large.
     pub(super) fn covering(&self, bounds: &Bounds) -> Result<([i64; 2], [usize; 2]), [f64; 2]> {
         let (low, high) = (bounds.low / TILE_SIDE as f64, bounds.high / TILE_SIDE as f64);
-        let (mut first, mut end) = ([low.x.floor(), low.y.floor()], [high.x.floor() + 1.0, high.y.floor() + 1.0]);
+        let (mut first, mut end) = (
+            [low.x.floor(), low.y.floor()],
+            [high.x.floor() + 1.0, high.y.floor() + 1.0],
+        );
         if self.counts[0] > 0 && self.counts[1] > 0 {
             for axis in 0..2 {
                 let now = self.first[axis] as f64;
@@ -146,6 +153,9 @@ impl Bounds {
         let tile = |at: f64| (at / side).floor() as i64;
         let first = [tile(self.low.x), tile(self.low.y)];
         let count = |first: i64, last: i64| (last.saturating_sub(first).max(0) as usize).saturating_add(1);
-        (first, [count(first[0], tile(self.high.x)), count(first[1], tile(self.high.y))])
+        (
+            first,
+            [count(first[0], tile(self.high.x)), count(first[1], tile(self.high.y))],
+        )
     }
 }
