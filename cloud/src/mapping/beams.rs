@@ -39,6 +39,7 @@ pub struct CellFrame {
 
 impl CellFrame {
     /// A point of the map frame in cells from the anchor.
+    #[inline]
     #[must_use]
     pub fn cells(&self, p: Point2<f64>) -> Point2<f64> {
         Point2::new(

@@ -86,15 +86,18 @@ impl Evidence {
     }
 
     /// What a miss makes of a byte.
+    #[inline]
     pub(super) fn after_miss(&self, cell: u8) -> u8 {
         self.known(cell).saturating_sub(self.miss).max(self.least)
     }
 
     /// What a hit makes of a byte.
+    #[inline]
     pub(super) fn after_hit(&self, cell: u8) -> u8 {
         self.known(cell).saturating_add(self.hit).min(self.most)
     }
 
+    #[inline]
     fn known(&self, cell: u8) -> u8 {
         if cell == UNSEEN { self.prior } else { cell }
     }

@@ -9,9 +9,6 @@ use super::tiles::TILE_SIDE;
 /// Rows of bits, a word a row, the lowest row first and the lowest bit left.
 pub(super) type Bits = [u64; TILE_SIDE];
 
-/// Rows that are looked through together for news.
-const ROWS_AT_ONCE: usize = 8;
-
 /// So many cells of a row are changed one by one; when there are more, all others are computed at once.
 const FEW: usize = 4;
 
@@ -63,29 +60,15 @@ impl EvidenceTile {
     /// Takes notice of one scan: a hit in every cell of `hits`, a miss in every other cell of `seen`. Says whether anything changed.
     pub(super) fn look(&mut self, seen: &Bits, hits: &Bits, evidence: &Evidence) -> bool {
         let mut changed = false;
-        for first in (0..TILE_SIDE).step_by(ROWS_AT_ONCE) {
-            let rows = first..first + ROWS_AT_ONCE;
-            let news = |row: usize| {
-                (
-                    seen[row] & !hits[row] & !self.freest[row],
-                    hits[row] & !self.fullest[row],
-                )
-            };
-            let any = rows.clone().map(news).fold(0, |any, (missed, hit)| any | missed | hit);
-            if any == 0 {
+        for row in 0..TILE_SIDE {
+            let missed = seen[row] & !hits[row] & !self.freest[row];
+            let hit = hits[row] & !self.fullest[row];
+            if missed | hit == 0 {
                 continue;
             }
             changed = true;
-            for row in rows {
-                let missed = seen[row] & !hits[row] & !self.freest[row];
-                let hit = hits[row] & !self.fullest[row];
-                if missed != 0 {
-                    self.miss(row, missed, evidence);
-                }
-                if hit != 0 {
-                    self.hit(row, hit, evidence);
-                }
-            }
+            self.miss(row, missed, evidence);
+            self.hit(row, hit, evidence);
         }
         changed
     }
@@ -135,11 +118,14 @@ fn mark(bits: &mut u64, bit: u64, set: bool) {
 
 /// A bit for every byte that has this value.
 fn equal(bytes: &[u8; TILE_SIDE], value: u8) -> u64 {
+    const LOW_SEVEN: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+    let wanted = u64::from_ne_bytes([value; 8]);
     let mut bits = 0;
     for (at, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
-        let differ = u64::from_le_bytes(eight.map(|byte| u8::from(byte != value)));
-        // The product brings the lowest bits of all eight bytes into the highest byte.
-        bits |= (differ.wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
+        let differ = u64::from_le_bytes(*eight) ^ wanted;
+        // The highest bit of each byte that is zero; then the product brings all eight into the highest byte.
+        let zero = !(((differ & LOW_SEVEN) + LOW_SEVEN) | differ | LOW_SEVEN);
+        bits |= ((zero >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
     }
-    !bits
+    bits
 }

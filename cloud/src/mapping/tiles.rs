@@ -65,6 +65,7 @@ impl Tiles {
     }
 
     /// Position of a tile in storage, by column and row from the anchor; `None` outside the grid.
+    #[inline]
     pub(super) fn index(&self, [x, y]: [i64; 2]) -> Option<usize> {
         let column = usize::try_from(x - self.first[0])
             .ok()
@@ -142,6 +143,7 @@ impl Bounds {
         Self { low: p, high: p }
     }
 
+    #[inline]
     pub(super) fn add(&mut self, p: Point2<f64>) {
         self.low = Point2::new(self.low.x.min(p.x), self.low.y.min(p.y));
         self.high = Point2::new(self.high.x.max(p.x), self.high.y.max(p.y));
