@@ -7,6 +7,7 @@
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
 //! | `tiles`, `tile` | how does it grow, and what is known of a square of cells? |
 //! | `window` | which cells did one scan look at? |
+//! | `fading` | what went away without being seen to go? |
 //! | [`mapper`] | how do a robot's scans become its map? |
 //! | [`mirror`] | how does another machine keep a copy? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
@@ -20,6 +21,7 @@ pub mod atomic;
 pub mod beams;
 pub mod carmen;
 pub mod evidence;
+mod fading;
 pub mod follower;
 pub mod image;
 pub mod map_file;
@@ -37,7 +39,7 @@ mod window;
 pub use beams::BeamOptions;
 pub use evidence::SensorModel;
 pub use follower::MapFollower;
-pub use mapper::{Insertion, Mapper, MapperConfig};
+pub use mapper::{Insertion, Mapper, MapperConfig, MapperConfigError};
 pub use mirror::{MapMirror, Mirrored};
 pub use occupancy::{CellCounts, Drawn, InsertMode, LogOddsGrid};
 pub use service::MappingConfig;

@@ -4,6 +4,8 @@
 //! that any beam went through takes one miss, all others none. Beams of one scan are not independent looks, and a hit is
 //! not wiped out by its neighbours that graze the same cell.
 
+use std::time::Duration;
+
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
@@ -12,7 +14,8 @@ use zenav_protocol::messages::{Scan, Tile};
 use zenav_protocol::robot::Footprint;
 
 use super::beams::{Beam, BeamOptions, BeamReader, CellFrame};
-use super::evidence::{Evidence, SensorModel, UNSEEN};
+use super::evidence::{Evidence, SensorModel};
+use super::fading::Fading;
 use super::tile::EvidenceTile;
 use super::tiles::{Bounds, TILE_SIDE, Tiles};
 use super::window::Window;
@@ -70,6 +73,7 @@ pub struct Drawn {
 pub struct LogOddsGrid {
     evidence: Evidence,
     map: Tiles,
+    fading: Option<Fading>,
     reader: BeamReader,
     beams: Vec<Beam>,
     window: Window,
@@ -92,6 +96,7 @@ impl LogOddsGrid {
         Self {
             evidence: Evidence::new(model),
             map,
+            fading: None,
             reader: BeamReader::default(),
             beams: Vec::new(),
             window: Window::default(),
@@ -125,6 +130,13 @@ impl LogOddsGrid {
         map
     }
 
+    /// The same map; from now on what goes away unseen fades after so long (see the module `fading`), by the scans' stamps.
+    #[must_use]
+    pub fn with_fading(mut self, after: Duration) -> Self {
+        self.fading = Some(Fading::new(after));
+        self
+    }
+
     /// Where the grid lies now.
     #[must_use]
     pub fn spec(&self) -> GridSpec {
@@ -144,6 +156,9 @@ impl LogOddsGrid {
         beams.clear();
         self.reader.read(scan, options, &self.map.frame, &mut beams);
         let base = scan.map_from_odom * scan.odom_from_base;
+        if let Some(fading) = &mut self.fading {
+            fading.go_on(scan.stamp, &mut self.map, &self.evidence);
+        }
         let drawn = self.draw(
             self.map.frame.cells(scan.map_from_laser().position()),
             &mut beams,
@@ -201,6 +216,9 @@ impl LogOddsGrid {
         }
         let (map, evidence) = (&mut self.map, &self.evidence);
         self.window.take(|at, seen, hits| {
+            if let Some(fading) = &mut self.fading {
+                fading.notice(at, hits, map, evidence);
+            }
             if let Some(index) = map.index(at) {
                 let tile = map.tiles[index].get_or_insert_with(|| Box::new(EvidenceTile::UNSEEN));
                 map.dirty[index] |= tile.look(seen, hits, evidence);
@@ -242,6 +260,9 @@ impl LogOddsGrid {
                 break;
             }
             if std::mem::take(&mut self.map.dirty[index]) {
+                if let Some(tile) = &mut self.map.tiles[index] {
+                    tile.keep_counts(&self.evidence);
+                }
                 tiles.push(self.tile(index));
             }
         }
@@ -287,25 +308,13 @@ impl LogOddsGrid {
     /// How many cells are free, occupied, unknown.
     #[must_use]
     pub fn counts(&self) -> CellCounts {
-        let mut histogram = [0_u64; 256];
-        for tile in &self.map.tiles {
-            match tile {
-                Some(tile) => tile
-                    .rows()
-                    .iter()
-                    .flatten()
-                    .for_each(|byte| histogram[usize::from(*byte)] += 1),
-                None => histogram[usize::from(UNSEEN)] += (TILE_SIDE * TILE_SIDE) as u64,
-            }
-        }
         let mut counts = CellCounts::default();
-        for (count, percent) in histogram.iter().zip(&self.evidence.percent) {
-            match Occupancy::of(*percent) {
-                Occupancy::Free => counts.free += count,
-                Occupancy::Occupied => counts.occupied += count,
-                Occupancy::Unknown => counts.unknown += count,
-            }
+        for (_, tile) in self.map.known() {
+            let [free, occupied] = tile.counts(&self.evidence);
+            counts.free += u64::from(free);
+            counts.occupied += u64::from(occupied);
         }
+        counts.unknown = self.spec().len() as u64 - counts.free - counts.occupied;
         counts
     }
 }

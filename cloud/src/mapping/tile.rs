@@ -3,10 +3,12 @@
 //! Most looks tell what has been known for long: a cell that is as free as cells get is seen to be free once more. A bit for
 //! each such cell spares its byte: a scan's whole footprint is compared 64 cells at a time, and only bytes that change are touched.
 
+use zenav_protocol::grid::Occupancy;
+
 use super::evidence::{Evidence, UNSEEN};
 use super::tiles::TILE_SIDE;
 
-/// Rows of bits, a word a row, the lowest row first and the lowest bit left.
+/// Bits of a tile's cells, a word a row, the lowest row first and the lowest bit left.
 pub(super) type Bits = [u64; TILE_SIDE];
 
 /// So many cells of a row are changed one by one; when there are more, all others are computed at once.
@@ -34,6 +36,8 @@ pub(super) struct EvidenceTile {
     freest: Bits,
     /// Cells that another hit leaves as they are.
     fullest: Bits,
+    /// Free and occupied cells, unless something changed since they were counted.
+    counted: Option<[u16; 2]>,
 }
 
 impl EvidenceTile {
@@ -42,6 +46,7 @@ impl EvidenceTile {
         cells: [[UNSEEN; TILE_SIDE]; TILE_SIDE],
         freest: [0; TILE_SIDE],
         fullest: [0; TILE_SIDE],
+        counted: Some([0, 0]),
     };
 
     /// Bytes, row by row from the lowest.
@@ -49,10 +54,16 @@ impl EvidenceTile {
         &self.cells
     }
 
+    /// Cells that are as free as cells get.
+    pub(super) fn freest(&self) -> &Bits {
+        &self.freest
+    }
+
     /// Writes a cell.
     pub(super) fn set(&mut self, x: usize, y: usize, byte: u8, evidence: &Evidence) {
         let (row, bit) = (y % TILE_SIDE, 1 << (x % TILE_SIDE));
         self.cells[row][x % TILE_SIDE] = byte;
+        self.counted = None;
         mark(&mut self.freest[row], bit, byte == evidence.least);
         mark(&mut self.fullest[row], bit, byte == evidence.most);
     }
@@ -70,7 +81,34 @@ impl EvidenceTile {
             self.miss(row, missed, evidence);
             self.hit(row, hit, evidence);
         }
+        if changed {
+            self.counted = None;
+        }
         changed
+    }
+
+    /// Free and occupied cells; quick where they were [kept](Self::keep_counts) since the last change.
+    pub(super) fn counts(&self, evidence: &Evidence) -> [u16; 2] {
+        self.counted.unwrap_or_else(|| {
+            let mut histogram = [0_u16; 256];
+            for byte in self.cells.as_flattened() {
+                histogram[usize::from(*byte)] += 1;
+            }
+            let mut counts = [0; 2];
+            for (count, percent) in histogram.iter().zip(&evidence.percent) {
+                match Occupancy::of(*percent) {
+                    Occupancy::Free => counts[0] += count,
+                    Occupancy::Occupied => counts[1] += count,
+                    Occupancy::Unknown => {}
+                }
+            }
+            counts
+        })
+    }
+
+    /// Counts now, so that the next [`counts`](Self::counts) need not.
+    pub(super) fn keep_counts(&mut self, evidence: &Evidence) {
+        self.counted = Some(self.counts(evidence));
     }
 
     fn miss(&mut self, row: usize, mut missed: u64, evidence: &Evidence) {

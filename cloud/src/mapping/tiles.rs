@@ -6,6 +6,7 @@ use zenav_protocol::grid::{GridSpec, MAX_SIDE};
 use zenav_protocol::messages::TILE;
 
 use super::beams::CellFrame;
+use super::evidence::UNSEEN;
 use super::tile::EvidenceTile;
 
 /// Most cells of a map.
@@ -74,6 +75,24 @@ impl Tiles {
             .ok()
             .filter(|y| *y < self.counts[1])?;
         Some(row * self.counts[0] + column)
+    }
+
+    /// Byte of a cell by its tile, row and column; unseen outside the grid.
+    pub(super) fn byte(&self, tile: [i64; 2], row: usize, column: usize) -> u8 {
+        let tile = self.index(tile).and_then(|index| self.tiles[index].as_ref());
+        tile.map_or(UNSEEN, |tile| tile.rows()[row][column])
+    }
+
+    /// All tiles that somebody has seen, with their column and row from the anchor.
+    pub(super) fn known(&self) -> impl Iterator<Item = ([i64; 2], &EvidenceTile)> {
+        let place = |index: usize| {
+            [
+                self.first[0] + (index % self.counts[0]) as i64,
+                self.first[1] + (index / self.counts[0]) as i64,
+            ]
+        };
+        let tiles = self.tiles.iter().enumerate();
+        tiles.filter_map(move |(index, tile)| Some((place(index), tile.as_deref()?)))
     }
 
     /// Grows the grid, by whole tiles, until it holds a rectangle; `false`, and nothing changed, when it would become too large.
