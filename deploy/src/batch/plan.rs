@@ -99,7 +99,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
 
 /// Where a point, or a robot, may be.
 enum Ground {
-    Point(PointSight),
+    Point { free: BitGrid, sight: PointSight },
     Robot(Box<ConfigurationSpace>),
 }
 
@@ -125,19 +125,22 @@ impl Ground {
             Occupancy::Unknown => unknown_is_free,
             Occupancy::Occupied => false,
         });
-        Ok(Self::Point(PointSight::new(free)))
+        Ok(Self::Point {
+            sight: PointSight::new(&free),
+            free,
+        })
     }
 
     fn free(&self) -> &BitGrid {
         match self {
-            Self::Point(sight) => sight.free(),
+            Self::Point { free, .. } => free,
             Self::Robot(space) => space.free(),
         }
     }
 
     fn search(&self, searcher: &mut Searcher, planner: Planner, question: &Question, budget: Budget<'_>) -> Searched {
         match self {
-            Self::Point(sight) => searcher.search(planner, sight, question, budget),
+            Self::Point { sight, .. } => searcher.search(planner, sight, question, budget),
             Self::Robot(space) => searcher.search(planner, &**space, question, budget),
         }
     }
