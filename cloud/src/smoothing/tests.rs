@@ -159,6 +159,7 @@ fn around_a_wall_the_curve_is_faster_than_stop_and_turn() {
         Twist2::ZERO,
         Some(-1.5),
         &super::timing::Limits::of(&model),
+        super::timing::UNRESTRICTED,
     );
     assert!(
         result.motion.duration() < 0.9 * safe.duration(),

@@ -17,4 +17,4 @@ pub mod sweep;
 pub use legs::safe_trajectory;
 pub use limits::Limits;
 pub use motion::{Motion, State};
-pub use path::{GeometricPath, PathPoint};
+pub use path::{GeometricPath, PathPoint, SpeedLimit, UNRESTRICTED};

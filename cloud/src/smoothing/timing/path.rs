@@ -18,10 +18,21 @@ pub struct PathPoint {
     pub k: f64,
 }
 
+/// Largest speed at a place of the map, m/s; `None` where there is no limit but the robot's own.
+pub type SpeedLimit<'a> = &'a dyn Fn(Point2<f64>) -> Option<f64>;
+
+/// No place has a speed limit.
+pub const UNRESTRICTED: SpeedLimit<'static> = &|_| None;
+
+/// Slowest speed limit that counts, m/s: a way through a zone that may not be driven at all has no time law.
+const SLOWEST: f64 = 0.01;
+
 /// A way with a continuous heading: at least two samples, arc length strictly rising.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeometricPath {
     points: Vec<PathPoint>,
+    /// Speed limit at each sample, m/s, infinite without; empty when there is none anywhere.
+    speed_limits: Vec<f64>,
 }
 
 impl GeometricPath {
@@ -32,7 +43,10 @@ impl GeometricPath {
             .iter()
             .all(|p| p.s.is_finite() && p.x.is_finite() && p.y.is_finite() && p.yaw.is_finite() && p.k.is_finite());
         let rising = points.windows(2).all(|pair| pair[1].s > pair[0].s);
-        (points.len() >= 2 && finite && rising).then_some(Self { points })
+        (points.len() >= 2 && finite && rising).then_some(Self {
+            points,
+            speed_limits: Vec::new(),
+        })
     }
 
     /// A straight line, sampled about every `step` metres; `None` when it has no length.
@@ -58,6 +72,30 @@ impl GeometricPath {
             }
         };
         Self::new((0..=pieces).map(at).collect())
+    }
+
+    /// The same way, slower where the map's zones ask for it. A limit holds on both intervals beside its sample.
+    #[must_use]
+    pub fn limited(mut self, speed_limit: SpeedLimit<'_>) -> Self {
+        let limits = self
+            .points
+            .iter()
+            .map(|p| speed_limit(Point2::new(p.x, p.y)).map_or(f64::INFINITY, |limit| limit.max(SLOWEST)));
+        let limits: Vec<f64> = limits.collect();
+        self.speed_limits = if limits.iter().all(|limit| limit.is_infinite()) {
+            Vec::new()
+        } else {
+            limits
+        };
+        self
+    }
+
+    /// Speed limit on the intervals beside a sample, m/s; infinite without.
+    #[must_use]
+    pub fn speed_limit(&self, index: usize) -> f64 {
+        let around = index.saturating_sub(1)..(index + 2).min(self.speed_limits.len());
+        let limits = self.speed_limits.get(around).unwrap_or_default();
+        limits.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     /// The samples.

@@ -22,6 +22,9 @@ pub enum SweepError {
     },
 }
 
+/// Squared speed that a robot loses for each metre in a zone that it entered too fast, as a share of the wheels' acceleration (of 2).
+const SLOWING: f64 = 1.0;
+
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
 /// A start speed up to a tenth over what the way allows is taken as an error of control, and cut. Linear in the samples.
@@ -39,7 +42,12 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         let around = &points[i.saturating_sub(1)..(i + 2).min(points.len())];
         limits.speed_squared(around.iter().map(|p| p.k.abs()).fold(0.0, f64::max))
     };
-    let mut squared: Vec<f64> = (0..points.len()).map(largest).collect();
+    // A robot that is faster than a zone allows slows down in it, it does not stop.
+    let zone = |i: usize| {
+        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (points[i].s - points[0].s);
+        path.speed_limit(i).powi(2).max(slowing)
+    };
+    let mut squared: Vec<f64> = (0..points.len()).map(|i| largest(i).min(zone(i))).collect();
     if let Some(last) = squared.last_mut() {
         *last = 0.0;
     }
@@ -186,6 +194,23 @@ mod tests {
             fastest(&path, &LIMITS, 0.6),
             Err(SweepError::StartTooFast { .. })
         ));
+    }
+
+    #[test]
+    fn a_zone_is_driven_through_at_its_speed_and_entered_too_fast_it_slows_the_robot_down() {
+        let straight = || GeometricPath::straight(Point2::origin(), Point2::new(6.0, 0.0), 0.02).unwrap();
+        let zone = |p: Point2<f64>| (2.0..4.0).contains(&p.x).then_some(0.2);
+        let path = straight().limited(&zone);
+        let squared = fastest(&path, &LIMITS, 0.0).unwrap();
+        for (p, b) in path.points().iter().zip(&squared) {
+            let inside = p.x > 1.985 && p.x < 4.0;
+            assert!(!inside || b.sqrt() <= 0.2 + 1e-9);
+        }
+        assert!(squared.iter().any(|b| b.sqrt() > 0.55), "outside it is as fast as ever");
+        let everywhere = |_: Point2<f64>| Some(0.2);
+        let squared = fastest(&straight().limited(&everywhere), &LIMITS, 0.5).unwrap();
+        assert_eq!(squared[0], 0.25);
+        assert!(squared[50] <= 0.04 + 1e-9, "slow after a metre");
     }
 
     proptest! {
