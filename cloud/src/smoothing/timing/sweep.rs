@@ -165,6 +165,7 @@ mod tests {
         speed: 0.6,
         lateral_acceleration: 0.5,
         yaw_rate: 2.5,
+        jerk: None,
     };
 
     fn duration(path: &GeometricPath, squared: &[f64]) -> f64 {
@@ -216,16 +217,13 @@ mod tests {
     proptest! {
         #[test]
         fn every_limit_holds_at_and_between_samples(turns in prop::collection::vec((-6.0..6.0_f64, 2_usize..30), 1..8), start in 0.0..0.6) {
-            let mut points = vec![PathPoint::default()];
+            let mut k = 0.0;
+            let mut links = Vec::new();
             for (target, samples) in turns {
-                let first = points[points.len() - 1].k;
-                for i in 1..=samples {
-                    let last = points[points.len() - 1];
-                    let k = first + (target - first) * i as f64 / samples as f64;
-                    points.push(PathPoint { s: last.s + 0.02, k, ..last });
-                }
+                links.extend((1..=samples).map(|i| (0.02, k + (target - k) * i as f64 / samples as f64)));
+                k = target;
             }
-            let path = GeometricPath::new(points).unwrap();
+            let path = GeometricPath::chain(PathPoint::default(), &links).unwrap();
             let Ok(squared) = fastest(&path, &LIMITS, start) else { return Ok(()) };
             prop_assert_eq!(squared[squared.len() - 1], 0.0);
             for (pair, b) in path.points().windows(2).zip(squared.windows(2)) {
