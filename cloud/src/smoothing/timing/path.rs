@@ -151,12 +151,11 @@ impl GeometricPath {
         self
     }
 
-    /// Speed limit on the intervals beside a sample, m/s; infinite without.
+    /// Speed limit from sample `index` to the next, m/s; infinite without.
     #[must_use]
     pub fn speed_limit(&self, index: usize) -> f64 {
-        let around = index.saturating_sub(1)..(index + 2).min(self.speed_limits.len());
-        let limits = self.speed_limits.get(around).unwrap_or_default();
-        limits.iter().copied().fold(f64::INFINITY, f64::min)
+        let ends = self.speed_limits.get(index..index + 2).unwrap_or_default();
+        ends.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     /// The samples.

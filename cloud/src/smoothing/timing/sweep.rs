@@ -37,17 +37,12 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         .windows(2)
         .map(|pair| Interval::new(&pair[0], &pair[1], limits))
         .collect();
-    let largest = |i: usize| {
-        // Between samples the curvature may be that of either end: both intervals beside the sample count.
-        let around = &points[i.saturating_sub(1)..(i + 2).min(points.len())];
-        limits.speed_squared(around.iter().map(|p| p.k.abs()).fold(0.0, f64::max))
-    };
-    // A robot that is faster than a zone allows slows down in it, it does not stop.
-    let zone = |i: usize| {
-        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (points[i].s - points[0].s);
-        path.speed_limit(i).powi(2).max(slowing)
-    };
-    let mut squared: Vec<f64> = (0..points.len()).map(|i| largest(i).min(zone(i))).collect();
+    let mut squared = ceilings(path, limits, start_speed);
+    // A sample has the lower one of the intervals beside it.
+    squared.push(squared[squared.len() - 1]);
+    for i in (1..squared.len() - 1).rev() {
+        squared[i] = squared[i].min(squared[i - 1]);
+    }
     if let Some(last) = squared.last_mut() {
         *last = 0.0;
     }
@@ -66,6 +61,20 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         squared[i + 1] = intervals[i].largest_end(squared[i], squared[i + 1]);
     }
     Ok(squared)
+}
+
+/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones.
+///
+/// A robot that is faster than a zone allows slows down in it, it does not stop.
+#[must_use]
+pub fn ceilings(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Vec<f64> {
+    let begin = path.points()[0].s;
+    let ceiling = |(i, pair): (usize, &[PathPoint])| {
+        let own = limits.speed_squared(pair[0].k.abs().max(pair[1].k.abs()));
+        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (pair[0].s - begin);
+        own.min(path.speed_limit(i).powi(2).max(slowing))
+    };
+    path.points().windows(2).enumerate().map(ceiling).collect()
 }
 
 /// One interval's bounds, each `x * start + y * end <= limit` on the squared speeds at its ends.
