@@ -15,6 +15,7 @@
 //! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
 //! | [`reach`] | which places can be got to at all? |
 //! | [`sight`] | can one go straight from here to there? |
+//! | `sweep` | which columns of a row does a moved shape meet? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
@@ -31,6 +32,7 @@ pub mod raster;
 pub mod reach;
 mod shapes;
 pub mod sight;
+mod sweep;
 mod update;
 pub mod validity;
 pub mod zones;
@@ -39,6 +41,6 @@ pub use bits::BitGrid;
 pub use cache::SpaceCache;
 pub use configuration::{ConfigurationSpace, UnknownPolicy};
 pub use distance::DistanceField;
-pub use sight::Sight;
+pub use sight::{PointSight, Sight};
 pub use update::GridChanged;
 pub use zones::Zones;
