@@ -5,6 +5,7 @@ use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::time::Stamp;
 
+use super::beyond::{Beyond, Outlook, tiles_before};
 use super::tiles::MAX_CELLS;
 
 /// What became of a patch.
@@ -19,12 +20,15 @@ pub enum Mirrored {
     Gap,
 }
 
-/// A copy of a map.
+/// A copy of a map. It may reach farther than the map, over cells that nobody has seen.
 #[derive(Clone, Debug)]
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
     grid: OccupancyGrid,
+    /// The map's own grid.
+    spec: GridSpec,
+    beyond: Beyond,
 }
 
 impl Default for MapMirror {
@@ -47,6 +51,8 @@ impl MapMirror {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
             grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN),
+            spec: nothing,
+            beyond: Beyond::default(),
         }
     }
 
@@ -61,12 +67,18 @@ impl MapMirror {
             return Mirrored::Gap;
         }
         if from_unknown {
+            // Another map: places of the one before mean nothing here.
+            self.beyond = Beyond::default();
             self.grid = OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN);
-        } else if *self.grid.spec() != patch.spec && !self.regrid(patch.spec) {
+        }
+        let reached = self.beyond.around(patch.spec);
+        if *self.grid.spec() != reached && !self.regrid(reached) {
             return Mirrored::Gap;
         }
+        self.spec = patch.spec;
+        let before = tiles_before(&reached, &patch.spec);
         for tile in &patch.tiles {
-            self.write(tile);
+            self.write(tile, before);
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
@@ -78,16 +90,36 @@ impl MapMirror {
         let Ok(grid) = reply.grid() else {
             return false;
         };
+        if self.map.id != reply.info.map.id {
+            self.beyond = Beyond::default();
+        }
+        self.spec = *grid.spec();
         self.grid = grid;
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
+        self.regrid(self.beyond.around(self.spec));
         true
+    }
+
+    /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
+    pub fn reach(&mut self, outlook: &Outlook) {
+        self.beyond.include(outlook);
+        let reached = self.beyond.around(self.spec);
+        if reached != *self.grid.spec() {
+            self.regrid(reached);
+        }
     }
 
     /// The copy.
     #[must_use]
     pub fn grid(&self) -> &OccupancyGrid {
         &self.grid
+    }
+
+    /// The copy alone.
+    #[must_use]
+    pub fn into_grid(self) -> OccupancyGrid {
+        self.grid
     }
 
     /// Which map and revision it is; an empty name for none yet.
@@ -144,11 +176,16 @@ impl MapMirror {
         true
     }
 
-    fn write(&mut self, tile: &Tile) {
+    /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
+    fn write(&mut self, tile: &Tile, before: (u32, u32)) {
         let (width, height) = (self.grid.spec().width as usize, self.grid.spec().height as usize);
         let side = TILE as usize;
-        let (x, y) = (tile.x as usize * side, tile.y as usize * side);
-        let length = side.min(width.saturating_sub(x));
+        let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
+        // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
+        let length = side
+            .min(width.saturating_sub(x))
+            .min((self.spec.width as usize).saturating_sub(tile.x as usize * side));
+        let height = height.min(before.1 as usize * side + self.spec.height as usize);
         for (row, values) in tile
             .values
             .chunks_exact(side)
@@ -277,6 +314,39 @@ mod tests {
                         revision: 2
                     })
             );
+        }
+    }
+
+    #[test]
+    fn a_copy_that_reaches_farther_holds_the_same_map_and_nothing_else() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let (mut far, mut exact) = (MapMirror::new(), MapMirror::new());
+        for (step, x) in [0.0, 4.0, -9.0, 12.0, 12.5].into_iter().enumerate() {
+            mapper.insert(&scan(step as u64 + 1, x, 0.5 * x));
+            while let Some(patch) = mapper.take_patch() {
+                assert_eq!(far.apply(&patch), Mirrored::Applied);
+                assert_eq!(exact.apply(&patch), Mirrored::Applied);
+            }
+            if step == 1 {
+                far.reach(&Outlook {
+                    places: vec![Point2::new(-30.0, 21.0)],
+                    ring: 1.0,
+                });
+            } else if step == 3 {
+                assert!(far.replace(&mapper.reply()));
+            }
+        }
+        assert_eq!(exact.grid().values(), mapper.grid().values());
+        let (large, small) = (far.grid().spec(), exact.grid().spec());
+        assert!(large.cell_at(Point2::new(-30.9, 21.9)).is_some() && small.cell_at(Point2::new(-30.0, 21.0)).is_none());
+        for y in 0..large.height {
+            for x in 0..large.width {
+                let cell = zenav_protocol::grid::Cell::new(x, y);
+                let known = small
+                    .cell_at(large.center(cell))
+                    .and_then(|cell| exact.grid().get(cell));
+                assert_eq!(far.grid().get(cell), known.or(Some(&Occupancy::UNKNOWN)), "{cell:?}");
+            }
         }
     }
 }

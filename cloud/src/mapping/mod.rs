@@ -7,7 +7,7 @@
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
 //! | `tiles`, `window` | how does it grow, and which cells did one scan look at? |
 //! | [`mapper`] | how do a robot's scans become its map? |
-//! | [`mirror`] | how does another machine keep a copy? |
+//! | [`mirror`], [`beyond`] | how does another machine keep a copy, and how far does it reach? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
 //! | [`map_file`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
 //! | [`moving_ai`] | what do the Moving AI benchmarks say? |
@@ -17,6 +17,7 @@
 
 pub mod atomic;
 pub mod beams;
+pub mod beyond;
 pub mod carmen;
 pub mod evidence;
 pub mod follower;
@@ -33,6 +34,7 @@ mod tiles;
 mod window;
 
 pub use beams::BeamOptions;
+pub use beyond::Outlook;
 pub use evidence::SensorModel;
 pub use follower::MapFollower;
 pub use mapper::{Insertion, Mapper, MapperConfig};
