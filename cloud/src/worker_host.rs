@@ -23,7 +23,7 @@ const MAP_DEADLINE: Duration = Duration::from_millis(1500);
 const MAX_BUDGET: Duration = Duration::from_secs(60);
 
 /// What the core of a worker does: it answers one question after the other, and keeps what it prepared.
-pub trait Work: Default + Send + 'static {
+pub trait Work: Send + 'static {
     /// What is asked.
     type Question: DeserializeOwned + Clone + Send + Sync + 'static;
     /// What is answered.
@@ -56,8 +56,8 @@ pub trait Work: Default + Send + 'static {
     ) -> Result<Self::Answer, Refusal>;
 }
 
-/// Answers under a worker's name until shutdown, or until the bus is closed. `told` sees every answer after it was sent, with the core
-/// that gave it.
+/// Answers under a worker's name until shutdown, or until the bus is closed. `begun` makes a core; `told` sees every answer after it was
+/// sent, with the core that gave it.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
@@ -65,12 +65,13 @@ pub async fn host<W: Work>(
     bus: Bus,
     worker: Id,
     shutdown: Shutdown,
+    begun: impl Fn() -> W,
     mut told: impl FnMut(&W, &W::Question, &W::Answer),
 ) -> Result<(), BusError> {
     let mut follower = MapFollower::new(&bus)?;
     let mut server = bus.serve(&W::ASK, &[worker.as_str()])?;
     let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &[W::SERVICE, worker.as_str()]))?;
-    let mut core = W::default();
+    let mut core = begun();
     loop {
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
@@ -88,7 +89,7 @@ pub async fn host<W: Work>(
             mirror.clone()
         });
         let question = Arc::new(request.body.clone());
-        let (back, answer) = work(core, map, Arc::clone(&question), &shutdown).await;
+        let (back, answer) = work(core, &begun, map, Arc::clone(&question), &shutdown).await;
         core = back;
         match answer {
             Ok(answer) => {
@@ -103,6 +104,7 @@ pub async fn host<W: Work>(
 /// One answer on a thread that may block. The core comes back with it; one that breaks off is replaced.
 async fn work<W: Work>(
     mut core: W,
+    begun: impl Fn() -> W,
     map: Option<MapMirror>,
     question: Arc<W::Question>,
     shutdown: &Shutdown,
@@ -124,7 +126,7 @@ async fn work<W: Work>(
     };
     done.unwrap_or_else(|error| {
         let reason = error.to_string();
-        (W::default(), Err(Refusal::Internal { reason }))
+        (begun(), Err(Refusal::Internal { reason }))
     })
 }
 
@@ -188,10 +190,24 @@ mod tests {
     #[tokio::test]
     async fn an_answer_ends_with_its_budget_or_with_the_run() {
         let shutdown = Shutdown::new();
-        let (core, answer) = work(Sisyphus::default(), None, Arc::new(question("slow", 5)), &shutdown).await;
+        let (core, answer) = work(
+            Sisyphus::default(),
+            Sisyphus::default,
+            None,
+            Arc::new(question("slow", 5)),
+            &shutdown,
+        )
+        .await;
         assert_eq!((core.answers, answer), (1, Err(Refusal::bad_request("1"))));
         shutdown.trigger();
-        let (core, answer) = work(core, None, Arc::new(question("slow", 60_000)), &shutdown).await;
+        let (core, answer) = work(
+            core,
+            Sisyphus::default,
+            None,
+            Arc::new(question("slow", 60_000)),
+            &shutdown,
+        )
+        .await;
         assert_eq!((core.answers, answer), (2, Err(Refusal::bad_request("2"))));
     }
 
@@ -199,6 +215,7 @@ mod tests {
     async fn a_core_that_breaks_off_is_replaced() {
         let (core, answer) = work(
             Sisyphus { answers: 7 },
+            Sisyphus::default,
             None,
             Arc::new(question("broken", 5)),
             &Shutdown::new(),

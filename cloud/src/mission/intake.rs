@@ -172,7 +172,8 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let Some(known) = ctx.map.reaching(&outlook) else {
         return Ok(());
     };
-    let space = ConfigurationSpace::new(&known, &model.footprint, UnknownPolicy::Free, 0.0);
+    let zones = &ctx.config.zones;
+    let space = ConfigurationSpace::with_zones(&known, &model.footprint, UnknownPolicy::Free, 0.0, zones);
     let reached = stands
         .filter(|_| space.spec().len() <= MAX_FLOODED)
         .and_then(|stands| reach::flood(&space, stands));
@@ -186,7 +187,10 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         if fits && connected {
             continue;
         }
-        let what = if outside {
+        let kept_out = zones.keep_out(point);
+        let what = if let Some(zone) = kept_out {
+            &format!("lies in a zone that is closed to robots: {zone}")
+        } else if outside {
             "lies outside the map"
         } else if fits {
             "cannot be reached: by the map it is closed off from the robot"

@@ -10,7 +10,7 @@ use zenav_protocol::time::Stamp;
 use super::context::Asks;
 use super::exchange::{Answer, Ask, Ticket};
 use crate::mapping::{MapMirror, Mirrored, Outlook};
-use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
+use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two asks for the whole map, s.
 const RETRY: f64 = 1.0;
@@ -30,6 +30,15 @@ pub struct MapBook {
 }
 
 impl MapBook {
+    /// Nothing is known yet of a map with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+            ..Self::default()
+        }
+    }
+
     /// Takes in what mapping says.
     pub fn observe(&mut self, now: Stamp, info: Option<MapInfo>, patches: &[MapPatch]) {
         let mut gap = false;

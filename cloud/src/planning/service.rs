@@ -2,6 +2,7 @@
 //! answers, [`host`] carries.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -12,6 +13,7 @@ use zenav_protocol::topics::{Ask, PLAN_SERVICE, TREE};
 
 use super::worker::PlanWorker;
 use crate::mapping::{MapMirror, Outlook};
+use crate::space::Zones;
 use crate::worker_host::{Work, host};
 
 /// Robots whose searches are shown at once; beyond it the first by name goes.
@@ -54,17 +56,18 @@ impl Work for PlanWorker {
     }
 }
 
-/// Answers plan requests under a worker's name until shutdown, or until the bus is closed.
+/// Answers plan requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, clock: Clock, worker: Id, shutdown: Shutdown) -> Result<(), BusError> {
+pub async fn run(bus: Bus, clock: Clock, worker: Id, zones: Arc<Zones>, shutdown: Shutdown) -> Result<(), BusError> {
     let mut show = Show {
         bus: bus.clone(),
         clock,
         publishers: BTreeMap::new(),
     };
-    host(bus, worker, shutdown, |core: &PlanWorker, question, answer| {
+    let begun = || PlanWorker::new(Arc::clone(&zones));
+    host(bus, worker, shutdown, begun, |core: &PlanWorker, question, answer| {
         show.tell(core, question, answer);
     })
     .await

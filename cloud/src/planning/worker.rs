@@ -8,7 +8,7 @@ use zenav_protocol::messages::{PlanOutcome, PlanReply, PlanRequest, Refusal};
 
 use super::{Budget, PlanOptions, Planner, Searcher, plan};
 use crate::mapping::MapMirror;
-use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
+use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
 /// Nodes that a search may expand for a robot: some seconds' worth.
 const MAX_EXPANSIONS: u64 = 50_000_000;
@@ -21,6 +21,15 @@ pub struct PlanWorker {
 }
 
 impl PlanWorker {
+    /// A worker for maps with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+            prepared: None,
+        }
+    }
+
     /// Edges of the tree that the last search grew, map frame, m; none after a search on the grid.
     pub fn tree(&self) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
         std::iter::empty()

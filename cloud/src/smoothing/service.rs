@@ -1,5 +1,6 @@
 //! How does a smoothing worker live on the network? Ways in, trajectories out. Thin: [`SmoothWorker`] answers, [`host`] carries.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -10,6 +11,7 @@ use zenav_protocol::topics::{Ask, SMOOTH_SERVICE};
 
 use super::worker::SmoothWorker;
 use crate::mapping::{MapMirror, Outlook};
+use crate::space::Zones;
 use crate::worker_host::{Work, host};
 
 /// Nobody waits longer for a trajectory: the unsmoothed way is driven then.
@@ -47,12 +49,13 @@ impl Work for SmoothWorker {
     }
 }
 
-/// Answers smoothing requests under a worker's name until shutdown, or until the bus is closed.
+/// Answers smoothing requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusError> {
-    host(bus, worker, shutdown, |_: &SmoothWorker, _, _| {}).await
+pub async fn run(bus: Bus, worker: Id, zones: Arc<Zones>, shutdown: Shutdown) -> Result<(), BusError> {
+    let begun = || SmoothWorker::new(Arc::clone(&zones));
+    host(bus, worker, shutdown, begun, |_: &SmoothWorker, _, _| {}).await
 }
 
 #[cfg(test)]
@@ -128,9 +131,15 @@ mod tests {
                 open("planning").await.unwrap(),
                 Clock::wall(),
                 worker.clone(),
+                Arc::default(),
                 shutdown.clone(),
             )),
-            tokio::spawn(run(open("smoothing").await.unwrap(), worker, shutdown.clone())),
+            tokio::spawn(run(
+                open("smoothing").await.unwrap(),
+                worker,
+                Arc::default(),
+                shutdown.clone(),
+            )),
         ];
         let client = open("client").await.unwrap();
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();

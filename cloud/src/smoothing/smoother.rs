@@ -187,13 +187,19 @@ fn smoothed_or_safe(
         |t| &mut t.corridor,
         || corners_from(query.start.position(), &shortcut(space, &way, comfort)),
     );
+    let zones = space.zones();
+    let in_zones = |point: Point2<f64>| zones.speed_limit(point);
     let job = Job {
         space,
         query,
         limits,
         settings: &settings,
         exempt,
-        speed_limit: UNRESTRICTED,
+        speed_limit: if zones.has_speed_limits() {
+            &in_zones
+        } else {
+            UNRESTRICTED
+        },
     };
     let safe = |times: &mut Times<'_>| times.measure(|t| &mut t.timing, || job.safe(&short).or_else(|| job.safe(&way)));
     if short.len() < 2 {

@@ -1,11 +1,12 @@
 //! How fast, how short, how often found? `zenav plan` answers many queries on one map, and times the search alone.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use zenav_cloud::planning::{Budget, Planner, Query as Question, Searched, Searcher, Way};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
+use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy, Zones};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 
@@ -44,6 +45,9 @@ pub struct PlanArgs {
     /// Inflate the map for this robot: a file or shipped name
     #[arg(long, value_name = "R")]
     robot: Option<String>,
+    /// File of keep-out and speed zones, m in the map's frame
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
     /// Give a search up after this time, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
@@ -65,7 +69,8 @@ pub struct PlanArgs {
 pub fn plan(args: &PlanArgs) -> Outcome {
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
-    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free)?;
+    let zones = files::zones(args.zones.as_deref())?;
+    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
     let spec = *grid.spec();
     drop(grid);
     let mut searcher =
@@ -104,7 +109,12 @@ enum Ground {
 }
 
 impl Ground {
-    fn of(grid: &OccupancyGrid, robot: Option<&str>, unknown_is_free: bool) -> Result<Self, Failure> {
+    fn of(
+        grid: &OccupancyGrid,
+        robot: Option<&str>,
+        unknown_is_free: bool,
+        zones: &Arc<Zones>,
+    ) -> Result<Self, Failure> {
         if let Some(robot) = robot {
             let model = files::robot(robot)?;
             let policy = if unknown_is_free {
@@ -112,15 +122,18 @@ impl Ground {
             } else {
                 UnknownPolicy::default()
             };
-            return Ok(Self::Robot(Box::new(ConfigurationSpace::new(
+            return Ok(Self::Robot(Box::new(ConfigurationSpace::with_zones(
                 grid,
                 &model.footprint,
                 policy,
                 0.0,
+                zones,
             ))));
         }
         let spec = grid.spec();
+        let keep_out = zones.keep_out_cells(spec).unwrap_or_default();
         let free = BitGrid::from_fn(spec.width, spec.height, |cell| match Occupancy::of(grid[cell]) {
+            _ if keep_out.is_set(cell) => false,
             Occupancy::Free => true,
             Occupancy::Unknown => unknown_is_free,
             Occupancy::Occupied => false,

@@ -40,6 +40,9 @@ pub struct SmoothArgs {
     /// Results; `-` prints them
     #[arg(long, value_name = "F", default_value = "-")]
     out: PathBuf,
+    /// File of keep-out and speed zones, m in the map's frame
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
     /// Write each trajectory into a file of this folder (0000.csv, …): `t,x,y,yaw,v,w,a,alpha`, m and s in the map's frame
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
@@ -73,7 +76,8 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     } else {
         UnknownPolicy::default()
     };
-    let space = ConfigurationSpace::new(&grid, &model.footprint, policy, 0.0);
+    let zones = files::zones(args.zones.as_deref())?;
+    let space = ConfigurationSpace::with_zones(&grid, &model.footprint, policy, 0.0, &zones);
     let searcher =
         Searcher::new(space.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
     let options = if args.shortest {
