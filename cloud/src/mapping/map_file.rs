@@ -2,7 +2,7 @@
 //! after Nav2's `map_io`; plain pictures and Moving AI maps are read as well.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Write as _};
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
@@ -93,7 +93,7 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
     match extension.as_str() {
         "yaml" | "yml" => read_described(path),
         "pgm" | "png" => {
-            to_grid(&read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
+            to_grid(read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
                 MapFileError::Grid {
                     path: path.to_owned(),
                     source,
@@ -131,14 +131,14 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     {
         (yaml.resolution, yaml.origin) = (tag.resolution, tag.origin);
     }
-    to_grid(&image, &yaml).map_err(|source| MapFileError::Grid {
+    to_grid(image, &yaml).map_err(|source| MapFileError::Grid {
         path: path.to_owned(),
         source,
     })
 }
 
 fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
-    image::decode(&read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
+    image::decode(read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
         path: path.to_owned(),
         source,
     })
@@ -166,7 +166,7 @@ pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileErro
 ///
 /// # Errors
 /// [`GridError`] when the description or the picture is no grid.
-pub fn to_grid(image: &GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
+pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
     let spec = GridSpec {
         origin: yaml.origin,
         resolution: yaml.resolution,
@@ -174,34 +174,25 @@ pub fn to_grid(image: &GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridE
         height: image.height,
     }
     .checked()?;
-    if image.gray.len() != spec.len() {
-        return Err(GridError::Length {
-            got: image.gray.len(),
-            expected: spec.len(),
-        });
-    }
-    let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
-    let width = (image.width as usize).max(1);
     // All values of opaque pixels are told in advance.
     let mut opaque = [Occupancy::UNKNOWN; 256];
     for (gray, value) in opaque.iter_mut().enumerate() {
         *value = occupancy(gray as u8, 255, yaml);
     }
-    let (rows, sources) = (
-        grid.values_mut().chunks_exact_mut(width).rev(),
-        image.gray.chunks_exact(width),
-    );
-    for (row, (values, grays)) in rows.zip(sources).enumerate() {
-        for (value, gray) in values.iter_mut().zip(grays) {
-            *value = opaque[usize::from(*gray)];
+    let values: Vec<i8> = match image.opacity {
+        // In the same memory: a grid of the largest size is there only once.
+        None => image.gray.into_iter().map(|gray| opaque[usize::from(gray)]).collect(),
+        Some(opacity) => {
+            let pixels = image.gray.iter().zip(&opacity);
+            pixels.map(|(gray, opacity)| occupancy(*gray, *opacity, yaml)).collect()
         }
-        let opacity = image
-            .opacity
-            .as_ref()
-            .and_then(|opacity| opacity.get(row * width..(row + 1) * width));
-        for ((value, gray), opacity) in values.iter_mut().zip(grays).zip(opacity.unwrap_or_default()) {
-            *value = occupancy(*gray, *opacity, yaml);
-        }
+    };
+    let mut grid = OccupancyGrid::from_values(spec, values)?;
+    // The first row of a picture is the highest.
+    let width = (image.width as usize).max(1);
+    let (low, high) = grid.values_mut().split_at_mut(image.height as usize / 2 * width);
+    for (low, high) in low.chunks_exact_mut(width).zip(high.rchunks_exact_mut(width)) {
+        low.swap_with_slice(high);
     }
     Ok(grid)
 }
@@ -232,28 +223,37 @@ fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
 #[must_use]
 pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
     let spec = grid.spec();
-    let rows = || grid.values().chunks_exact((spec.width as usize).max(1)).rev().flatten();
-    let gray = |value: &i8| match (mode, *value) {
-        (MapMode::Trinary, value) => match Occupancy::of(value) {
-            Occupancy::Occupied => 0,
-            Occupancy::Unknown => 205,
-            Occupancy::Free => 254,
-        },
-        (_, value) if !(0..=100).contains(&value) => 255,
-        (MapMode::Scale, value) => (255.0 * (1.0 - f64::from(value) / 100.0)).round() as u8,
-        (MapMode::Raw, value) => value.cast_unsigned(),
-    };
+    let rows = || grid.values().chunks_exact((spec.width as usize).max(1)).rev();
+    let mut gray = Vec::with_capacity(spec.len());
+    for row in rows() {
+        gray.extend(row.iter().map(|value| shade(*value, mode)));
+    }
     let opacity = (mode == MapMode::Scale).then(|| {
         rows()
+            .flatten()
             .map(|value| if (0..=100).contains(value) { 255 } else { 0 })
             .collect()
     });
     GrayImage {
         width: spec.width,
         height: spec.height,
-        gray: rows().map(gray).collect(),
+        gray,
         opacity,
         comments: Vec::new(),
+    }
+}
+
+/// Brightness of a cell in a picture of a mode.
+fn shade(value: i8, mode: MapMode) -> u8 {
+    match mode {
+        MapMode::Trinary => match Occupancy::of(value) {
+            Occupancy::Occupied => 0,
+            Occupancy::Unknown => 205,
+            Occupancy::Free => 254,
+        },
+        _ if !(0..=100).contains(&value) => 255,
+        MapMode::Scale => (255.0 * (1.0 - f64::from(value) / 100.0)).round() as u8,
+        MapMode::Raw => value.cast_unsigned(),
     }
 }
 
@@ -348,13 +348,20 @@ pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -
     }
     .text();
     let (image_name, yaml_path) = (format!("{stem}.pgm"), folder.join(format!("{stem}.yaml")));
-    let mut picture = to_image(grid, MapMode::Trinary);
-    picture.comments.push(tag.clone());
-    let image = Prepared::new(&folder.join(&image_name), &image::encode_pgm(&picture))?;
-    let yaml = Prepared::new(
-        &yaml_path,
-        to_yaml(grid, MapMode::Trinary, &image_name).to_text(&[tag]).as_bytes(),
-    )?;
+    let yaml = to_yaml(grid, MapMode::Trinary, &image_name).to_text(std::slice::from_ref(&tag));
+    let GridSpec { width, height, .. } = *grid.spec();
+    let image = Prepared::new(&folder.join(&image_name), |file| {
+        file.write_all(image::pgm_header(width, height, &[tag]).as_bytes())?;
+        // Row by row: the whole picture would double what a large map takes.
+        let mut line = Vec::with_capacity(width as usize);
+        for row in grid.values().chunks_exact((width as usize).max(1)).rev() {
+            line.clear();
+            line.extend(row.iter().map(|value| shade(*value, MapMode::Trinary)));
+            file.write_all(&line)?;
+        }
+        Ok(())
+    })?;
+    let yaml = Prepared::new(&yaml_path, |file| file.write_all(yaml.as_bytes()))?;
     image.publish()?;
     yaml.publish()?;
     Ok(yaml_path)
@@ -386,17 +393,77 @@ mod tests {
         fn percentages_come_back_from_raw_and_scale_and_classes_from_trinary(values in proptest::collection::vec(-1_i8..=100, 12)) {
             let map = grid(4, 3, values);
             for mode in [MapMode::Raw, MapMode::Scale] {
-                prop_assert_eq!(&to_grid(&to_image(&map, mode), &to_yaml(&map, mode, "")).unwrap(), &map);
+                prop_assert_eq!(&to_grid(to_image(&map, mode), &to_yaml(&map, mode, "")).unwrap(), &map);
             }
-            let back = to_grid(&to_image(&map, MapMode::Trinary), &to_yaml(&map, MapMode::Trinary, "")).unwrap();
+            let back = to_grid(to_image(&map, MapMode::Trinary), &to_yaml(&map, MapMode::Trinary, "")).unwrap();
             prop_assert_eq!(back.map(|value| Occupancy::of(*value)), map.map(|value| Occupancy::of(*value)));
         }
     }
 
     #[test]
+    fn maps_of_one_cell_and_of_none_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        for map in [grid(1, 1, vec![100]), grid(0, 0, Vec::new()), grid(5, 0, Vec::new())] {
+            let path = write_map(folder.path(), "map", &map, "1").unwrap();
+            assert_eq!(read_map(&path, 1.0).unwrap(), map);
+            assert!(!to_png(&map).unwrap().is_empty());
+        }
+    }
+
+    #[test]
+    fn a_picture_that_is_not_as_large_as_it_says_is_no_grid() {
+        let picture = |gray, opacity| GrayImage {
+            width: 3,
+            height: 2,
+            gray,
+            opacity,
+            comments: Vec::new(),
+        };
+        let yaml = MapYaml::new("", 0.1, Point2::origin());
+        for broken in [
+            picture(vec![0; 5], None),
+            picture(vec![0; 7], None),
+            picture(vec![0; 6], Some(vec![255; 2])),
+        ] {
+            assert!(matches!(
+                to_grid(broken, &yaml),
+                Err(GridError::Length { expected: 6, .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn a_negative_with_negate_says_the_same() {
+        for mode in [MapMode::Trinary, MapMode::Scale] {
+            let yaml = MapYaml {
+                mode,
+                ..MapYaml::new("", 0.1, Point2::origin())
+            };
+            let negative = MapYaml {
+                negate: true,
+                ..yaml.clone()
+            };
+            for gray in 0..=255 {
+                assert_eq!(
+                    occupancy(255 - gray, 255, &negative),
+                    occupancy(gray, 255, &yaml),
+                    "{mode:?} {gray}"
+                );
+            }
+        }
+        // Raw values are percentages, whatever is bright.
+        let raw = MapYaml {
+            mode: MapMode::Raw,
+            negate: true,
+            ..MapYaml::new("", 0.1, Point2::origin())
+        };
+        assert_eq!([0, 100, 101].map(|gray| occupancy(gray, 255, &raw)), [0, 100, -1]);
+    }
+
+    #[test]
     fn the_top_row_of_a_picture_is_the_highest_row_of_the_map() {
-        let image = image::decode(b"P2 2 2 255  0 254  205 254").unwrap();
-        let map = to_grid(&image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
+        let image = image::decode(b"P2 2 2 255  0 254  205 254".to_vec()).unwrap();
+        let map = to_grid(image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
         let class = |x, y| Occupancy::of(map[Cell::new(x, y)]);
         assert_eq!(
             (class(0, 1), class(1, 1), class(0, 0), class(1, 0)),
