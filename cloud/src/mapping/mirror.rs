@@ -183,7 +183,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::Mapper;
     use super::*;
 
     fn scan(stamp: u64, x: f64, y: f64) -> Scan {
