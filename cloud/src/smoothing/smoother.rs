@@ -14,7 +14,7 @@ use super::curve::{CurveError, EndTangent, Ends, fit};
 use super::shortcut::{is_clear, shortcut};
 use super::timing::legs::{corners_from, rejoined, safe_motion};
 use super::timing::sweep::SweepError;
-use super::timing::{GeometricPath, Limits, Motion};
+use super::timing::{GeometricPath, Limits, Motion, SpeedLimit, UNRESTRICTED};
 use crate::space::ConfigurationSpace;
 
 /// What is asked of a smoother.
@@ -193,6 +193,7 @@ fn smoothed_or_safe(
         limits,
         settings: &settings,
         exempt,
+        speed_limit: UNRESTRICTED,
     };
     let safe = |times: &mut Times<'_>| times.measure(|t| &mut t.timing, || job.safe(&short).or_else(|| job.safe(&way)));
     if short.len() < 2 {
@@ -277,6 +278,7 @@ struct Job<'a> {
     limits: &'a Limits,
     settings: &'a SmoothSettings,
     exempt: f64,
+    speed_limit: SpeedLimit<'a>,
 }
 
 impl Job<'_> {
@@ -288,7 +290,7 @@ impl Job<'_> {
             goal_yaw,
             ..
         } = *self.query;
-        safe_motion(way, start, start_velocity, goal_yaw, self.limits)
+        safe_motion(way, start, start_velocity, goal_yaw, self.limits, self.speed_limit)
     }
 
     /// Stop, turn, go: checked.
@@ -446,7 +448,10 @@ impl Job<'_> {
         let Some(path) = GeometricPath::straight(from, to, self.settings.step) else {
             return Ok(());
         };
-        times.measure(|t| &mut t.timing, || drive.follow(path, 0.0, self.limits))
+        times.measure(
+            |t| &mut t.timing,
+            || drive.follow(path.limited(self.speed_limit), 0.0, self.limits),
+        )
     }
 
     /// Goes along a way without stopping. It begins with a tangent and a speed (m/s), or after a turn on the spot.
@@ -480,7 +485,10 @@ impl Job<'_> {
         let path = path.map_err(|error: CurveError| error.to_string())?;
         times.measure(
             |t| &mut t.timing,
-            || drive.follow(path, enter.map_or(0.0, |(_, speed)| speed), self.limits),
+            || {
+                let speed = enter.map_or(0.0, |(_, speed)| speed);
+                drive.follow(path.limited(self.speed_limit), speed, self.limits)
+            },
         )
     }
 

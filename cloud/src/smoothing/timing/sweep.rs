@@ -22,6 +22,9 @@ pub enum SweepError {
     },
 }
 
+/// Squared speed that a robot loses for each metre in a zone that it entered too fast, as a share of the wheels' acceleration (of 2).
+const SLOWING: f64 = 1.0;
+
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
 /// A start speed up to a tenth over what the way allows is taken as an error of control, and cut. Linear in the samples.
@@ -34,12 +37,12 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         .windows(2)
         .map(|pair| Interval::new(&pair[0], &pair[1], limits))
         .collect();
-    let largest = |i: usize| {
-        // Between samples the curvature may be that of either end: both intervals beside the sample count.
-        let around = &points[i.saturating_sub(1)..(i + 2).min(points.len())];
-        limits.speed_squared(around.iter().map(|p| p.k.abs()).fold(0.0, f64::max))
-    };
-    let mut squared: Vec<f64> = (0..points.len()).map(largest).collect();
+    let mut squared = ceilings(path, limits, start_speed);
+    // A sample has the lower one of the intervals beside it.
+    squared.push(squared[squared.len() - 1]);
+    for i in (1..squared.len() - 1).rev() {
+        squared[i] = squared[i].min(squared[i - 1]);
+    }
     if let Some(last) = squared.last_mut() {
         *last = 0.0;
     }
@@ -58,6 +61,20 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         squared[i + 1] = intervals[i].largest_end(squared[i], squared[i + 1]);
     }
     Ok(squared)
+}
+
+/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones.
+///
+/// A robot that is faster than a zone allows slows down in it, it does not stop.
+#[must_use]
+pub fn ceilings(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Vec<f64> {
+    let begin = path.points()[0].s;
+    let ceiling = |(i, pair): (usize, &[PathPoint])| {
+        let own = limits.speed_squared(pair[0].k.abs().max(pair[1].k.abs()));
+        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (pair[0].s - begin);
+        own.min(path.speed_limit(i).powi(2).max(slowing))
+    };
+    path.points().windows(2).enumerate().map(ceiling).collect()
 }
 
 /// One interval's bounds, each `x * start + y * end <= limit` on the squared speeds at its ends.
@@ -157,6 +174,7 @@ mod tests {
         speed: 0.6,
         lateral_acceleration: 0.5,
         yaw_rate: 2.5,
+        jerk: None,
     };
 
     fn duration(path: &GeometricPath, squared: &[f64]) -> f64 {
@@ -188,19 +206,33 @@ mod tests {
         ));
     }
 
+    #[test]
+    fn a_zone_is_driven_through_at_its_speed_and_entered_too_fast_it_slows_the_robot_down() {
+        let straight = || GeometricPath::straight(Point2::origin(), Point2::new(6.0, 0.0), 0.02).unwrap();
+        let zone = |p: Point2<f64>| (2.0..4.0).contains(&p.x).then_some(0.2);
+        let path = straight().limited(&zone);
+        let squared = fastest(&path, &LIMITS, 0.0).unwrap();
+        for (p, b) in path.points().iter().zip(&squared) {
+            let inside = p.x > 1.985 && p.x < 4.0;
+            assert!(!inside || b.sqrt() <= 0.2 + 1e-9);
+        }
+        assert!(squared.iter().any(|b| b.sqrt() > 0.55), "outside it is as fast as ever");
+        let everywhere = |_: Point2<f64>| Some(0.2);
+        let squared = fastest(&straight().limited(&everywhere), &LIMITS, 0.5).unwrap();
+        assert_eq!(squared[0], 0.25);
+        assert!(squared[50] <= 0.04 + 1e-9, "slow after a metre");
+    }
+
     proptest! {
         #[test]
         fn every_limit_holds_at_and_between_samples(turns in prop::collection::vec((-6.0..6.0_f64, 2_usize..30), 1..8), start in 0.0..0.6) {
-            let mut points = vec![PathPoint::default()];
+            let mut k = 0.0;
+            let mut links = Vec::new();
             for (target, samples) in turns {
-                let first = points[points.len() - 1].k;
-                for i in 1..=samples {
-                    let last = points[points.len() - 1];
-                    let k = first + (target - first) * i as f64 / samples as f64;
-                    points.push(PathPoint { s: last.s + 0.02, k, ..last });
-                }
+                links.extend((1..=samples).map(|i| (0.02, k + (target - k) * i as f64 / samples as f64)));
+                k = target;
             }
-            let path = GeometricPath::new(points).unwrap();
+            let path = GeometricPath::chain(PathPoint::default(), &links).unwrap();
             let Ok(squared) = fastest(&path, &LIMITS, start) else { return Ok(()) };
             prop_assert_eq!(squared[squared.len() - 1], 0.0);
             for (pair, b) in path.points().windows(2).zip(squared.windows(2)) {
