@@ -119,6 +119,12 @@ impl Lattice {
         east | west << 1 | north << 2 | south << 3 | diagonals
     }
 
+    /// The node that a step leads to.
+    #[must_use]
+    pub fn beside(&self, node: u32, step: Step) -> u32 {
+        node.wrapping_add_signed(step.y * self.pitch as i32 + step.x)
+    }
+
     /// The bits of a node's left neighbour, itself, and its right neighbour.
     fn three(&self, node: u32) -> u32 {
         let first = node - 1;

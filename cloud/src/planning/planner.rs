@@ -14,11 +14,13 @@ pub enum Planner {
     AStar,
     /// Jump point search: the shortest way, fastest where the map is open; takes no costs.
     Jps,
+    /// Lazy Theta*: a short way in any direction, from cell centre to cell centre.
+    Theta,
 }
 
 impl Planner {
     /// Every planner, in the order in which they are listed to users.
-    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar), ("jps", Self::Jps)];
+    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar), ("jps", Self::Jps), ("theta", Self::Theta)];
 
     /// Its name, as in requests and on the command line.
     #[must_use]
