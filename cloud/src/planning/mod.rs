@@ -19,6 +19,7 @@ pub mod jps;
 pub mod lattice;
 pub mod plan;
 pub mod planner;
+pub mod sampling;
 pub mod searcher;
 pub mod service;
 pub mod way;

@@ -14,11 +14,20 @@ pub enum Planner {
     AStar,
     /// Jump point search: the shortest way, fastest where the map is open; takes no costs.
     Jps,
+    /// One random tree from the start: its first way.
+    Rrt,
+    /// Two random trees that meet: their first way.
+    RrtConnect,
 }
 
 impl Planner {
     /// Every planner, in the order in which they are listed to users.
-    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar), ("jps", Self::Jps)];
+    pub const ALL: &[(&'static str, Self)] = &[
+        ("astar", Self::AStar),
+        ("jps", Self::Jps),
+        ("rrt", Self::Rrt),
+        ("rrt_connect", Self::RrtConnect),
+    ];
 
     /// Its name, as in requests and on the command line.
     #[must_use]

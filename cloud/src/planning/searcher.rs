@@ -8,6 +8,7 @@ use super::budget::Budget;
 use super::jps::{self, JumpGrid};
 use super::lattice::{GridPath, Lattice, TooManyCells};
 use super::planner::Planner;
+use super::sampling;
 use super::way::Way;
 use crate::space::{BitGrid, Sight};
 
@@ -47,6 +48,9 @@ pub struct Searcher {
     memory: Memory,
     /// Prepared when it is first asked for.
     jumps: Option<JumpGrid>,
+    trees: sampling::Memory,
+    /// Parameters of planners that draw samples.
+    pub sampling: sampling::Options,
 }
 
 impl Searcher {
@@ -59,12 +63,14 @@ impl Searcher {
             lattice: Lattice::new(free)?,
             memory: Memory::default(),
             jumps: None,
+            trees: sampling::Memory::default(),
+            sampling: sampling::Options::default(),
         })
     }
 
     /// A way between two points. Grids go from cell centre to cell centre without cutting corners; the others ask `sight`, the space
     /// that the searcher's free cells belong to, and start and end exactly where they are asked to.
-    pub fn search(&mut self, planner: Planner, _sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+    pub fn search(&mut self, planner: Planner, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
         let (Some(start), Some(goal)) = (cell_of(query.start), cell_of(query.goal)) else {
             return Searched {
                 result: Err(NotFound::OutOfMap),
@@ -72,12 +78,31 @@ impl Searcher {
             };
         };
         match planner {
+            Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),
+            Planner::RrtConnect => self.grow(sampling::Growth::Connect, sight, query, budget),
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
             Planner::Jps => {
                 let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
                 jps::search(&self.lattice, jumps, start, goal, &mut self.memory, budget).into()
             }
         }
+    }
+
+    /// Edges of the trees of the last search by a sampling planner, in cells, at most `limit` of them.
+    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        self.trees.edges().take(limit)
+    }
+
+    fn grow(&mut self, growth: sampling::Growth, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+        sampling::search(
+            growth,
+            &self.lattice,
+            sight,
+            query,
+            &self.sampling,
+            &mut self.trees,
+            budget,
+        )
     }
 
     /// The cheapest way between two cells.
