@@ -1,8 +1,8 @@
 //! Which point of a growing set is nearest, and which lie within a radius? A k-d tree whose leaves hold sixteen points side by side.
 //!
-//! A full leaf is cut in the middle of its region until both halves have points: depth is bounded by the region's size over the least
-//! distance of two points, whatever the order in which they come. Points are kept in single precision, which is enough to choose among
-//! them: whatever is chosen is checked exactly. Source: Bentley, "K-d Trees for Semidynamic Point Sets", 1990.
+//! A full leaf is cut in the middle of its region, so that depth does not depend on the order in which points come. They are kept in single
+//! precision, which is enough to choose among them: whatever is chosen is checked exactly. Source: Bentley, "K-d Trees for Semidynamic Point
+//! Sets", 1990.
 
 use nalgebra::Point2;
 
@@ -107,45 +107,33 @@ impl Nearest {
         }
     }
 
-    /// Cuts a full leaf in two that both have points; `None` when they lie too close together.
+    /// Cuts a full leaf in the middle of its longer side; `None` when that would be too small.
     fn split(&mut self, leaf: usize) -> Option<u32> {
         let full = self.leaves[leaf].clone();
-        let (mut low, mut high) = (full.low, full.high);
-        loop {
-            let side = [high[0] - low[0], high[1] - low[1]];
-            let axis = usize::from(side[1] > side[0]);
-            if side[axis] < LEAST_SIDE {
-                return None;
-            }
-            let middle = low[axis] + 0.5 * side[axis];
-            let values = if axis == 0 { &full.x } else { &full.y };
-            let above = values.iter().filter(|value| **value >= middle).count();
-            if above == LEAF {
-                low[axis] = middle;
-                continue;
-            }
-            if above == 0 {
-                high[axis] = middle;
-                continue;
-            }
-            let (mut upper_low, mut lower_high) = (low, high);
-            upper_low[axis] = middle;
-            lower_high[axis] = middle;
-            let (mut lower, mut upper) = (Leaf::new(low, lower_high), Leaf::new(upper_low, high));
-            for i in 0..LEAF {
-                let to = if values[i] >= middle { &mut upper } else { &mut lower };
-                to.push(full.x[i], full.y[i], full.id[i]);
-            }
-            self.leaves[leaf] = lower;
-            self.leaves.push(upper);
-            self.cuts.push(Cut {
-                at: middle,
-                vertical: axis == 0,
-                below: leaf as u32 | IS_LEAF,
-                above: (self.leaves.len() - 1) as u32 | IS_LEAF,
-            });
-            return Some((self.cuts.len() - 1) as u32);
+        let side = [full.high[0] - full.low[0], full.high[1] - full.low[1]];
+        let axis = usize::from(side[1] > side[0]);
+        if side[axis] < LEAST_SIDE {
+            return None;
         }
+        let middle = full.low[axis] + 0.5 * side[axis];
+        let (mut low, mut high) = (full.low, full.high);
+        low[axis] = middle;
+        high[axis] = middle;
+        let (mut below, mut above) = (Leaf::new(full.low, high), Leaf::new(low, full.high));
+        let values = if axis == 0 { &full.x } else { &full.y };
+        for (i, value) in values.iter().enumerate() {
+            let to = if *value >= middle { &mut above } else { &mut below };
+            to.push(full.x[i], full.y[i], full.id[i]);
+        }
+        self.leaves[leaf] = below;
+        self.leaves.push(above);
+        self.cuts.push(Cut {
+            at: middle,
+            vertical: axis == 0,
+            below: leaf as u32 | IS_LEAF,
+            above: (self.leaves.len() - 1) as u32 | IS_LEAF,
+        });
+        Some((self.cuts.len() - 1) as u32)
     }
 
     /// The point nearest to another; `None` when there are none.
