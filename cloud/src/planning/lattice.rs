@@ -129,6 +129,24 @@ impl Lattice {
         [first, ((word as u32) << 6) + blocked.trailing_zeros() - 1]
     }
 
+    /// Of the 64 nodes of a word inside the map, those that are free with the two beside them in the given directions, but not with the one
+    /// between these: where an obstacle has a convex corner.
+    #[must_use]
+    pub(super) fn corners(&self, word: u32, right: bool, up: bool) -> u64 {
+        let stride = (self.pitch >> 6) as usize;
+        let here = word as usize;
+        let there = if up { here + stride } else { here - stride };
+        // Each node's neighbour to the right or left, in its own place.
+        let beside = |word: usize| {
+            if right {
+                self.words[word] >> 1 | self.words[word + 1] << 63
+            } else {
+                self.words[word] << 1 | self.words[word.saturating_sub(1)] >> 63
+            }
+        };
+        self.words[here] & beside(here) & self.words[there] & !beside(there)
+    }
+
     /// Whether a node is free.
     #[must_use]
     pub fn is_free(&self, node: u32) -> bool {

@@ -18,6 +18,8 @@ pub enum Planner {
     Rrt,
     /// Two random trees that meet: their first way.
     RrtConnect,
+    /// A random tree with costs, whose way becomes shorter for as long as it may.
+    RrtStar,
 }
 
 impl Planner {
@@ -27,6 +29,7 @@ impl Planner {
         ("jps", Self::Jps),
         ("rrt", Self::Rrt),
         ("rrt_connect", Self::RrtConnect),
+        ("rrt_star", Self::RrtStar),
     ];
 
     /// Its name, as in requests and on the command line.

@@ -80,6 +80,7 @@ impl Searcher {
         match planner {
             Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),
             Planner::RrtConnect => self.grow(sampling::Growth::Connect, sight, query, budget),
+            Planner::RrtStar => self.grow(sampling::Growth::Optimal, sight, query, budget),
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
             Planner::Jps => {
                 let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));

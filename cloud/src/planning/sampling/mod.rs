@@ -5,7 +5,9 @@
 //! | [`options`] | what can be chosen? |
 //! | [`rrt`] | how does one tree find the goal? |
 //! | [`rrt_connect`] | how do two trees meet? |
+//! | [`rrt_star`] | how does a way become the shortest one? |
 //! | [`tree`] | what grows, and how? |
+//! | [`rewiring`] | what is the cheapest way to each vertex? |
 //! | [`frontier`] | what has a tree not seen yet, and how does it get there? |
 //! | [`nearest`] | which vertex is nearest? |
 //! | [`sampler`] | where are samples drawn? |
@@ -14,8 +16,10 @@
 pub mod frontier;
 pub mod nearest;
 pub mod options;
+pub mod rewiring;
 pub mod rrt;
 pub mod rrt_connect;
+pub mod rrt_star;
 pub mod sampler;
 pub mod shortcut;
 pub mod tree;
@@ -30,6 +34,7 @@ use super::lattice::Lattice;
 use super::searcher::{Query, Searched};
 use super::way::Way;
 use crate::space::Sight;
+use rewiring::CostTree;
 use sampler::Sampler;
 use tree::{Ground, Tree};
 
@@ -40,18 +45,21 @@ pub enum Growth {
     Single,
     /// Two that meet ([`rrt_connect`]).
     Connect,
+    /// Two that meet, then one with costs, until the budget ends ([`rrt_star`]).
+    Optimal,
 }
 
 /// Working memory, kept from one search to the next, and the trees of the last one.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
     trees: [Tree; 2],
+    costs: CostTree,
 }
 
 impl Memory {
     /// The edges of the last search's trees, cells.
     pub fn edges(&self) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
-        self.trees.iter().flat_map(Tree::edges)
+        self.costs.edges().chain(self.trees.iter().flat_map(Tree::edges))
     }
 }
 
@@ -117,6 +125,7 @@ fn find<S: Sight>(
     search: &mut Search<'_>,
 ) -> Result<Vec<Point2<f64>>, NotFound> {
     memory.trees.iter_mut().for_each(Tree::clear);
+    memory.costs.clear();
     let [width, height] = ground.sight.size().map(f64::from);
     let inside = |p: Point2<f64>| p.x >= 0.0 && p.x < width && p.y >= 0.0 && p.y < height;
     if !(inside(query.start) && inside(query.goal)) {
@@ -137,11 +146,15 @@ fn find<S: Sight>(
     memory.trees[0].plant(ground, query.start);
     let mut way = match growth {
         Growth::Single => rrt::grow(ground, &mut memory.trees[0], query.goal, search)?,
-        Growth::Connect => {
+        Growth::Connect | Growth::Optimal => {
             memory.trees[1].plant(ground, query.goal);
             rrt_connect::meet(ground, &mut memory.trees, search)?
         }
     };
     shortcut::prune(ground.sight, &mut way);
+    if growth == Growth::Optimal {
+        memory.trees.iter_mut().for_each(Tree::clear);
+        way = rrt_star::improve(ground, &mut memory.costs, way, search);
+    }
     Ok(way)
 }

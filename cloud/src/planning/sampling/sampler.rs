@@ -123,6 +123,32 @@ impl Sampler {
         None
     }
 
+    /// A point beside the convex corner of an obstacle; `None` where none was met by chance.
+    pub fn corner(&mut self, lattice: &Lattice) -> Option<Point2<f64>> {
+        for _ in 0..TRIES {
+            let p = self.point();
+            let Some(node) = lattice.node_at(p) else { continue };
+            let [x, y] = [self.next() & 1 == 0, self.next() & 1 == 0];
+            let corners = lattice.corners(node >> 6, x, y);
+            if corners != 0 {
+                // Any of the word's.
+                let turn = self.below(64) as u32;
+                let bit = (corners.rotate_right(turn).trailing_zeros() + turn) & 63;
+                let cell = lattice.cell((node & !63) | bit);
+                let beside = |cell: u32, up: bool| f64::from(cell) + if up { 1.0 - INSET } else { INSET };
+                let p = Point2::new(beside(cell.x, x), beside(cell.y, y));
+                if self.ellipse.is_none_or(|ellipse| ellipse.contains(p)) {
+                    return Some(p);
+                }
+            }
+        }
+        None
+    }
+
+    fn next(&mut self) -> u64 {
+        self.rng.next_u64() >> 32
+    }
+
     /// Free cells that samples are drawn from, about, by the share of points that were free.
     #[must_use]
     pub fn free_area(&self) -> f64 {
