@@ -27,6 +27,7 @@ mod open;
 pub mod plan;
 pub mod planner;
 mod records;
+pub mod sampling;
 pub mod searcher;
 pub mod service;
 pub mod taut;
