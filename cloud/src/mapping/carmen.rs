@@ -9,16 +9,18 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
+use nalgebra::Point2;
 use serde::Serialize;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{MAX_SIDE, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 
-use super::beams::BeamOptions;
+use super::beams::{BeamOptions, BeamReader, CellFrame};
 use super::evidence::SensorModel;
 use super::occupancy::{InsertMode, LogOddsGrid};
+use super::tiles::MAX_CELLS;
 
 /// Longest line that is read, bytes.
 const MAX_LINE: u64 = 1 << 20;
@@ -100,6 +102,12 @@ impl<R: BufRead> CarmenReader<R> {
             if self.buffer.len() as u64 == MAX_LINE {
                 return Err(wrong(format!("longer than {MAX_LINE} bytes")));
             }
+            if !["FLASER", "ROBOTLASER1"]
+                .iter()
+                .any(|kind| self.buffer.starts_with(kind.as_bytes()))
+            {
+                continue;
+            }
             let Ok(text) = std::str::from_utf8(&self.buffer) else {
                 return Err(wrong("expected text".to_owned()));
             };
@@ -169,11 +177,22 @@ impl Words<'_> {
         Ok(Pose2::new(self.number("x")?, self.number("y")?, self.number("theta")?))
     }
 
+    /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
+    fn time(&mut self) -> Result<f64, String> {
+        let time = self.number("the time")?;
+        match self.words.clone().count() {
+            0..=2 => Ok(time),
+            left => Err(format!(
+                "expected the host and its time at the end of the line, found {left} words: is the number of readings right?"
+            )),
+        }
+    }
+
     fn front_laser(mut self) -> Result<Scan, String> {
         let ranges = self.ranges()?;
         let laser = self.pose()?;
         self.pose()?;
-        let time = self.number("the time")?;
+        let time = self.time()?;
         // A sweep of half a circle: 180 readings are a degree apart, and so are 181.
         let angle_increment = match ranges.len() {
             180 | 181 => PI / 180.0,
@@ -206,7 +225,7 @@ impl Words<'_> {
         ] {
             self.number(what)?;
         }
-        let time = self.number("the time")?;
+        let time = self.time()?;
         Ok(scan(
             time,
             laser,
@@ -232,23 +251,6 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
     }
 }
 
-/// What a map was built from, and what came out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct BuildReport {
-    /// Scans inserted.
-    pub scans: u64,
-    /// Beams drawn.
-    pub beams: u64,
-    /// Cells of the grid.
-    pub cells: u64,
-    /// Occupied cells.
-    pub occupied: u64,
-    /// Free cells.
-    pub free: u64,
-    /// Unknown cells.
-    pub unknown: u64,
-}
-
 /// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
 pub const LOG_BEAMS: BeamOptions = BeamOptions {
     trim: 0,
@@ -256,27 +258,86 @@ pub const LOG_BEAMS: BeamOptions = BeamOptions {
     clear_without_return: false,
 };
 
-/// Builds a map of scans at known poses, in their order.
-#[must_use]
+/// Why no map was built.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum BuildError {
+    /// The side of a cell is no length.
+    #[error("resolution {0} m: expected a positive number")]
+    Resolution(f64),
+    /// The map would be too large.
+    #[error(
+        "{:.3} m by {:.3} m in cells of {resolution} m: expected at most {MAX_SIDE} cells a side and {MAX_CELLS} in all ({} MiB); the finest resolution for these scans is {finest} m",
+        size[0], size[1], MAX_CELLS >> 20
+    )]
+    TooLarge {
+        /// What the scans saw, along x and y, m.
+        size: [f64; 2],
+        /// Side of a cell that was asked for, m.
+        resolution: f64,
+        /// Side of a cell that the largest map has room for, m.
+        finest: f64,
+    },
+}
+
+/// A map of scans.
+#[derive(Clone, Debug)]
+pub struct Built {
+    /// The map.
+    pub map: LogOddsGrid,
+    /// Beams drawn.
+    pub beams: u64,
+}
+
+/// Builds a map of scans at known poses, in their order; nothing fades.
+///
+/// # Errors
+/// [`BuildError`]; nothing is ever left out of the map.
 pub fn build_map(
     scans: &[Scan],
     resolution: f64,
     mode: InsertMode,
-    beams: &BeamOptions,
-) -> (OccupancyGrid, BuildReport) {
+    options: &BeamOptions,
+) -> Result<Built, BuildError> {
+    if !(resolution.is_finite() && resolution > 0.0) {
+        return Err(BuildError::Resolution(resolution));
+    }
     let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
-    let drawn: usize = scans.iter().map(|scan| map.insert(scan, beams, mode, None)).sum();
-    let counts = map.counts();
-    let grid = map.to_occupancy();
-    let report = BuildReport {
-        scans: scans.len() as u64,
-        beams: drawn as u64,
-        cells: grid.spec().len() as u64,
-        occupied: counts.occupied,
-        free: counts.free,
-        unknown: counts.unknown,
+    let mut beams = 0;
+    for scan in scans {
+        match map.insert(scan, options, mode, None) {
+            Some(drawn) if drawn.left_out == 0 => beams += drawn.beams as u64,
+            _ => return Err(too_large(scans, resolution, options)),
+        }
+    }
+    Ok(Built { map, beams })
+}
+
+fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildError {
+    // In metres.
+    let frame = CellFrame {
+        anchor: Point2::origin(),
+        resolution: 1.0,
     };
-    (grid, report)
+    let mut beams = Vec::new();
+    let mut reader = BeamReader::default();
+    for scan in scans {
+        reader.read(scan, options, &frame, &mut beams);
+    }
+    let ends = beams.iter().map(|beam| beam.end);
+    let points = ends.chain(scans.iter().map(|scan| scan.map_from_laser().position()));
+    let (mut low, mut high) = (Point2::from([f64::INFINITY; 2]), Point2::from([f64::NEG_INFINITY; 2]));
+    for p in points {
+        (low, high) = (low.inf(&p), high.sup(&p));
+    }
+    let size = [high.x - low.x, high.y - low.y];
+    let finest = (size[0].max(size[1]) / f64::from(MAX_SIDE)).max((size[0] * size[1] / MAX_CELLS as f64).sqrt());
+    // Room for whole tiles, and a number that is easy to read.
+    let digit = 10.0_f64.powf((1.02 * finest).log10().floor() - 1.0);
+    BuildError::TooLarge {
+        size,
+        resolution,
+        finest: (1.02 * finest / digit).ceil() * digit,
+    }
 }
 
 /// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
@@ -369,6 +430,14 @@ mod tests {
             "line 1: expected the number of readings up to 10000, found 1000000000"
         );
         assert_eq!(
+            error("FLASER 2 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
+            "line 1: expected the host and its time at the end of the line, found 3 words: is the number of readings right?"
+        );
+        assert_eq!(
+            error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
+            "line 1: expected the time, found `host`"
+        );
+        assert_eq!(
             error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
             "line 1: expected a reading, found `nan`"
         );
@@ -397,15 +466,9 @@ mod tests {
     #[test]
     fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
         let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
-        let (map, report) = build_map(&scans, 0.05, InsertMode::Reference, &LOG_BEAMS);
-        assert_eq!(
-            (
-                report.scans,
-                report.beams,
-                report.free + report.occupied + report.unknown
-            ),
-            (2, 4, report.cells)
-        );
+        let build = |scans: &[Scan]| build_map(scans, 0.05, InsertMode::Reference, &LOG_BEAMS).unwrap();
+        assert_eq!(build(&scans).beams, 4);
+        let map = build(&scans).map.to_occupancy();
         assert_eq!(
             agreement(&map, &map),
             Agreement {
@@ -413,7 +476,8 @@ mod tests {
                 free: 1.0
             }
         );
-        let (empty, _) = build_map(&[], 0.05, InsertMode::Reference, &LOG_BEAMS);
+        let empty = build(&[]).map.to_occupancy();
+        assert!(empty.spec().is_empty());
         assert_eq!(
             agreement(&map, &empty),
             Agreement {
@@ -421,5 +485,21 @@ mod tests {
                 free: 0.0
             }
         );
+    }
+
+    #[test]
+    fn a_map_that_would_be_too_large_is_refused_with_the_finest_resolution_there_is_room_for() {
+        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
+        let build = |resolution| build_map(&scans, resolution, InsertMode::Fast, &LOG_BEAMS).map(|built| built.beams);
+        let refused = build(1e-5).unwrap_err();
+        assert!(refused.to_string().contains("268435456 in all"), "{refused}");
+        let BuildError::TooLarge { finest, .. } = refused else {
+            panic!("{refused}");
+        };
+        assert!(finest > 1e-5 && finest < 1e-3 && refused.to_string().ends_with(&format!("is {finest} m")));
+        assert_eq!(build(finest), Ok(4));
+        for senseless in [0.0, -0.05, f64::NAN, f64::INFINITY] {
+            assert!(matches!(build(senseless), Err(BuildError::Resolution(_))));
+        }
     }
 }

@@ -5,7 +5,9 @@
 //! | [`beams`] | which beams of a scan tell something, and what? |
 //! | [`evidence`] | what does one look at a cell say? |
 //! | [`occupancy`] | what is where? a log-odds grid that grows |
-//! | `tiles`, `window` | how does it grow, and which cells did one scan look at? |
+//! | `tiles`, `tile` | how does it grow, and what is known of a square of cells? |
+//! | `window` | which cells did one scan look at? |
+//! | `fading` | what went away without being seen to go? |
 //! | [`mapper`] | how do a robot's scans become its map? |
 //! | [`mirror`] | how does another machine keep a copy? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
@@ -19,6 +21,7 @@ pub mod atomic;
 pub mod beams;
 pub mod carmen;
 pub mod evidence;
+mod fading;
 pub mod follower;
 pub mod image;
 pub mod map_file;
@@ -29,14 +32,15 @@ pub mod moving_ai;
 pub mod occupancy;
 pub mod service;
 pub mod store;
+mod tile;
 mod tiles;
 mod window;
 
 pub use beams::BeamOptions;
 pub use evidence::SensorModel;
 pub use follower::MapFollower;
-pub use mapper::{Insertion, Mapper, MapperConfig};
+pub use mapper::{Insertion, Mapper, MapperConfig, MapperConfigError};
 pub use mirror::{MapMirror, Mirrored};
-pub use occupancy::{CellCounts, InsertMode, LogOddsGrid};
+pub use occupancy::{CellCounts, Drawn, InsertMode, LogOddsGrid};
 pub use service::MappingConfig;
 pub use tiles::MAX_CELLS;

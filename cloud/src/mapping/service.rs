@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Request, Shutdown};
 use zenav_protocol::grid::OccupancyGrid;
@@ -16,7 +17,7 @@ use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATC
 
 use super::map_file;
 use super::map_yaml::MapMode;
-use super::mapper::{Insertion, Mapper, MapperConfig};
+use super::mapper::{Insertion, Mapper, MapperConfig, MapperConfigError};
 use super::store::{self, MapRecord, StoredMap};
 
 /// One robot's mapping.
@@ -53,6 +54,17 @@ impl MappingConfig {
     }
 }
 
+/// Why mapping does not run.
+#[derive(Debug, Error)]
+pub enum MappingError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] MapperConfigError),
+    /// The network.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
 /// Answers that are remembered, so that a repeated request is answered with the first answer.
 const REMEMBERED: usize = 64;
 /// Whole maps that are encoded at the same time; further askers are told to come back.
@@ -66,8 +78,9 @@ const OUTLINE_DEADLINE: Duration = Duration::from_secs(30);
 /// be read is reported and left alone, and a new one is begun.
 ///
 /// # Errors
-/// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), BusError> {
+/// [`MappingError`] for a configuration that makes no sense, and when a key cannot be declared.
+pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
+    config.mapper.check()?;
     let robot = config.robot.clone();
     let chunks = [robot.as_str()];
     let mut scans = bus.latest(&SCAN, &chunks)?;

@@ -5,7 +5,8 @@ use zenav_protocol::grid::Cell;
 
 use super::astar::{self, CellCost, Memory, NotFound, Uniform};
 use super::budget::Budget;
-use super::jps::{self, JumpGrid};
+use super::jps;
+use super::jump_grid::JumpGrid;
 use super::lattice::{GridPath, Lattice, TooManyCells};
 use super::planner::Planner;
 use super::way::Way;
@@ -47,6 +48,7 @@ pub struct Searcher {
     memory: Memory,
     /// Prepared when it is first asked for.
     jumps: Option<JumpGrid>,
+    jump_memory: jps::Memory,
 }
 
 impl Searcher {
@@ -59,6 +61,7 @@ impl Searcher {
             lattice: Lattice::new(free)?,
             memory: Memory::default(),
             jumps: None,
+            jump_memory: jps::Memory::default(),
         })
     }
 
@@ -75,7 +78,7 @@ impl Searcher {
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
             Planner::Jps => {
                 let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
-                jps::search(&self.lattice, jumps, start, goal, &mut self.memory, budget).into()
+                jps::search(&self.lattice, jumps, start, goal, &mut self.jump_memory, budget).into()
             }
         }
     }

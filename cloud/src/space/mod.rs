@@ -9,6 +9,7 @@
 //! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
 //! | [`reach`] | which places can be got to at all? |
 //! | [`sight`] | can one go straight from here to there? |
+//! | `sweep` | which columns of a row does a moved shape meet? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
@@ -21,10 +22,11 @@ pub mod distance;
 pub mod reach;
 mod shapes;
 pub mod sight;
+mod sweep;
 pub mod validity;
 
 pub use bits::BitGrid;
 pub use cache::SpaceCache;
 pub use configuration::{ConfigurationSpace, GridChanged, UnknownPolicy};
 pub use distance::DistanceField;
-pub use sight::Sight;
+pub use sight::{PointSight, Sight};
