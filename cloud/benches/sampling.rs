@@ -107,7 +107,7 @@ impl Terrain {
     }
 
     fn new(name: String, free: BitGrid, queries: Option<Vec<(Cell, Cell, f64)>>) -> Self {
-        let sight = PointSight::new(free.clone());
+        let sight = PointSight::new(&free);
         let queries = queries.unwrap_or_else(|| longest(&free));
         Self {
             name,
@@ -216,6 +216,7 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
         .flat_map(|y| free.set_in_row(y, 0, i64::MAX).map(move |x| Cell::new(x, y)))
         .collect();
     let mut searcher = Searcher::new(free).unwrap();
+    let sight = PointSight::new(free);
     let mut found: Vec<(Cell, Cell, f64)> = (0..DRAWN)
         .filter_map(|_| {
             let [start, goal] = [(); 2].map(|()| cells[rng.next_u64() as usize % cells.len()]);
@@ -225,7 +226,7 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
                 seed: 0,
             };
             let way = searcher
-                .search(Planner::Jps, free, &query, Budget::UNLIMITED)
+                .search(Planner::Jps, &sight, &query, Budget::UNLIMITED)
                 .result
                 .ok()?;
             Some((start, goal, way.length))
