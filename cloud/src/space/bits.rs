@@ -98,6 +98,28 @@ impl BitGrid {
         }
     }
 
+    /// Rows become columns: bit (x, y) goes to (y, x). Linear in the words.
+    #[must_use]
+    pub fn transposed(&self) -> Self {
+        let mut turned = Self::new(self.height, self.width);
+        let mut block = [0; 64];
+        for row in 0..turned.stride {
+            let rows = (row * 64)..(self.height as usize).min(row * 64 + 64);
+            for word in 0..self.stride {
+                block.fill(0);
+                for (to, y) in block.iter_mut().zip(rows.clone()) {
+                    *to = self.words[y * self.stride + word];
+                }
+                transpose(&mut block);
+                let columns = (word * 64)..(self.width as usize).min(word * 64 + 64);
+                for (from, x) in block.iter().zip(columns) {
+                    turned.words[x * turned.stride + row] = *from;
+                }
+            }
+        }
+        turned
+    }
+
     /// How many bits are set.
     #[must_use]
     pub fn count(&self) -> u64 {
@@ -166,6 +188,20 @@ impl BitGrid {
     }
 }
 
+/// Turns over 64 by 64 bits: halves are swapped across the diagonal, then halves of halves (Warren, "Hacker's Delight", 7-3).
+fn transpose(block: &mut [u64; 64]) {
+    let (mut size, mut mask) = (32, u64::from(u32::MAX));
+    while size > 0 {
+        for low in (0..64).filter(|row| row & size == 0) {
+            let swapped = (block[low] >> size ^ block[low + size]) & mask;
+            block[low] ^= swapped << size;
+            block[low + size] ^= swapped;
+        }
+        size /= 2;
+        mask ^= mask << size;
+    }
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -182,6 +218,13 @@ mod tests {
             prop_assert_eq!(bits.previous_set(0, from, to), inside.last().copied());
             prop_assert_eq!(bits.set_in_row(0, from, to).collect::<Vec<_>>(), inside);
             prop_assert_eq!(bits.count(), set.len() as u64);
+        }
+
+        #[test]
+        fn rows_become_columns(width in 0_u32..150, height in 0_u32..150, seed in any::<u64>()) {
+            let is_set = |x: u32, y: u32| ((u64::from(x) * 0x9E37_79B9) ^ (u64::from(y) * 0xC2B2_AE3D) ^ seed).wrapping_mul(0xD6E8_FEB8_6659_FD93) >> 63 == 1;
+            let turned = BitGrid::from_fn(width, height, |cell| is_set(cell.x, cell.y)).transposed();
+            prop_assert_eq!(turned, BitGrid::from_fn(height, width, |cell| is_set(cell.y, cell.x)));
         }
     }
 

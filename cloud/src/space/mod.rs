@@ -27,4 +27,4 @@ pub use bits::BitGrid;
 pub use cache::SpaceCache;
 pub use configuration::{ConfigurationSpace, GridChanged, UnknownPolicy};
 pub use distance::DistanceField;
-pub use sight::Sight;
+pub use sight::{PointSight, Sight};
