@@ -18,6 +18,8 @@ pub const MAX_ALL_CORNERS: usize = 200_000;
 pub const MAX_MOVERS: usize = 1_000;
 /// Coordinates lie within this, m.
 pub const MAX_COORDINATE: f64 = 100_000.0;
+/// A mover or door rests at most this long, s.
+pub const MAX_REST: f64 = 86_400.0;
 /// Movers are not faster than this, m/s.
 pub const MAX_MOVER_SPEED: f64 = 20.0;
 
