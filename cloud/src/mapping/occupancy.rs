@@ -28,7 +28,7 @@ pub enum InsertMode {
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as long as every cell there is met by a beam, and only what lies
-    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::carmen::agreement) tells how many.
+    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::build::agreement) tells how many.
     Fast,
 }
 
