@@ -121,7 +121,7 @@ pub fn smooth(
         Err((reason, None)) => (Motion::new(), Evidence::default(), format!("fallback:{reason}"), None),
     };
     let (motion, jerk) = times.measure(|t| &mut t.timing, || motion.with_limited_jerk(&limits));
-    let (solver, jerk) = (evidence.status(), limits.jerk.map(|_| jerk));
+    let solver = evidence.status();
     let certificate = times.measure(|t| &mut t.timing, || certify(&motion, &model.drive, evidence, jerk));
     let statistics = &mut result.statistics;
     (statistics.corridor_ms, statistics.geometry_ms, statistics.timing_ms) =

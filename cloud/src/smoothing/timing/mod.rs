@@ -24,7 +24,6 @@ pub mod sweep;
 mod tests;
 
 pub use law::TimeLaw;
-pub use legs::safe_trajectory;
 pub use limits::Limits;
 pub use motion::{JerkFigures, Motion, Rates, State};
 pub use path::{GeometricPath, PathPoint, SpeedLimit, UNRESTRICTED};

@@ -11,7 +11,7 @@ use super::profile::Profile;
 use super::sweep::{SweepError, fastest};
 
 /// Where a piece's rates are taken, as shares of its time: at its ends (a hair inside, they belong to two pieces) and between.
-const SHARES: [f64; 4] = [1e-9, 0.35, 0.7, 1.0 - 1e-9];
+const SHARES: [f64; 3] = [1e-9, 0.5, 1.0 - 1e-9];
 
 /// Pose, velocity and acceleration at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -151,13 +151,14 @@ impl Motion {
         Ok(())
     }
 
-    /// The same motion with the limited jerk that `limits` ask for, and how it came about; a way that has no such law keeps the sweep's.
+    /// The same motion with the limited jerk that `limits` ask for, and how it came about; a way that has no such law keeps
+    /// the sweep's. Nothing changes, and there is nothing to tell, where they ask for none.
     #[must_use]
-    pub fn with_limited_jerk(self, limits: &Limits) -> (Self, JerkFigures) {
-        let mut figures = JerkFigures::default();
+    pub fn with_limited_jerk(self, limits: &Limits) -> (Self, Option<JerkFigures>) {
         let Some(jerk) = limits.jerk else {
-            return (self, figures);
+            return (self, None);
         };
+        let mut figures = JerkFigures::default();
         let mut motion = Self::new();
         (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
         for (_, mut stretch) in self.stretches {
@@ -179,7 +180,7 @@ impl Motion {
         if let Some(error) = &figures.failed {
             figures.solver.status = error.to_string();
         }
-        (motion, figures)
+        (motion, Some(figures))
     }
 
     fn push(&mut self, duration: f64, lower_bound: f64, stretch: Stretch) {
