@@ -120,6 +120,9 @@ pub struct Drive {
     /// Largest forward speed, m/s; the wheels may allow less.
     #[serde(default = "unlimited")]
     pub max_speed: f64,
+    /// Largest jerk of the base along its way, m/s³; without it plans change their acceleration at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_jerk: Option<f64>,
     /// Time constant of the motors, s.
     #[serde(default)]
     pub motor_lag: f64,
@@ -482,6 +485,7 @@ impl RobotModel {
             ("drive.max_lateral_acceleration", self.drive.max_lateral_acceleration),
             ("drive.max_yaw_rate", self.drive.max_yaw_rate),
             ("drive.max_speed", self.drive.max_speed),
+            ("drive.max_jerk", self.drive.max_jerk.unwrap_or(1.0)),
             ("lidar.rate_hz", self.lidar.rate_hz),
             ("lidar.range_max", self.lidar.range_max),
             ("lidar.field_of_view", self.lidar.field_of_view),

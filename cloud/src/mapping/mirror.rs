@@ -1,5 +1,7 @@
 //! How does another machine keep a copy of a map? By patches, and by the whole where a patch is missing.
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
@@ -20,15 +22,18 @@ pub enum Mirrored {
     Gap,
 }
 
-/// A copy of a map. It may reach farther than the map, over cells that nobody has seen.
+/// A copy of a map. It may reach farther than the map, over cells that nobody has seen. A copy of the copy costs nothing until one of
+/// them changes.
 #[derive(Clone, Debug)]
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
-    grid: OccupancyGrid,
     /// The map's own grid.
     spec: GridSpec,
     beyond: Beyond,
+    grid: Arc<OccupancyGrid>,
+    /// The revision in which each tile was last written, row by row.
+    written: Arc<Vec<u64>>,
 }
 
 impl Default for MapMirror {
@@ -50,9 +55,10 @@ impl MapMirror {
         Self {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
-            grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN),
             spec: nothing,
             beyond: Beyond::default(),
+            grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
+            written: Arc::default(),
         }
     }
 
@@ -69,16 +75,24 @@ impl MapMirror {
         if from_unknown {
             // Another map: places of the one before mean nothing here.
             self.beyond = Beyond::default();
-            self.grid = OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN);
         }
         let reached = self.beyond.around(patch.spec);
-        if *self.grid.spec() != reached && !self.regrid(reached) {
+        let begun = if from_unknown {
+            Some(OccupancyGrid::filled(reached, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == reached {
+            None
+        } else if let Some(grown) = self.regridded(reached) {
+            Some(grown)
+        } else {
             return Mirrored::Gap;
+        };
+        if let Some(grid) = begun {
+            self.begin(grid, patch.map.revision);
         }
         self.spec = patch.spec;
         let before = tiles_before(&reached, &patch.spec);
         for tile in &patch.tiles {
-            self.write(tile, before);
+            self.write(tile, before, patch.map.revision);
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
@@ -94,19 +108,25 @@ impl MapMirror {
             self.beyond = Beyond::default();
         }
         self.spec = *grid.spec();
-        self.grid = grid;
+        self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
-        self.regrid(self.beyond.around(self.spec));
+        self.reach_out();
         true
     }
 
     /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
     pub fn reach(&mut self, outlook: &Outlook) {
         self.beyond.include(outlook);
+        self.reach_out();
+    }
+
+    fn reach_out(&mut self) {
         let reached = self.beyond.around(self.spec);
-        if reached != *self.grid.spec() {
-            self.regrid(reached);
+        if reached != *self.grid.spec()
+            && let Some(grid) = self.regridded(reached)
+        {
+            self.begin(grid, self.map.revision);
         }
     }
 
@@ -114,12 +134,6 @@ impl MapMirror {
     #[must_use]
     pub fn grid(&self) -> &OccupancyGrid {
         &self.grid
-    }
-
-    /// The copy alone.
-    #[must_use]
-    pub fn into_grid(self) -> OccupancyGrid {
-        self.grid
     }
 
     /// Which map and revision it is; an empty name for none yet.
@@ -146,8 +160,26 @@ impl MapMirror {
         self.map.id == wanted.id && self.map.revision >= wanted.revision
     }
 
-    /// Moves the values over to another grid of the same cells; `false` when the cells do not coincide.
-    fn regrid(&mut self, spec: GridSpec) -> bool {
+    /// Tiles (column and row) that may have changed after a revision of this map, row by row.
+    #[must_use]
+    pub fn changed_since(&self, revision: u64) -> Vec<(u32, u32)> {
+        let columns = self.grid.spec().width.div_ceil(TILE).max(1);
+        let numbered = (0_u32..).zip(self.written.iter());
+        numbered
+            .filter(|(_, written)| **written > revision)
+            .map(|(number, _)| (number % columns, number / columns))
+            .collect()
+    }
+
+    /// Takes another grid, all of it new in a revision.
+    fn begin(&mut self, grid: OccupancyGrid, revision: u64) {
+        let tiles = grid.spec().width.div_ceil(TILE) as usize * grid.spec().height.div_ceil(TILE) as usize;
+        self.grid = Arc::new(grid);
+        self.written = Arc::new(vec![revision; tiles]);
+    }
+
+    /// The values moved over to another grid of the same cells; `None` when the cells do not coincide.
+    fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
         let (x, y) = (shift.x.round(), shift.y.round());
@@ -155,7 +187,7 @@ impl MapMirror {
             || (shift.x - x).abs() > 1e-3
             || (shift.y - y).abs() > 1e-3
         {
-            return false;
+            return None;
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let (dx, dy) = (x as i64, y as i64);
@@ -172,13 +204,18 @@ impl MapMirror {
             let length = (end - first) as usize;
             grid.values_mut()[target..target + length].copy_from_slice(&self.grid.values()[source..source + length]);
         }
-        self.grid = grid;
-        true
+        Some(grid)
     }
 
     /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
-    fn write(&mut self, tile: &Tile, before: (u32, u32)) {
-        let (width, height) = (self.grid.spec().width as usize, self.grid.spec().height as usize);
+    fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
+        let columns = self.grid.spec().width.div_ceil(TILE) as usize;
+        let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
+        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(place) {
+            *written = revision;
+        }
+        let grid = Arc::make_mut(&mut self.grid);
+        let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
         let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
         // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
@@ -193,7 +230,7 @@ impl MapMirror {
             .take(height.saturating_sub(y))
         {
             let start = (y + row) * width + x;
-            if let Some(cells) = self.grid.values_mut().get_mut(start..start + length) {
+            if let Some(cells) = grid.values_mut().get_mut(start..start + length) {
                 cells.copy_from_slice(&values[..length]);
             }
         }
@@ -220,7 +257,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::Mapper;
     use super::*;
 
     fn scan(stamp: u64, x: f64, y: f64) -> Scan {

@@ -1,141 +1,77 @@
 //! What is the shortest way, where every cell costs the same? Jump point search on blocks of bits, exactly optimal.
 //!
 //! Of all equally short ways only those that go diagonally first are looked at: then a straight run needs a stop only where an obstacle
-//! beside it ends (a jump point). Runs are scanned 64 cells at a time, along rows and, on a transposed copy, along columns. Jump points
-//! in the middle of a diagonal run are not kept either: what is found straight ahead of them is reached from the run's beginning.
-//! Corners are not cut, so a diagonal run has no jump points of its own.
+//! beside it ends (a jump point). Jump points in the middle of a diagonal run are not kept either: what is found straight ahead of them
+//! is reached from the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own.
 //!
 //! Sources: Harabor and Grastien, "Online Graph Pruning for Pathfinding on Grid Maps", AAAI 2011; the same, "Improving Jump Point
 //! Search", ICAPS 2014 (block scanning, pruning).
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use zenav_protocol::grid::Cell;
 
-use super::astar::{Memory, NotFound, ends};
+use super::astar::{NotFound, ends};
 use super::budget::Budget;
-use super::lattice::{GridPath, Lattice, UNREACHED, octile};
+use super::jump_grid::{Diagonal, Direction, JumpGrid};
+use super::lattice::{DIAGONAL, GridPath, Lattice, STRAIGHT, UNREACHED, octile};
+use super::open::{Open, OpenList, is_past};
+use super::records::Records;
 use super::searcher::Searched;
 
-/// Free cells along columns, and memory for searches.
-#[derive(Clone, Debug)]
-pub struct JumpGrid {
-    columns: Vec<u64>,
-    /// Words a column.
-    stride: usize,
-    /// Node that each node was reached from.
-    parents: Vec<u32>,
-    /// Directions in which each node was reached at its cost.
-    entered: Vec<u8>,
-    open: BinaryHeap<Reverse<Open>>,
+/// Working memory, kept from one search to the next.
+#[derive(Clone, Debug, Default)]
+pub struct Memory {
+    states: Records<u64>,
+    open: OpenList,
+    /// The cells expanded, in order.
+    expanded: Vec<Cell>,
 }
 
-/// Estimate first; of equals the one nearer to the goal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Open {
-    estimate: u32,
-    to_go: u32,
-    node: u32,
-    direction: Direction,
-}
+/// What is known of a jump point, in one word, so that 0 stands for nothing: its cost turned over, where in [`Memory::expanded`] the
+/// cell lies from which it was reached, and the directions of runs that reached it at this cost.
+#[derive(Clone, Copy)]
+struct State(u64);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Direction {
-    East,
-    West,
-    North,
-    South,
-    /// The start: everywhere.
-    All,
-}
+const DIRECTION_BITS: u32 = 4;
+const MAX_EXPANDED: usize = 1 << (u32::BITS - DIRECTION_BITS);
 
-impl Direction {
-    const fn bit(self) -> u8 {
-        1 << self as u8
+impl State {
+    const fn new(cost: u32, parent: u32) -> Self {
+        Self((!cost as u64) << 32 | (parent << DIRECTION_BITS) as u64)
     }
 
-    /// Columns and rows of a step.
-    const fn step(self) -> (i32, i32) {
-        match self {
-            Self::East => (1, 0),
-            Self::West => (-1, 0),
-            Self::North => (0, 1),
-            Self::South => (0, -1),
-            Self::All => (0, 0),
-        }
+    const fn cost(self) -> u32 {
+        !((self.0 >> 32) as u32)
     }
 
-    const fn of(x: i32, y: i32) -> Self {
-        match (x, y) {
-            (1, _) => Self::East,
-            (-1, _) => Self::West,
-            (_, 1) => Self::North,
-            _ => Self::South,
-        }
+    const fn parent(self) -> usize {
+        (self.0 as u32 >> DIRECTION_BITS) as usize
+    }
+
+    const fn has(self, direction: Direction) -> bool {
+        self.0 >> direction as u32 & 1 == 1
+    }
+
+    const fn with(self, direction: Direction) -> Self {
+        Self(self.0 | 1 << direction as u32)
     }
 }
 
-impl JumpGrid {
-    /// Prepares a lattice: linear in its words.
-    #[must_use]
-    pub fn new(lattice: &Lattice) -> Self {
-        let rows = lattice.len() / lattice.pitch() as usize;
-        let stride = rows.div_ceil(64);
-        let pitch_words = lattice.pitch() as usize / 64;
-        let mut columns = vec![0; stride * pitch_words * 64 + 1];
-        for band in 0..stride {
-            for word in 0..pitch_words {
-                let mut block = [0_u64; 64];
-                for (row, bits) in block.iter_mut().enumerate().take(rows - band * 64) {
-                    *bits = lattice.words()[(band * 64 + row) * pitch_words + word];
-                }
-                if block.iter().any(|bits| *bits != 0) {
-                    transpose(&mut block);
-                    for (column, bits) in block.into_iter().enumerate() {
-                        columns[(word * 64 + column) * stride + band] = bits;
-                    }
-                }
-            }
-        }
-        Self {
-            columns,
-            stride,
-            parents: Vec::new(),
-            entered: Vec::new(),
-            open: BinaryHeap::new(),
-        }
-    }
-}
-
-/// Swaps rows and columns of a block of bits (Warren, "Hacker's Delight", 7-3).
-fn transpose(block: &mut [u64; 64]) {
-    let mut mask = 0x0000_0000_FFFF_FFFF_u64;
-    let mut width = 32;
-    while width != 0 {
-        let mut row = 0;
-        while row < 64 {
-            let swapped = ((block[row] >> width) ^ block[row + width]) & mask;
-            block[row] ^= swapped << width;
-            block[row + width] ^= swapped;
-            row = (row + width + 1) & !width;
-        }
-        width >>= 1;
-        mask ^= mask << width;
-    }
+/// Name of an open node: its cell and the direction that it was reached in.
+const fn name(x: u32, y: u32, direction: Direction) -> u32 {
+    y << 17 | x << 2 | direction as u32
 }
 
 /// The shortest way from one cell to another. Deterministic.
 pub fn search(
     lattice: &Lattice,
-    grid: &mut JumpGrid,
+    grid: &JumpGrid,
     start: Cell,
     goal: Cell,
     memory: &mut Memory,
     budget: Budget<'_>,
 ) -> Searched<GridPath> {
-    let (start_node, goal_node) = match ends(lattice, start, goal) {
-        Ok(nodes) => nodes,
+    let goal_node = match ends(lattice, start, goal) {
+        Ok((_, goal)) => goal,
         Err(reason) => {
             return Searched {
                 result: Err(reason),
@@ -143,37 +79,40 @@ pub fn search(
             };
         }
     };
-    // What an earlier search left in these two is overwritten when a node is first reached.
-    memory.clear(lattice.len());
-    grid.parents.resize(lattice.len(), 0);
-    grid.entered.resize(lattice.len(), 0);
-    let mut open = std::mem::take(&mut grid.open);
-    open.clear();
-    let mut entered = std::mem::take(&mut grid.entered);
-    let mut parents = std::mem::take(&mut grid.parents);
+    memory.states.clear(lattice.len());
+    memory.open.clear(octile(start, goal));
+    memory.expanded.clear();
     let mut run = Run {
         lattice,
         grid,
         goal,
         goal_node,
         memory,
-        open: &mut open,
-        entered: &mut entered,
-        parents: &mut parents,
-        node: start_node,
+        budget,
         cost: 0,
+        here: start,
+        best: UNREACHED,
+        column: [Direction::South, Direction::North].map(|direction| obstacle(lattice, grid, direction, goal)),
+        row: [Direction::West, Direction::East].map(|direction| obstacle(lattice, grid, direction, goal)),
     };
     let mut expansions = 0;
-    run.memory.reach(start_node, 0);
-    run.open.push(Reverse(Open {
-        estimate: octile(start, goal),
-        to_go: octile(start, goal),
-        node: start_node,
-        direction: Direction::All,
-    }));
-    let result = run.until_found(budget, &mut expansions).map(|()| run.trace(start_node));
-    (grid.open, grid.entered, grid.parents) = (open, entered, parents);
+    let result = run.until_found(start, &mut expansions).map(|()| run.trace(start));
     Searched { result, expansions }
+}
+
+/// The first obstacle in a direction: its column or row, by the lattice.
+fn obstacle(lattice: &Lattice, grid: &JumpGrid, direction: Direction, from: Cell) -> u32 {
+    let (mut x, mut y) = (from.x + 1, from.y + 1);
+    loop {
+        let stop = grid.stop(direction, x, y);
+        match direction {
+            Direction::East | Direction::West => x = stop,
+            Direction::North | Direction::South => y = stop,
+        }
+        if !lattice.is_free(y * lattice.pitch() + x) {
+            return stop;
+        }
+    }
 }
 
 /// One search.
@@ -183,148 +122,237 @@ struct Run<'a> {
     goal: Cell,
     goal_node: u32,
     memory: &'a mut Memory,
-    open: &'a mut BinaryHeap<Reverse<Open>>,
-    entered: &'a mut [u8],
-    parents: &'a mut [u32],
+    budget: Budget<'a>,
     /// What is being expanded, and its cost.
-    node: u32,
+    here: Cell,
     cost: u32,
+    /// Least cost known to the goal.
+    best: u32,
+    row: [u32; 2],
+    column: [u32; 2],
 }
 
 impl Run<'_> {
-    fn until_found(&mut self, budget: Budget<'_>, expansions: &mut u64) -> Result<(), NotFound> {
-        while let Some(Reverse(Open {
-            estimate,
-            to_go,
-            node,
-            direction,
-        })) = self.open.pop()
-        {
-            if node == self.goal_node {
-                return Ok(());
+    fn until_found(&mut self, start: Cell, expansions: &mut u64) -> Result<(), NotFound> {
+        if start == self.goal {
+            return Ok(());
+        }
+        let start_node = self.node(start.x, start.y);
+        self.memory.states.set(start_node, State::new(0, 0).0);
+        if self.budget.is_spent(0) {
+            return Err(NotFound::TimedOut);
+        }
+        *expansions += 1;
+        self.memory.expanded.push(start);
+        for direction in Direction::ALL {
+            self.straight(direction, start.x, start.y, 0);
+        }
+        for diagonal in Diagonal::ALL {
+            self.diagonal(diagonal);
+        }
+        while let Some(Open { estimate, name }) = self.memory.open.pop() {
+            if is_past(estimate, self.best) {
+                break;
             }
+            let cell = Cell::new(name >> 2 & 0x7FFF, name >> 17);
+            let cost = estimate - octile(cell, self.goal);
+            let state = State(self.memory.states.get(self.node(cell.x, cell.y)));
             // A better way to it came later.
-            if self.memory.cost[node as usize] != estimate - to_go {
+            if state.cost() != cost || estimate >= self.best {
                 continue;
             }
-            if budget.is_spent(*expansions) {
+            if self.budget.is_spent(*expansions) || self.memory.expanded.len() == MAX_EXPANDED {
                 return Err(NotFound::TimedOut);
             }
             *expansions += 1;
-            (self.node, self.cost) = (node, estimate - to_go);
-            self.expand(node, direction);
+            (self.here, self.cost) = (cell, cost);
+            self.memory.expanded.push(cell);
+            self.expand(Direction::ALL[name as usize & 3]);
         }
-        Err(NotFound::NoPath)
+        if self.best == UNREACHED {
+            return Err(NotFound::NoPath);
+        }
+        Ok(())
     }
 
-    fn expand(&mut self, node: u32, direction: Direction) {
+    fn node(&self, x: u32, y: u32) -> u32 {
+        (y + 1) * self.lattice.pitch() + x + 1
+    }
+
+    fn expand(&mut self, direction: Direction) {
         let (dx, dy) = direction.step();
-        if direction == Direction::All {
-            for straight in [Direction::East, Direction::West, Direction::North, Direction::South] {
-                self.straight(node, straight);
-            }
-            for (x, y) in [(1, 1), (1, -1), (-1, 1), (-1, -1)] {
-                self.diagonal(node, x, y);
-            }
-            return;
-        }
-        self.straight(node, direction);
+        let Cell { x, y } = self.here;
+        let node = self.node(x, y);
+        self.straight(direction, x, y, self.cost);
         // Beside: where an obstacle ends just here.
         for side in [1, -1] {
             let (sx, sy) = (dy * side, dx * side);
             if self.is_free(node, sx, sy) && !self.is_free(node, sx - dx, sy - dy) {
-                self.straight(node, Direction::of(sx, sy));
-                self.diagonal(node, dx + sx, dy + sy);
+                let beside = match (sx, sy) {
+                    (1, _) => Direction::East,
+                    (-1, _) => Direction::West,
+                    (_, 1) => Direction::North,
+                    _ => Direction::South,
+                };
+                self.straight(beside, x, y, self.cost);
+                let diagonal = match (dx + sx, dy + sy) {
+                    (1, 1) => Diagonal::NorthEast,
+                    (-1, 1) => Diagonal::NorthWest,
+                    (1, -1) => Diagonal::SouthEast,
+                    _ => Diagonal::SouthWest,
+                };
+                self.diagonal(diagonal);
             }
         }
     }
 
     fn is_free(&self, node: u32, dx: i32, dy: i32) -> bool {
-        self.lattice.is_free(self.beside(node, dx, dy))
-    }
-
-    fn beside(&self, node: u32, dx: i32, dy: i32) -> u32 {
-        node.wrapping_add_signed(dy * self.lattice.pitch() as i32 + dx)
+        self.lattice
+            .is_free(node.wrapping_add_signed(dy * self.lattice.pitch() as i32 + dx))
     }
 
     /// Reaches the next jump point in a straight direction.
-    fn straight(&mut self, from: u32, direction: Direction) {
-        let pitch = self.lattice.pitch();
-        let (x, y) = (from % pitch, from / pitch);
-        let (gx, gy) = (self.goal_node % pitch, self.goal_node / pitch);
-        let (rows, columns) = (self.lattice.words(), &self.grid.columns[..]);
-        let (along, run, found) = match direction {
-            Direction::East => (gy == y && gx > x, forward(rows, pitch as usize / 64, y, x), 0),
-            Direction::West => (gy == y && gx < x, backward(rows, pitch as usize / 64, y, x), 0),
-            Direction::North => (gx == x && gy > y, forward(columns, self.grid.stride, x, y), 1),
-            Direction::South => (gx == x && gy < y, backward(columns, self.grid.stride, x, y), 1),
-            Direction::All => return,
+    #[inline]
+    fn straight(&mut self, direction: Direction, x: u32, y: u32, cost: u32) {
+        // The lattice's border counts here.
+        let (x, y) = (x + 1, y + 1);
+        let (gx, gy) = (self.goal.x + 1, self.goal.y + 1);
+        let stop = self.grid.stop(direction, x, y);
+        let (along, at, distance) = match direction {
+            Direction::East => (gy == y && gx > x && gx <= stop, (stop, y), stop - x),
+            Direction::West => (gy == y && gx < x && gx >= stop, (stop, y), x - stop),
+            Direction::North => (gx == x && gy > y && gy <= stop, (x, stop), stop - y),
+            Direction::South => (gx == x && gy < y && gy >= stop, (x, stop), y - stop),
         };
-        let (end, is_jump) = run;
-        let (target, end_is_beyond) = if found == 0 {
-            (gx, x.abs_diff(end) >= x.abs_diff(gx))
-        } else {
-            (gy, y.abs_diff(end) >= y.abs_diff(gy))
-        };
-        let stop = if along && end_is_beyond {
-            target
-        } else if is_jump {
-            end
-        } else {
+        if along {
+            self.found(cost + (gx.abs_diff(x) + gy.abs_diff(y)) * STRAIGHT);
             return;
-        };
-        let node = if found == 0 { y * pitch + stop } else { stop * pitch + x };
-        self.reach(node, direction);
+        }
+        let node = at.1 * self.lattice.pitch() + at.0;
+        if self.lattice.is_free(node) {
+            self.reach(
+                node,
+                Cell::new(at.0 - 1, at.1 - 1),
+                direction,
+                cost.saturating_add(distance * STRAIGHT),
+            );
+        }
     }
 
     /// Goes on diagonally as long as it goes, and reaches what lies straight ahead of each cell passed.
-    fn diagonal(&mut self, from: u32, dx: i32, dy: i32) {
-        let mut node = from;
-        while self.is_free(node, dx, dy) && self.is_free(node, dx, 0) && self.is_free(node, 0, dy) {
-            node = self.beside(node, dx, dy);
-            if node == self.goal_node {
-                self.reach(node, Direction::of(dx, 0));
-                return;
+    fn diagonal(&mut self, direction: Diagonal) {
+        let [horizontal, vertical] = direction.sides();
+        let (dx, dy) = (horizontal.step().0, vertical.step().1);
+        let (mut x, mut y, mut cost) = (self.here.x + 1, self.here.y + 1, self.cost);
+        let pitch = self.lattice.pitch();
+        let can_go = |x: u32, y: u32| {
+            let node = y * pitch + x;
+            let beside = node.wrapping_add_signed(dx);
+            let above = node.wrapping_add_signed(dy * pitch as i32);
+            self.lattice.is_free(beside)
+                && self.lattice.is_free(above)
+                && self.lattice.is_free(above.wrapping_add_signed(dx))
+        };
+        if !can_go(x, y) {
+            return;
+        }
+        loop {
+            let stop = self.grid.turn(direction, x, y);
+            let steps = stop.abs_diff(y);
+            y = stop;
+            x = x.wrapping_add_signed(dx * steps as i32);
+            cost += DIAGONAL * steps;
+            self.ahead(horizontal, x, y, cost);
+            self.ahead(vertical, x, y, cost);
+            let node = y * pitch + x;
+            let beside = node.wrapping_add_signed(dx);
+            let above = node.wrapping_add_signed(dy * pitch as i32);
+            if !(self.lattice.is_free(beside)
+                && self.lattice.is_free(above)
+                && self.lattice.is_free(above.wrapping_add_signed(dx)))
+            {
+                break;
             }
-            self.straight(node, Direction::of(dx, 0));
-            self.straight(node, Direction::of(0, dy));
+        }
+        // The goal may lie straight ahead of a cell on the way.
+        let steps = y.abs_diff(self.here.y + 1) as i64;
+        let (from, to) = (self.here, self.goal);
+        let along = [
+            (i64::from(to.x) - i64::from(from.x)) * i64::from(dx),
+            (i64::from(to.y) - i64::from(from.y)) * i64::from(dy),
+        ];
+        let short = along[0].min(along[1]);
+        if short < 1 || short > steps {
+            return;
+        }
+        let turn = (
+            from.x.wrapping_add_signed(dx * short as i32),
+            from.y.wrapping_add_signed(dy * short as i32),
+        );
+        if (turn.1 == to.y && self.row[0] < turn.0 + 1 && turn.0 + 1 < self.row[1])
+            || (turn.0 == to.x && self.column[0] < turn.1 + 1 && turn.1 + 1 < self.column[1])
+        {
+            self.found(self.cost.saturating_add(octile(from, to)));
+        }
+    }
+
+    /// Reaches the jump point that lies straight ahead.
+    #[inline]
+    fn ahead(&mut self, direction: Direction, x: u32, y: u32, cost: u32) {
+        let stop = self.grid.stop(direction, x, y);
+        let (at, distance) = match direction {
+            Direction::East | Direction::West => ((stop, y), stop.abs_diff(x)),
+            Direction::North | Direction::South => ((x, stop), stop.abs_diff(y)),
+        };
+        let node = at.1 * self.lattice.pitch() + at.0;
+        if self.lattice.is_free(node) {
+            self.reach(
+                node,
+                Cell::new(at.0 - 1, at.1 - 1),
+                direction,
+                cost.saturating_add(distance * STRAIGHT),
+            );
+        }
+    }
+
+    /// Notes a way to the goal.
+    fn found(&mut self, cost: u32) {
+        if cost < self.best {
+            self.best = cost;
+            let parent = self.memory.expanded.len() as u32 - 1;
+            self.memory.states.set(self.goal_node, State::new(cost, parent).0);
         }
     }
 
     /// Notes a way from what is being expanded to a node: diagonally first, then straight.
-    fn reach(&mut self, node: u32, direction: Direction) {
-        let (here, there) = (self.lattice.cell(self.node), self.lattice.cell(node));
-        let cost = self.cost.saturating_add(octile(here, there));
-        let known = self.memory.cost[node as usize];
-        if cost > known || (cost == known && self.entered[node as usize] & direction.bit() != 0) {
+    #[inline]
+    fn reach(&mut self, node: u32, at: Cell, direction: Direction, cost: u32) {
+        let mut state = State(self.memory.states.get(node));
+        let known = state.cost();
+        if cost > known || (cost == known && state.has(direction)) {
             return;
         }
-        let to_go = octile(there, self.goal);
-        let estimate = cost.saturating_add(to_go);
-        if estimate == UNREACHED {
+        let estimate = cost.saturating_add(octile(at, self.goal));
+        if estimate >= self.best {
             return;
         }
         if cost < known {
-            self.entered[node as usize] = 0;
-            self.parents[node as usize] = self.node;
-            self.memory.reach(node, cost);
+            state = State::new(cost, self.memory.expanded.len() as u32 - 1);
         }
-        self.entered[node as usize] |= direction.bit();
-        self.open.push(Reverse(Open {
+        self.memory.states.set(node, state.with(direction).0);
+        self.memory.open.push(Open {
             estimate,
-            to_go,
-            node,
-            direction,
-        }));
+            name: name(at.x, at.y, direction),
+        });
     }
 
     /// The way, start first.
-    fn trace(&self, start: u32) -> GridPath {
+    fn trace(&self, start: Cell) -> GridPath {
         let mut cells = vec![self.goal];
-        let mut node = self.goal_node;
-        while node != start {
-            let parent = self.parents[node as usize];
-            let (from, to) = (self.lattice.cell(parent), self.lattice.cell(node));
+        let mut to = self.goal;
+        while to != start {
+            let state = State(self.memory.states.get(self.node(to.x, to.y)));
+            let from = self.memory.expanded[state.parent()];
             let diagonal = from.x.abs_diff(to.x).min(from.y.abs_diff(to.y));
             let toward = |a: u32, b: u32| if b > a { a + diagonal } else { a - diagonal };
             let corner = Cell::new(toward(from.x, to.x), toward(from.y, to.y));
@@ -332,67 +360,10 @@ impl Run<'_> {
                 cells.push(corner);
             }
             cells.push(from);
-            node = parent;
+            to = from;
         }
         cells.reverse();
         GridPath::through(&cells)
-    }
-}
-
-/// Where a run towards higher positions ends: at a jump point (`true`), or at the first blocked position.
-fn forward(words: &[u64], stride: usize, line: u32, from: u32) -> (u32, bool) {
-    let start = line as usize * stride;
-    let mut word = from as usize / 64;
-    let mut mask = (u64::MAX << (from % 64)) << 1;
-    let before = |row: usize, word: usize| if word == 0 { 0 } else { words[row + word - 1] >> 63 };
-    loop {
-        let blocked = !words[start + word];
-        let ends = |row: usize| {
-            let bits = words[row + word];
-            bits & !(bits << 1 | before(row, word))
-        };
-        let found = (blocked | ends(start - stride) | ends(start + stride)) & mask;
-        if found != 0 {
-            let bit = found.trailing_zeros();
-            return (word as u32 * 64 + bit, blocked >> bit & 1 == 0);
-        }
-        word += 1;
-        if word == stride {
-            // Never: the border is blocked.
-            return (from, false);
-        }
-        mask = u64::MAX;
-    }
-}
-
-/// As [`forward`], towards lower positions.
-fn backward(words: &[u64], stride: usize, line: u32, from: u32) -> (u32, bool) {
-    let start = line as usize * stride;
-    let mut word = from as usize / 64;
-    let mut mask = !(u64::MAX << (from % 64));
-    let after = |row: usize, word: usize| {
-        if word + 1 == stride {
-            0
-        } else {
-            words[row + word + 1] << 63
-        }
-    };
-    loop {
-        let blocked = !words[start + word];
-        let ends = |row: usize| {
-            let bits = words[row + word];
-            bits & !(bits >> 1 | after(row, word))
-        };
-        let found = (blocked | ends(start - stride) | ends(start + stride)) & mask;
-        if found != 0 {
-            let bit = 63 - found.leading_zeros();
-            return (word as u32 * 64 + bit, blocked >> bit & 1 == 0);
-        }
-        if word == 0 {
-            return (from, false);
-        }
-        word -= 1;
-        mask = u64::MAX;
     }
 }
 
@@ -403,21 +374,6 @@ mod tests {
     use super::*;
     use crate::space::BitGrid;
     use proptest::prelude::*;
-
-    #[test]
-    fn a_block_is_transposed() {
-        let mut block = [0_u64; 64];
-        for (row, bits) in block.iter_mut().enumerate() {
-            *bits = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        }
-        let original = block;
-        transpose(&mut block);
-        for (row, bits) in block.iter().enumerate() {
-            for (column, before) in original.iter().enumerate() {
-                assert_eq!(bits >> column & 1, before >> row & 1);
-            }
-        }
-    }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
@@ -431,11 +387,11 @@ mod tests {
             let mut free = BitGrid::from_fn(w, h, |cell| !walls.iter().any(|(x, y, dx, dy)| cell.x >= *x && cell.x < x + dx && cell.y >= *y && cell.y < y + dy));
             dots.iter().for_each(|(x, y)| free.set(Cell::new(*x, *y), false));
             let lattice = Lattice::new(&free).unwrap();
-            let mut grid = JumpGrid::new(&lattice);
-            let (mut ours, mut theirs) = (Memory::default(), Memory::default());
+            let grid = JumpGrid::new(&lattice);
+            let (mut ours, mut theirs) = (Memory::default(), astar::Memory::default());
             for (a, b, c, d) in queries {
                 let (start, goal) = (Cell::new(a % w, b % h), Cell::new(c % w, d % h));
-                let found = search(&lattice, &mut grid, start, goal, &mut ours, Budget::UNLIMITED).result;
+                let found = search(&lattice, &grid, start, goal, &mut ours, Budget::UNLIMITED).result;
                 let expected = astar::search(&lattice, &Uniform, start, goal, &mut theirs, Budget::UNLIMITED).result;
                 match (&found, &expected) {
                     (Ok(found), Ok(expected)) => {

@@ -6,6 +6,11 @@
 //! | [`budget`] | how long may a search take? |
 //! | [`astar`] | what is the cheapest way over the lattice? |
 //! | [`jps`] | the shortest way, where every cell costs the same? |
+//! | `jump_grid` | where does a run over free cells end? |
+//! | `open` | which open node is next? |
+//! | `records` | what does a search note about cells, of which it sees few? |
+//! | [`theta`] | a short way in any direction? |
+//! | [`taut`] | which corners of a way are needed? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -16,11 +21,17 @@
 pub mod astar;
 pub mod budget;
 pub mod jps;
+pub mod jump_grid;
 pub mod lattice;
+mod open;
 pub mod plan;
 pub mod planner;
+mod records;
+pub mod sampling;
 pub mod searcher;
 pub mod service;
+pub mod taut;
+pub mod theta;
 pub mod way;
 pub mod worker;
 

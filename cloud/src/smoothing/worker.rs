@@ -56,7 +56,7 @@ impl SmoothWorker {
         } else {
             UnknownPolicy::Blocked
         };
-        let space = self.spaces.get(map.map(), map.grid(), &model.footprint, policy);
+        let space = self.spaces.get(map, &model.footprint, policy);
         let query = SmoothQuery {
             way: &request.path,
             start: request.start,

@@ -10,7 +10,7 @@ use zenav_protocol::robot::RobotModel;
 
 use super::limits::Limits;
 use super::motion::Motion;
-use super::path::GeometricPath;
+use super::path::{GeometricPath, SpeedLimit, UNRESTRICTED};
 
 /// Points of a way nearer than this are one, m.
 const SAME_PLACE: f64 = 1e-3;
@@ -32,10 +32,10 @@ pub fn safe_trajectory(
     goal_yaw: Option<f64>,
     model: &RobotModel,
 ) -> Vec<TrajectoryPoint> {
-    safe_motion(path, start, velocity, goal_yaw, &Limits::of(model)).trajectory(PERIOD)
+    safe_motion(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).trajectory(PERIOD)
 }
 
-/// As [`safe_trajectory`], as a motion.
+/// As [`safe_trajectory`], as a motion that keeps the speed limits of the map's zones.
 #[must_use]
 pub fn safe_motion(
     path: &[Point2<f64>],
@@ -43,6 +43,7 @@ pub fn safe_motion(
     velocity: Twist2,
     goal_yaw: Option<f64>,
     limits: &Limits,
+    speed_limit: SpeedLimit<'_>,
 ) -> Motion {
     let mut motion = Motion::new();
     if !start.is_finite() {
@@ -68,7 +69,7 @@ pub fn safe_motion(
         if speed == 0.0 {
             motion.spin(at, wrap_angle(yaw - at.yaw), limits);
         }
-        let followed = motion.follow(leg, speed, limits);
+        let followed = motion.follow(leg.limited(speed_limit), speed, limits);
         debug_assert!(followed.is_ok(), "a straight line from rest can always be followed");
         speed = 0.0;
         at = Pose2::new(to.x, to.y, yaw);
