@@ -1,5 +1,7 @@
 //! How does another machine keep a copy of a map? By patches, and by the whole where a patch is missing.
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
@@ -19,12 +21,14 @@ pub enum Mirrored {
     Gap,
 }
 
-/// A copy of a map.
+/// A copy of a map. A copy of the copy costs nothing until one of them changes.
 #[derive(Clone, Debug)]
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
-    grid: OccupancyGrid,
+    grid: Arc<OccupancyGrid>,
+    /// The revision in which each tile was last written, row by row.
+    written: Arc<Vec<u64>>,
 }
 
 impl Default for MapMirror {
@@ -46,7 +50,8 @@ impl MapMirror {
         Self {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
-            grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN),
+            grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
+            written: Arc::default(),
         }
     }
 
@@ -60,13 +65,20 @@ impl MapMirror {
         if !(from_unknown || same && patch.base_revision == self.map.revision) || !makes_sense(patch) {
             return Mirrored::Gap;
         }
-        if from_unknown {
-            self.grid = OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN);
-        } else if *self.grid.spec() != patch.spec && !self.regrid(patch.spec) {
+        let begun = if from_unknown {
+            Some(OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == patch.spec {
+            None
+        } else if let Some(grown) = self.regridded(patch.spec) {
+            Some(grown)
+        } else {
             return Mirrored::Gap;
+        };
+        if let Some(grid) = begun {
+            self.begin(grid, patch.map.revision);
         }
         for tile in &patch.tiles {
-            self.write(tile);
+            self.write(tile, patch.map.revision);
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
@@ -78,7 +90,7 @@ impl MapMirror {
         let Ok(grid) = reply.grid() else {
             return false;
         };
-        self.grid = grid;
+        self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
         true
@@ -114,8 +126,26 @@ impl MapMirror {
         self.map.id == wanted.id && self.map.revision >= wanted.revision
     }
 
-    /// Moves the values over to another grid of the same cells; `false` when the cells do not coincide.
-    fn regrid(&mut self, spec: GridSpec) -> bool {
+    /// Tiles (column and row) that may have changed after a revision of this map, row by row.
+    #[must_use]
+    pub fn changed_since(&self, revision: u64) -> Vec<(u32, u32)> {
+        let columns = self.grid.spec().width.div_ceil(TILE).max(1);
+        let numbered = (0_u32..).zip(self.written.iter());
+        numbered
+            .filter(|(_, written)| **written > revision)
+            .map(|(number, _)| (number % columns, number / columns))
+            .collect()
+    }
+
+    /// Takes another grid, all of it new in a revision.
+    fn begin(&mut self, grid: OccupancyGrid, revision: u64) {
+        let tiles = grid.spec().width.div_ceil(TILE) as usize * grid.spec().height.div_ceil(TILE) as usize;
+        self.grid = Arc::new(grid);
+        self.written = Arc::new(vec![revision; tiles]);
+    }
+
+    /// The values moved over to another grid of the same cells; `None` when the cells do not coincide.
+    fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
         let (x, y) = (shift.x.round(), shift.y.round());
@@ -123,7 +153,7 @@ impl MapMirror {
             || (shift.x - x).abs() > 1e-3
             || (shift.y - y).abs() > 1e-3
         {
-            return false;
+            return None;
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let (dx, dy) = (x as i64, y as i64);
@@ -140,12 +170,16 @@ impl MapMirror {
             let length = (end - first) as usize;
             grid.values_mut()[target..target + length].copy_from_slice(&self.grid.values()[source..source + length]);
         }
-        self.grid = grid;
-        true
+        Some(grid)
     }
 
-    fn write(&mut self, tile: &Tile) {
-        let (width, height) = (self.grid.spec().width as usize, self.grid.spec().height as usize);
+    fn write(&mut self, tile: &Tile, revision: u64) {
+        let columns = self.grid.spec().width.div_ceil(TILE) as usize;
+        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(tile.y as usize * columns + tile.x as usize) {
+            *written = revision;
+        }
+        let grid = Arc::make_mut(&mut self.grid);
+        let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
         let (x, y) = (tile.x as usize * side, tile.y as usize * side);
         let length = side.min(width.saturating_sub(x));
@@ -156,7 +190,7 @@ impl MapMirror {
             .take(height.saturating_sub(y))
         {
             let start = (y + row) * width + x;
-            if let Some(cells) = self.grid.values_mut().get_mut(start..start + length) {
+            if let Some(cells) = grid.values_mut().get_mut(start..start + length) {
                 cells.copy_from_slice(&values[..length]);
             }
         }

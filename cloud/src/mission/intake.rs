@@ -165,7 +165,7 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     };
     let reached = stands
         .filter(|_| space.spec().len() <= MAX_FLOODED)
-        .and_then(|stands| reach::flood(space, stands));
+        .and_then(|stands| reach::flood(&space, stands));
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
         let spec = space.spec();
@@ -176,7 +176,7 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         let fits = !outside && space.clearance(point) > model.footprint.inscribed_radius();
         let connected = reached
             .as_ref()
-            .is_none_or(|reached| reach::is_reached(space, reached, point));
+            .is_none_or(|reached| reach::is_reached(&space, reached, point));
         if fits && connected {
             continue;
         }
@@ -193,7 +193,7 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
                 .is_some_and(|value| Occupancy::of(*value) == Occupancy::Free)
         };
         let nearest = match &reached {
-            Some(reached) => reach::nearest(space, reached, point, seen_free),
+            Some(reached) => reach::nearest(&space, reached, point, seen_free),
             None => space.nearest_free(point),
         };
         let nearest_free = nearest.map(|free| GoalPoint {

@@ -14,7 +14,8 @@ use zenav_protocol::time::Stamp;
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
 use super::motion::{Course, Standing};
-use crate::smoothing::timing::safe_trajectory;
+use crate::smoothing::unsmoothed;
+use crate::smoothing::worker::PERIOD;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -369,18 +370,15 @@ impl Search {
                 let Some(model) = ctx.robot.model() else {
                     return Searching::Wait("waits for the robot's description");
                 };
-                let trajectory = safe_trajectory(&path, begin.pose, begin.twist, self.goal.yaw, model);
-                let duration = trajectory.last().map_or(0.0, |point| point.t);
-                (
-                    map,
-                    trajectory,
-                    PlanStatistics {
-                        length,
-                        duration,
-                        status: why.to_owned(),
-                        ..planned
-                    },
-                )
+                let safe = unsmoothed(&path, begin.pose, begin.twist, self.goal.yaw, model);
+                let statistics = PlanStatistics {
+                    planner: planned.planner,
+                    search_ms: planned.search_ms,
+                    length,
+                    status: why.to_owned(),
+                    ..safe.statistics
+                };
+                (map, safe.motion.trajectory(PERIOD), statistics)
             }
         };
         let course = Course {

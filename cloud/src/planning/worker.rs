@@ -55,7 +55,7 @@ impl PlanWorker {
         } else {
             UnknownPolicy::Blocked
         };
-        let space = self.spaces.get(map.map(), map.grid(), &model.footprint, policy);
+        let space = self.spaces.get(map, &model.footprint, policy);
         if !self.prepared.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &space)) {
             let searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal {
                 reason: error.to_string(),

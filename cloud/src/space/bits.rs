@@ -225,6 +225,25 @@ impl BitGrid {
     }
 }
 
+/// For which of 64 values something is true, the first one in the lowest bit.
+#[inline]
+#[allow(
+    clippy::needless_range_loop,
+    reason = "a loop over zipped arrays does not become vector instructions everywhere"
+)]
+pub(super) fn pack<T: Copy>(values: &[T; 64], is: impl Fn(T) -> bool) -> u64 {
+    let mut flags = [0_u8; 64];
+    for i in 0..64 {
+        flags[i] = u8::from(is(values[i]));
+    }
+    let mut word = 0;
+    for (byte, flags) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // Each flag is the lowest bit of its byte; the product brings all of them side by side into the highest byte.
+        word |= (u64::from_le_bytes(*flags).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * byte);
+    }
+    word
+}
+
 /// Turns over 64 by 64 bits: halves are swapped across the diagonal, then halves of halves (Warren, "Hacker's Delight", 7-3).
 fn transpose(block: &mut [u64; 64]) {
     let (mut size, mut mask) = (32, u64::from(u32::MAX));
@@ -266,6 +285,13 @@ mod tests {
             let is_set = |x: u32, y: u32| ((u64::from(x) * 0x9E37_79B9) ^ (u64::from(y) * 0xC2B2_AE3D) ^ seed).wrapping_mul(0xD6E8_FEB8_6659_FD93) >> 63 == 1;
             let turned = BitGrid::from_fn(width, height, |cell| is_set(cell.x, cell.y)).transposed();
             prop_assert_eq!(turned, BitGrid::from_fn(height, width, |cell| is_set(cell.y, cell.x)));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn flags_are_packed_in_order(word in any::<u64>()) {
+            prop_assert_eq!(pack(&std::array::from_fn(|bit| word >> bit & 1), |bit: u64| bit == 1), word);
         }
     }
 

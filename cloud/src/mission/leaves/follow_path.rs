@@ -212,7 +212,7 @@ impl FollowPath {
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
         if let Some(model) = ctx.robot.model().cloned()
             && let Some(space) = ctx.map.space(&model.footprint)
-            && let Recheck::Blocked(_) = recheck(&route.course.trajectory, space, 0.0)
+            && let Recheck::Blocked(_) = recheck(&route.course.trajectory, &space, 0.0)
         {
             // The map has changed since.
             self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
@@ -247,7 +247,7 @@ impl FollowPath {
                 Some(model) => ctx
                     .map
                     .space(&model.footprint)
-                    .map_or(Recheck::Free, |space| ctx.motion.recheck(space, time)),
+                    .map_or(Recheck::Free, |space| ctx.motion.recheck(&space, time)),
                 None => Recheck::Free,
             };
             match checked {
