@@ -173,13 +173,15 @@ impl Words<'_> {
 
     /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
     fn time(&mut self) -> Result<f64, String> {
-        let time = self.number("the time")?;
-        match self.words.clone().count() {
-            0..=2 => Ok(time),
-            left => Err(format!(
-                "expected the host and its time at the end of the line, found {left} words: is the number of readings right?"
+        let time = self.number("the time");
+        let left = self.words.clone().count();
+        let time = match time {
+            Ok(_) if left > 2 => Err(format!(
+                "expected the host and its time at the end of the line, found {left} words"
             )),
-        }
+            time => time,
+        };
+        time.map_err(|error| format!("{error}: is the number of readings right?"))
     }
 
     fn front_laser(mut self) -> Result<Scan, String> {
@@ -303,7 +305,7 @@ mod tests {
         );
         assert_eq!(
             error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
-            "line 1: expected the time, found `host`"
+            "line 1: expected the time, found `host`: is the number of readings right?"
         );
         assert_eq!(
             error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
