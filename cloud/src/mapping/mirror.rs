@@ -28,12 +28,12 @@ pub enum Mirrored {
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
-    grid: Arc<OccupancyGrid>,
-    /// The revision in which each tile of the copy was last written, row by row.
-    written: Arc<Vec<u64>>,
     /// The map's own grid.
     spec: GridSpec,
     beyond: Beyond,
+    grid: Arc<OccupancyGrid>,
+    /// The revision in which each tile was last written, row by row.
+    written: Arc<Vec<u64>>,
 }
 
 impl Default for MapMirror {
@@ -55,10 +55,10 @@ impl MapMirror {
         Self {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
-            grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
-            written: Arc::default(),
             spec: nothing,
             beyond: Beyond::default(),
+            grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
+            written: Arc::default(),
         }
     }
 
@@ -75,11 +75,19 @@ impl MapMirror {
         if from_unknown {
             // Another map: places of the one before mean nothing here.
             self.beyond = Beyond::default();
-            self.begin(OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN), patch.map.revision);
         }
         let reached = self.beyond.around(patch.spec);
-        if !self.regrid(reached, patch.map.revision) {
+        let begun = if from_unknown {
+            Some(OccupancyGrid::filled(reached, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == reached {
+            None
+        } else if let Some(grown) = self.regridded(reached) {
+            Some(grown)
+        } else {
             return Mirrored::Gap;
+        };
+        if let Some(grid) = begun {
+            self.begin(grid, patch.map.revision);
         }
         self.spec = patch.spec;
         let before = tiles_before(&reached, &patch.spec);
@@ -103,26 +111,29 @@ impl MapMirror {
         self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
-        self.regrid(self.beyond.around(self.spec), self.map.revision);
+        self.reach_out();
         true
     }
 
     /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
     pub fn reach(&mut self, outlook: &Outlook) {
         self.beyond.include(outlook);
-        self.regrid(self.beyond.around(self.spec), self.map.revision);
+        self.reach_out();
+    }
+
+    fn reach_out(&mut self) {
+        let reached = self.beyond.around(self.spec);
+        if reached != *self.grid.spec()
+            && let Some(grid) = self.regridded(reached)
+        {
+            self.begin(grid, self.map.revision);
+        }
     }
 
     /// The copy.
     #[must_use]
     pub fn grid(&self) -> &OccupancyGrid {
         &self.grid
-    }
-
-    /// The copy alone.
-    #[must_use]
-    pub fn into_grid(self) -> OccupancyGrid {
-        Arc::unwrap_or_clone(self.grid)
     }
 
     /// Which map and revision it is; an empty name for none yet.
@@ -167,11 +178,8 @@ impl MapMirror {
         self.written = Arc::new(vec![revision; tiles]);
     }
 
-    /// Moves the values over to another grid of the same cells, in a revision; `false` when the cells do not coincide.
-    fn regrid(&mut self, spec: GridSpec, revision: u64) -> bool {
-        if spec == *self.grid.spec() {
-            return true;
-        }
+    /// The values moved over to another grid of the same cells; `None` when the cells do not coincide.
+    fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
         let (x, y) = (shift.x.round(), shift.y.round());
@@ -179,7 +187,7 @@ impl MapMirror {
             || (shift.x - x).abs() > 1e-3
             || (shift.y - y).abs() > 1e-3
         {
-            return false;
+            return None;
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let (dx, dy) = (x as i64, y as i64);
@@ -196,21 +204,20 @@ impl MapMirror {
             let length = (end - first) as usize;
             grid.values_mut()[target..target + length].copy_from_slice(&self.grid.values()[source..source + length]);
         }
-        self.begin(grid, revision);
-        true
+        Some(grid)
     }
 
     /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
     fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
-        let (column, row) = ((tile.x + before.0) as usize, (tile.y + before.1) as usize);
         let columns = self.grid.spec().width.div_ceil(TILE) as usize;
-        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(row * columns + column) {
+        let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
+        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(place) {
             *written = revision;
         }
         let grid = Arc::make_mut(&mut self.grid);
         let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
-        let (x, y) = (column * side, row * side);
+        let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
         // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
         let length = side
             .min(width.saturating_sub(x))
@@ -250,7 +257,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::Mapper;
     use super::*;
 
     fn scan(stamp: u64, x: f64, y: f64) -> Scan {

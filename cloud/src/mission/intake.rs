@@ -8,7 +8,7 @@ use zenav_protocol::messages::*;
 use super::context::Context;
 use super::trees;
 use crate::mapping::Outlook;
-use crate::space::{ConfigurationSpace, UnknownPolicy, reach};
+use crate::space::reach;
 
 /// Waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
@@ -169,11 +169,10 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     } else {
         Outlook::default()
     };
-    let Some(known) = ctx.map.reaching(&outlook) else {
+    let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &outlook) else {
         return Ok(());
     };
     let zones = &ctx.config.zones;
-    let space = ConfigurationSpace::with_zones(&known, &model.footprint, UnknownPolicy::Free, 0.0, zones);
     let reached = stands
         .filter(|_| space.spec().len() <= MAX_FLOODED)
         .and_then(|stands| reach::flood(&space, stands));
@@ -199,6 +198,7 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         };
         let seen_free = |cell| {
             known
+                .grid()
                 .get(cell)
                 .is_some_and(|value| Occupancy::of(*value) == Occupancy::Free)
         };

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
@@ -96,15 +96,18 @@ impl MapBook {
         self.mirror.has_map().then(|| self.mirror.map().clone())
     }
 
-    /// A copy that reaches farther than the map; `None` without a map.
-    #[must_use]
-    pub fn reaching(&self, outlook: &Outlook) -> Option<OccupancyGrid> {
+    /// Where the robot may be as far as an outlook goes, and a copy of the map that reaches there; `None` without a map.
+    pub fn space_reaching(
+        &mut self,
+        footprint: &Footprint,
+        outlook: &Outlook,
+    ) -> Option<(Arc<ConfigurationSpace>, MapMirror)> {
         if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
             return None;
         }
         let mut mirror = self.mirror.clone();
         mirror.reach(outlook);
-        Some(mirror.into_grid())
+        Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

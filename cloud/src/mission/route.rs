@@ -14,7 +14,9 @@ use zenav_protocol::time::Stamp;
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
 use super::motion::{Course, Standing};
-use crate::smoothing::timing::safe_trajectory;
+use crate::planning::Planner;
+use crate::smoothing::unsmoothed;
+use crate::smoothing::worker::PERIOD;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -46,9 +48,6 @@ const SHORT_REST: f64 = 0.4;
 const AT_GOAL: f64 = 0.05;
 /// A start that the map has occupied may be left by this much, m.
 const ESCAPE: f64 = 0.6;
-
-/// Where a body does not fit through a way for its inner disc, discs that are so much nearer to its outer one are planned for.
-const WIDER: [f64; 2] = [0.5, 1.0];
 
 /// A found way and its trajectory.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,6 +128,57 @@ enum Stage {
     Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, PlanStatistics),
 }
 
+/// Between the disc that fits inside the robot's body and the one around it: shares of the difference that are tried one after the other.
+const SHARES: [f64; 3] = [0.0, 0.5, 1.0];
+
+/// How large a disc stands for the robot. A planner knows it as one; whether its body fits shows when the way is made a motion.
+#[derive(Clone, Debug)]
+struct Room {
+    /// Which of [`SHARES`] is planned for.
+    index: usize,
+    /// A planner whose ways pass obstacles as close as they may begins with the largest disc; one that keeps away by itself with the
+    /// smallest.
+    narrows: bool,
+    /// Why a way was found that cannot be driven, if one was.
+    undrivable: Option<String>,
+}
+
+impl Room {
+    fn new(planner: &str) -> Self {
+        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_away());
+        Self {
+            index: if narrows { SHARES.len() - 1 } else { 0 },
+            narrows,
+            undrivable: None,
+        }
+    }
+
+    /// The robot for the planner.
+    fn disc(&self, footprint: &Footprint) -> Footprint {
+        let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
+        match SHARES.get(self.index) {
+            Some(share) if *share > 0.0 && inner < outer => Footprint::Radius(inner + share * (outer - inner)),
+            _ => footprint.clone(),
+        }
+    }
+
+    /// Goes over to the next disc; `false` after the last one.
+    fn change(&mut self) -> bool {
+        let next = if self.narrows {
+            self.index.checked_sub(1)
+        } else {
+            Some(self.index + 1).filter(|index| *index < SHARES.len())
+        };
+        self.index = next.unwrap_or(self.index);
+        next.is_some()
+    }
+
+    /// Goes over to a smaller disc, where that is the way to go.
+    fn narrow(&mut self) -> bool {
+        self.narrows && self.change()
+    }
+}
+
 /// A search for a route.
 #[derive(Clone, Debug)]
 pub struct Search {
@@ -141,25 +191,26 @@ pub struct Search {
     escape: Option<Point2<f64>>,
     /// Only from where the robot stands.
     from_rest: bool,
-    /// Ways that the robot's body did not fit through, and why the last one.
-    tight: (usize, String),
+    /// How large a disc stands for the robot.
+    room: Room,
 }
 
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
     pub fn new(ctx: &Context, goal: GoalPoint, planner: Option<String>, from: Stamp) -> Self {
+        let planner = planner
+            .filter(|name| !name.is_empty())
+            .unwrap_or_else(|| ctx.config.planner.clone());
         Self {
             goal,
-            planner: planner
-                .filter(|name| !name.is_empty())
-                .unwrap_or_else(|| ctx.config.planner.clone()),
             unknown_is_free: ctx.config.unknown_is_free,
             stage: Stage::Idle(from),
             begun: from,
             escape: None,
             from_rest: false,
-            tight: (0, String::new()),
+            room: Room::new(&planner),
+            planner,
         }
     }
 
@@ -211,7 +262,7 @@ impl Search {
         let start = self
             .escape
             .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
-        let footprint = wider(&model.footprint, self.tight.0);
+        let footprint = self.room.disc(&model.footprint);
         let request = PlanRequest {
             robot: ctx.config.robot.to_string(),
             model: RobotModel { footprint, ..model },
@@ -250,11 +301,6 @@ impl Search {
             ..PlanStatistics::default()
         };
         match reply.outcome {
-            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
-                if self.tight.0 > 0 =>
-            {
-                self.undrivable()
-            }
             PlanOutcome::Found { mut path, .. } => {
                 if self.escape.is_some() {
                     path.insert(0, begin.pose.position());
@@ -283,16 +329,6 @@ impl Search {
                 self.stage = Stage::Smooth(ticket, begin, reply.map, path, statistics);
                 Searching::Wait("smooths")
             }
-            PlanOutcome::GoalOccupied { nearest_free } => {
-                let near = nearest_free
-                    .map(|p| format!("; the nearest free place is ({:.2}, {:.2})", p.x, p.y))
-                    .unwrap_or_default();
-                let why = format!("by the map of now the robot does not fit there{near}");
-                self.failed(
-                    error_code::GOAL_OCCUPIED,
-                    format!("the goal {} is occupied: {why}", self.place()),
-                )
-            }
             PlanOutcome::StartOccupied {
                 nearest_free: Some(free),
             } if self.escape.is_none() && (free - begin.pose.position()).norm() < ESCAPE => {
@@ -306,6 +342,29 @@ impl Search {
                 self.escape = Some(free);
                 self.stage = Stage::Idle(ctx.now);
                 Searching::Wait("plans from the nearest free place")
+            }
+            // Where a large disc has no way, a smaller one may; where the body did not fit through, no other way has more room.
+            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
+                if !is_round(ctx) && self.room.narrow() =>
+            {
+                self.escape = None;
+                self.stage = Stage::Idle(ctx.now);
+                Searching::Wait("plans a narrower way")
+            }
+            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
+                if self.room.undrivable.is_some() =>
+            {
+                self.undrivable()
+            }
+            PlanOutcome::GoalOccupied { nearest_free } => {
+                let near = nearest_free
+                    .map(|p| format!("; the nearest free place is ({:.2}, {:.2})", p.x, p.y))
+                    .unwrap_or_default();
+                let why = format!("by the map of now the robot does not fit there{near}");
+                self.failed(
+                    error_code::GOAL_OCCUPIED,
+                    format!("the goal {} is occupied: {why}", self.place()),
+                )
             }
             PlanOutcome::StartOccupied { .. } => self.failed(
                 error_code::START_OCCUPIED,
@@ -345,18 +404,13 @@ impl Search {
             // Where there is no way, none can be driven: the goal itself is the one waypoint.
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && length < AT_GOAL => (map, Vec::new(), planned),
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
-                // A planner knows the robot as a disc. Where its body does not fit, the next way has more room.
-                let times = self.tight.0 + 1;
-                self.tight = (times, reply.statistics.status);
-                let round = ctx
-                    .robot
-                    .model()
-                    .is_none_or(|model| matches!(model.footprint, Footprint::Radius(_)));
-                if round || times > WIDER.len() {
+                self.room.undrivable = Some(reply.statistics.status);
+                if is_round(ctx) || !self.room.change() {
                     return self.undrivable();
                 }
+                self.escape = None;
                 self.stage = Stage::Idle(ctx.now);
-                return Searching::Wait("plans a wider way");
+                return Searching::Wait("plans another way: the robot does not fit through");
             }
             Ok(Answer::Smooth(reply)) => {
                 let statistics = PlanStatistics {
@@ -374,18 +428,15 @@ impl Search {
                 let Some(model) = ctx.robot.model() else {
                     return Searching::Wait("waits for the robot's description");
                 };
-                let trajectory = safe_trajectory(&path, begin.pose, begin.twist, self.goal.yaw, model);
-                let duration = trajectory.last().map_or(0.0, |point| point.t);
-                (
-                    map,
-                    trajectory,
-                    PlanStatistics {
-                        length,
-                        duration,
-                        status: why.to_owned(),
-                        ..planned
-                    },
-                )
+                let safe = unsmoothed(&path, begin.pose, begin.twist, self.goal.yaw, model);
+                let statistics = PlanStatistics {
+                    planner: planned.planner,
+                    search_ms: planned.search_ms,
+                    length,
+                    status: why.to_owned(),
+                    ..safe.statistics
+                };
+                (map, safe.motion.trajectory(PERIOD), statistics)
             }
         };
         let course = Course {
@@ -410,7 +461,8 @@ impl Search {
     }
 
     fn undrivable(&mut self) -> Searching {
-        let why = format!("the way to {} cannot be driven: {}", self.place(), self.tight.1);
+        let status = self.room.undrivable.take().unwrap_or_default();
+        let why = format!("the way to {} cannot be driven: {status}", self.place());
         self.failed(error_code::UNKNOWN, why)
     }
 
@@ -424,13 +476,10 @@ impl Search {
     }
 }
 
-/// The robot as a larger disc, after so many ways that its body did not fit through.
-fn wider(footprint: &Footprint, times: usize) -> Footprint {
-    let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
-    match times.checked_sub(1).and_then(|index| WIDER.get(index)) {
-        Some(share) => Footprint::Radius(inner + share * (outer - inner)),
-        None => footprint.clone(),
-    }
+/// Whether all discs that stand for the robot are the same.
+fn is_round(ctx: &Context) -> bool {
+    let footprint = ctx.robot.model().map(|model| &model.footprint);
+    footprint.is_none_or(|footprint| matches!(footprint, Footprint::Radius(_)))
 }
 
 /// The state that the robot will be in when a plan made now comes into force.

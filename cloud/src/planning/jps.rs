@@ -230,7 +230,12 @@ impl Run<'_> {
         }
         let node = at.1 * self.lattice.pitch() + at.0;
         if self.lattice.is_free(node) {
-            self.reach(node, Cell::new(at.0 - 1, at.1 - 1), direction, cost.saturating_add(distance * STRAIGHT));
+            self.reach(
+                node,
+                Cell::new(at.0 - 1, at.1 - 1),
+                direction,
+                cost.saturating_add(distance * STRAIGHT),
+            );
         }
     }
 
@@ -244,7 +249,9 @@ impl Run<'_> {
             let node = y * pitch + x;
             let beside = node.wrapping_add_signed(dx);
             let above = node.wrapping_add_signed(dy * pitch as i32);
-            self.lattice.is_free(beside) && self.lattice.is_free(above) && self.lattice.is_free(above.wrapping_add_signed(dx))
+            self.lattice.is_free(beside)
+                && self.lattice.is_free(above)
+                && self.lattice.is_free(above.wrapping_add_signed(dx))
         };
         if !can_go(x, y) {
             return;
@@ -260,20 +267,31 @@ impl Run<'_> {
             let node = y * pitch + x;
             let beside = node.wrapping_add_signed(dx);
             let above = node.wrapping_add_signed(dy * pitch as i32);
-            if !(self.lattice.is_free(beside) && self.lattice.is_free(above) && self.lattice.is_free(above.wrapping_add_signed(dx))) {
+            if !(self.lattice.is_free(beside)
+                && self.lattice.is_free(above)
+                && self.lattice.is_free(above.wrapping_add_signed(dx)))
+            {
                 break;
             }
         }
         // The goal may lie straight ahead of a cell on the way.
         let steps = y.abs_diff(self.here.y + 1) as i64;
         let (from, to) = (self.here, self.goal);
-        let along = [(i64::from(to.x) - i64::from(from.x)) * i64::from(dx), (i64::from(to.y) - i64::from(from.y)) * i64::from(dy)];
+        let along = [
+            (i64::from(to.x) - i64::from(from.x)) * i64::from(dx),
+            (i64::from(to.y) - i64::from(from.y)) * i64::from(dy),
+        ];
         let short = along[0].min(along[1]);
         if short < 1 || short > steps {
             return;
         }
-        let turn = (from.x.wrapping_add_signed(dx * short as i32), from.y.wrapping_add_signed(dy * short as i32));
-        if (turn.1 == to.y && self.row[0] < turn.0 + 1 && turn.0 + 1 < self.row[1]) || (turn.0 == to.x && self.column[0] < turn.1 + 1 && turn.1 + 1 < self.column[1]) {
+        let turn = (
+            from.x.wrapping_add_signed(dx * short as i32),
+            from.y.wrapping_add_signed(dy * short as i32),
+        );
+        if (turn.1 == to.y && self.row[0] < turn.0 + 1 && turn.0 + 1 < self.row[1])
+            || (turn.0 == to.x && self.column[0] < turn.1 + 1 && turn.1 + 1 < self.column[1])
+        {
             self.found(self.cost.saturating_add(octile(from, to)));
         }
     }
@@ -288,7 +306,12 @@ impl Run<'_> {
         };
         let node = at.1 * self.lattice.pitch() + at.0;
         if self.lattice.is_free(node) {
-            self.reach(node, Cell::new(at.0 - 1, at.1 - 1), direction, cost.saturating_add(distance * STRAIGHT));
+            self.reach(
+                node,
+                Cell::new(at.0 - 1, at.1 - 1),
+                direction,
+                cost.saturating_add(distance * STRAIGHT),
+            );
         }
     }
 
@@ -317,7 +340,10 @@ impl Run<'_> {
             state = State::new(cost, self.memory.expanded.len() as u32 - 1);
         }
         self.memory.states.set(node, state.with(direction).0);
-        self.memory.open.push(Open { estimate, name: name(at.x, at.y, direction) });
+        self.memory.open.push(Open {
+            estimate,
+            name: name(at.x, at.y, direction),
+        });
     }
 
     /// The way, start first.

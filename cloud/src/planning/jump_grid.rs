@@ -76,11 +76,15 @@ impl JumpGrid {
         let [north, south] = stops(&columns, column_stride);
         let mut turns = [const { Vec::new() }; 4];
         let [to_east, to_west] = leads(rows, [&east, &west], stride);
-        let [to_north, to_south] = leads(&columns, [&north, &south], column_stride).map(|to| transposed(&to, column_stride, stride * 64));
+        let [to_north, to_south] =
+            leads(&columns, [&north, &south], column_stride).map(|to| transposed(&to, column_stride, stride * 64));
         let square = squares(rows, stride);
         for (i, diagonal) in Diagonal::ALL.iter().enumerate() {
             let [dx, dy] = match diagonal {
-                Diagonal::NorthEast => [1, 1], Diagonal::NorthWest => [-1, 1], Diagonal::SouthEast => [1, -1], Diagonal::SouthWest => [-1, -1]
+                Diagonal::NorthEast => [1, 1],
+                Diagonal::NorthWest => [-1, 1],
+                Diagonal::SouthEast => [1, -1],
+                Diagonal::SouthWest => [-1, -1],
             };
             let side = if dx > 0 { &to_east } else { &to_west };
             let up = if dy > 0 { &to_north } else { &to_south };
@@ -88,8 +92,16 @@ impl JumpGrid {
             for y in 1..height - 1 {
                 for w in 0..stride {
                     let at = y * stride + w;
-                    let sq = if dy > 0 { &square[y * stride..][..stride] } else { &square[(y - 1) * stride..][..stride] };
-                    let can = if dx > 0 { sq[w] } else { sq[w] << 1 | w.checked_sub(1).map_or(0, |w| sq[w] >> 63) };
+                    let sq = if dy > 0 {
+                        &square[y * stride..][..stride]
+                    } else {
+                        &square[(y - 1) * stride..][..stride]
+                    };
+                    let can = if dx > 0 {
+                        sq[w]
+                    } else {
+                        sq[w] << 1 | w.checked_sub(1).map_or(0, |w| sq[w] >> 63)
+                    };
                     all[at] = side[at] | up[at] | !can;
                 }
             }
@@ -236,7 +248,11 @@ fn sheared(rows: &[u64], stride: usize, height: usize, slope: i32) -> Vec<u64> {
             let mut block = [u64::MAX; 64];
             for (row, bits) in block.iter_mut().enumerate().take(height - band * 64) {
                 let y = band * 64 + row;
-                let from = if slope > 0 { (word * 64 + y) % pitch } else { (word * 64 + pitch - y % pitch) % pitch };
+                let from = if slope > 0 {
+                    (word * 64 + y) % pitch
+                } else {
+                    (word * 64 + pitch - y % pitch) % pitch
+                };
                 let line = &rows[y * stride..][..stride];
                 let (at, bit) = (from / 64, from % 64);
                 *bits = line[at] >> bit | (line[(at + 1) % stride] << 1) << (63 - bit);

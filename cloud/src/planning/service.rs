@@ -91,7 +91,7 @@ impl Show {
         };
         let tree = SearchTree {
             stamp: self.clock.now(),
-            edges: core.tree().take(MAX_EDGES).collect(),
+            edges: core.tree(MAX_EDGES),
             path,
         };
         if let Some(publisher) = self.publishers.get(&question.robot) {

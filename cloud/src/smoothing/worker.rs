@@ -9,7 +9,7 @@ use crate::mapping::MapMirror;
 use crate::space::{SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two points of a trajectory, s.
-const PERIOD: f64 = 0.05;
+pub const PERIOD: f64 = 0.05;
 /// Most corner points of a way.
 const MAX_POINTS: usize = 100_000;
 

@@ -8,7 +8,7 @@ pub(super) const SCRIPT: Script = Script {
     name: "online",
     world: "house",
     robot: ("waffle", "turtlebot3_waffle"),
-    planner: Some("astar"),
+    planner: Some("rrt_star"),
     time_limit: 900.0,
     uses_stored_map: false,
     impossible: &[

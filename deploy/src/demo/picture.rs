@@ -178,7 +178,7 @@ mod tests {
             goal: None,
         };
         let bytes = draw(&scene).unwrap();
-        let picture = image::decode(&bytes).unwrap();
+        let picture = image::decode(bytes).unwrap();
         assert_eq!((picture.width, picture.height), (40 * MAX_ZOOM, 20 * MAX_ZOOM));
         let gray = |x: u32, y: u32| picture.gray[(y * picture.width + x) as usize];
         let bottom = picture.height - 1;

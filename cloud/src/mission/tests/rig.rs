@@ -17,7 +17,8 @@ use crate::mission::exchange::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Re
 use crate::mission::records::{Record, Restored, StoredGoal};
 use crate::mission::route::sample;
 use crate::mission::{Mission, MissionConfig};
-use crate::smoothing::timing::safe_trajectory;
+use crate::smoothing::unsmoothed;
+use crate::smoothing::worker::PERIOD;
 
 pub const DT: f64 = 0.05;
 
@@ -584,13 +585,14 @@ impl Rig {
             }
             Ask::Smooth(_) if !self.smoother_up => silent(),
             Ask::Smooth(request) => {
-                let trajectory = safe_trajectory(
+                let safe = unsmoothed(
                     &request.path,
                     request.start,
                     request.start_velocity,
                     request.goal_yaw,
                     &request.model,
                 );
+                let trajectory = safe.trajectory(PERIOD);
                 let statistics = PlanStatistics {
                     status: "smoothed".into(),
                     ..PlanStatistics::default()
