@@ -84,12 +84,13 @@ fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildErr
     }
     let size = [high.x - low.x, high.y - low.y];
     let finest = (size[0].max(size[1]) / f64::from(MAX_SIDE)).max((size[0] * size[1] / MAX_CELLS as f64).sqrt());
-    // Room for whole tiles, and a number that is easy to read.
+    // Room for whole tiles, and two digits, rounded up.
     let digit = 10.0_f64.powf((1.02 * finest).log10().floor() - 1.0);
+    let rounded = (1.02 * finest / digit).ceil() * digit;
     BuildError::TooLarge {
         size,
         resolution,
-        finest: (1.02 * finest / digit).ceil() * digit,
+        finest: format!("{rounded:.1e}").parse().unwrap_or(rounded),
     }
 }
 

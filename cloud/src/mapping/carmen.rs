@@ -173,13 +173,15 @@ impl Words<'_> {
 
     /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
     fn time(&mut self) -> Result<f64, String> {
-        let time = self.number("the time")?;
-        match self.words.clone().count() {
-            0..=2 => Ok(time),
-            left => Err(format!(
-                "expected the host and its time at the end of the line, found {left} words: is the number of readings right?"
+        let time = self.number("the time");
+        let left = self.words.clone().count();
+        let time = match time {
+            Ok(_) if left > 2 => Err(format!(
+                "expected the host and its time at the end of the line, found {left} words"
             )),
-        }
+            time => time,
+        };
+        time.map_err(|error| format!("{error}: is the number of readings right?"))
     }
 
     fn front_laser(mut self) -> Result<Scan, String> {
@@ -201,10 +203,14 @@ impl Words<'_> {
         let angle_min = self.number("the start angle")?;
         self.number("the field of view")?;
         let angle_increment = self.number("the angular resolution")?;
-        let range_max = self.number("the maximum range")?;
+        let range_max = self.number("the maximum range")?.min(NOTHING_SEEN);
         self.number("the accuracy")?;
         self.number("the remission mode")?;
-        let ranges = self.ranges()?;
+        let mut ranges = self.ranges()?;
+        // The maximum itself stands for no return.
+        for range in ranges.iter_mut().filter(|range| f64::from(**range) >= range_max) {
+            *range = f32::INFINITY;
+        }
         for _ in 0..self.count("the number of remissions")? {
             self.number("a remission")?;
         }
@@ -220,14 +226,7 @@ impl Words<'_> {
             self.number(what)?;
         }
         let time = self.time()?;
-        Ok(scan(
-            time,
-            laser,
-            angle_min,
-            angle_increment,
-            range_max.min(NOTHING_SEEN),
-            ranges,
-        ))
+        Ok(scan(time, laser, angle_min, angle_increment, range_max, ranges))
     }
 }
 
@@ -257,7 +256,7 @@ pub const LOG_BEAMS: BeamOptions = BeamOptions {
 mod tests {
     use super::*;
 
-    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 2 1.5 2.5 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
+    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 3 1.5 2.5 20 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
 
     #[test]
     fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
@@ -274,8 +273,10 @@ mod tests {
         assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
         assert_eq!(
             (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
-            (-1.5, 0.5, 2)
+            (-1.5, 0.5, 3)
         );
+        // The maximum range stands for no return.
+        assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
     }
 
     #[test]
@@ -304,7 +305,7 @@ mod tests {
         );
         assert_eq!(
             error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
-            "line 1: expected the time, found `host`"
+            "line 1: expected the time, found `host`: is the number of readings right?"
         );
         assert_eq!(
             error("FLASER 1 nan 0 0 0 0 0 0 1\n"),

@@ -83,6 +83,8 @@ pub enum MapFileError {
 /// Reads a map: a `map_server` description (`.yaml`), a plain picture (`.pgm`, `.png`: usual thresholds, origin zero), or a
 /// Moving AI map (`.map`). Files that say nothing of their scale get `resolution` metres a cell.
 ///
+/// Takes a byte a cell: a binary graymap becomes the grid in place. Others are in memory beside their grid for a while.
+///
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
 pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileError> {

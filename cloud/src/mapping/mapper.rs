@@ -20,7 +20,7 @@ pub enum Insertion {
     OutOfOrder,
     /// Its description makes no sense.
     NotSane,
-    /// It was taken beyond the largest map.
+    /// It was taken beyond the largest map, or every beam ends beyond it.
     OutOfMap,
 }
 
@@ -102,7 +102,7 @@ impl Mapper {
             self.config.mode,
             self.config.footprint.as_ref(),
         );
-        if drawn.is_none() {
+        if drawn.is_none_or(|drawn| drawn.beams == 0 && drawn.left_out > 0) {
             return Insertion::OutOfMap;
         }
         self.stamp = scan.stamp;

@@ -9,7 +9,7 @@
 //! | `window` | which cells did one scan look at? |
 //! | `fading` | what went away without being seen to go? |
 //! | [`mapper`], [`config`] | how do a robot's scans become its map? |
-//! | [`mirror`] | how does another machine keep a copy? |
+//! | [`mirror`], [`beyond`] | how does another machine keep a copy, and how far does it reach? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
 //! | [`map_file`], [`map_image`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
 //! | [`moving_ai`] | what do the Moving AI benchmarks say? |
@@ -19,6 +19,7 @@
 
 pub mod atomic;
 pub mod beams;
+pub mod beyond;
 pub mod build;
 pub mod carmen;
 pub mod config;
@@ -40,6 +41,7 @@ mod tiles;
 mod window;
 
 pub use beams::BeamOptions;
+pub use beyond::Outlook;
 pub use config::{MapperConfig, MapperConfigError};
 pub use evidence::SensorModel;
 pub use follower::MapFollower;

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::exchange::{Answer, Ask, Ticket};
-use crate::mapping::{MapMirror, Mirrored};
+use crate::mapping::{MapMirror, Mirrored, Outlook};
 use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
 
 /// Time between two asks for the whole map, s.
@@ -75,7 +75,7 @@ impl MapBook {
         self.info.as_ref()
     }
 
-    /// Where the copy's grid lies; `None` while there is no copy.
+    /// Where the map itself lies; `None` while there is no copy.
     #[must_use]
     pub fn spec(&self) -> Option<GridSpec> {
         self.mirror.has_map().then(|| *self.mirror.grid().spec())
@@ -87,9 +87,18 @@ impl MapBook {
         self.mirror.has_map().then(|| self.mirror.map().clone())
     }
 
-    /// Where the robot may be, as [`Self::space`], beside what is known of each cell.
-    pub fn space_and_grid(&mut self, footprint: &Footprint) -> Option<(Arc<ConfigurationSpace>, &OccupancyGrid)> {
-        Some((self.space(footprint)?, self.mirror.grid()))
+    /// Where the robot may be as far as an outlook goes, and a copy of the map that reaches there; `None` without a map.
+    pub fn space_reaching(
+        &mut self,
+        footprint: &Footprint,
+        outlook: &Outlook,
+    ) -> Option<(Arc<ConfigurationSpace>, MapMirror)> {
+        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
+            return None;
+        }
+        let mut mirror = self.mirror.clone();
+        mirror.reach(outlook);
+        Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

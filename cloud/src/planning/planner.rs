@@ -35,6 +35,18 @@ impl Planner {
         ("rrt_star", Self::RrtStar),
     ];
 
+    /// Whether it grows trees towards samples.
+    #[must_use]
+    pub const fn grows_trees(self) -> bool {
+        matches!(self, Self::Rrt | Self::RrtConnect | Self::RrtStar)
+    }
+
+    /// Whether its ways keep away from obstacles for the robot's comfort; those of the others may pass as close as the robot fits.
+    #[must_use]
+    pub const fn keeps_away(self) -> bool {
+        matches!(self, Self::AStar)
+    }
+
     /// Its name, as in requests and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -45,7 +45,8 @@ fn any_row<F: Fn(u32) -> (u32, u32)>(
     if !(finite(a) && finite(b) && reach.is_finite()) {
         return true;
     }
-    let [width, height] = [bits.width(), bits.height()].map(|cells| f64::from(cells) - 0.5);
+    // The last column and row whole, none where there is none.
+    let [width, height] = [bits.width(), bits.height()].map(|cells| f64::from(cells).next_down());
     let (left, right) = ((a.x.min(b.x) - reach).max(0.0), (a.x.max(b.x) + reach).min(width));
     let (low, high) = ((a.y.min(b.y) - reach).max(0.0), (a.y.max(b.y) + reach).min(height));
     if !(left <= right && low <= high) {
@@ -230,6 +231,23 @@ pub(super) mod tests {
     /// Points on quarter cells, in the grid and around it.
     fn around() -> impl Strategy<Value = (i64, i64)> {
         (-40..4 * SIDE + 40, -40..4 * SIDE + 40)
+    }
+
+    #[test]
+    fn the_far_half_of_the_last_column_and_row_is_not_missed() {
+        let bits = bits(&[(SIDE - 1, 9), (9, SIDE - 1)]);
+        for x in [69.51, 69.75, 69.99, 70.0] {
+            let (a, b) = (Point2::new(x, 5.0), Point2::new(x, 15.0));
+            assert!(
+                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
+                "{x}"
+            );
+            let (a, b) = (Point2::new(a.y, a.x), Point2::new(b.y, b.x));
+            assert!(
+                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
+                "{x}"
+            );
+        }
     }
 
     proptest! {

@@ -16,6 +16,9 @@ use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
 /// A map from a log.
+///
+/// The rate is that of inserting all scans in one thread, by that thread's own time; reading, comparing and writing do not
+/// count.
 #[derive(Debug, clap::Args)]
 pub(super) struct BuildArgs {
     /// CARMEN log, compressed by gzip or not
