@@ -336,6 +336,26 @@ mod tests {
     }
 
     #[test]
+    fn ways_lead_around_closed_zones_and_bad_zones_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let zones = folder.path().join("z.toml").display().to_string();
+        // The map's cells are 1 m wide, its origin lies below its last row: the lower half of the second column.
+        std::fs::write(&zones, "[[keep_out]]\npoints = [[1.2, 0.2], [1.8, 0.2], [1.5, 1.8]]\n").unwrap();
+        let open = "type octile\nheight 4\nwidth 4\nmap\n....\n....\n....\n....\n";
+        let (outcome, rows, _folder) = run(open, "0 3 2 3\n1 3 0 0\n", &["--zones", &zones]);
+        assert_eq!(outcome.unwrap(), exit_code::OK);
+        assert_eq!((rows[0][1], rows[1][2]), (6.0, 0.0));
+        std::fs::write(&zones, "[[keep_out]]\npoints = [[1.2, 0.2]]\n").unwrap();
+        let failure = run(open, "0 3 2 3\n", &["--zones", &zones]).0.unwrap_err();
+        assert!(
+            failure.code == exit_code::USAGE && failure.message.contains("z.toml:2: `keep_out.points`"),
+            "{failure}"
+        );
+        let failure = run(open, "0 3 2 3\n", &["--zones", "nowhere.toml"]).0.unwrap_err();
+        assert_eq!(failure.code, exit_code::NOT_FOUND);
+    }
+
+    #[test]
     fn a_map_of_one_cell_and_a_time_limit_are_fine() {
         let (outcome, rows, _folder) = run(
             "type octile\nheight 1\nwidth 1\nmap\n.\n",
