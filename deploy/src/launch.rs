@@ -233,7 +233,8 @@ impl Parts {
                 format!("planning {worker}"),
                 bus("planning"),
                 move |bus, shutdown| async move {
-                    planning::service::run(bus, name, shutdown)
+                    let clock = Clock::follow(&bus)?;
+                    planning::service::run(bus, clock, name, shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },

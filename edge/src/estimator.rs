@@ -18,7 +18,7 @@ use crate::history::PoseHistory;
 const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// After so many rejected measurements in a row the estimate is doubted rather than the sensor.
 const DOUBT_AFTER: u32 = 25;
-/// Random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
+/// Least random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
 const SLIP: f64 = 1e-6;
 /// Wheels that have not turned for this long are at rest, s.
 const STILL: f64 = 0.5;
@@ -152,11 +152,12 @@ impl Estimator {
             turns = [0.0; 2];
         }
         let rolled = drive.twist(turns);
+        let slip = SLIP.max(drive.errors.slip.powi(2));
         let wheel_variance = turns
             .iter()
             .map(|turn| {
                 let metres = turn * drive.wheel_radius;
-                (self.model.encoders.noise * metres).powi(2) + SLIP * metres.abs()
+                (self.model.encoders.noise * metres).powi(2) + slip * metres.abs()
             })
             .sum::<f64>();
 

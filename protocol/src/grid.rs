@@ -398,6 +398,12 @@ impl<T> Grid<T> {
         &self.values
     }
 
+    /// All values, row by row from the lowest, without a copy.
+    #[must_use]
+    pub fn into_values(self) -> Vec<T> {
+        self.values
+    }
+
     /// All values, row by row from the lowest.
     pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values

@@ -3,6 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`geometry`] | poses, twists, angles (REP-103) |
+//! | [`polygon`] | outlines: edges, area, inside or not |
 //! | [`grid`] | the grid convention, occupancy values, the one ray walk |
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key |
@@ -22,6 +23,7 @@ pub mod grid;
 pub mod id;
 pub mod lease;
 pub mod messages;
+pub mod polygon;
 pub mod readings;
 pub mod robot;
 pub mod time;

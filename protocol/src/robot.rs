@@ -120,9 +120,28 @@ pub struct Drive {
     /// Largest forward speed, m/s; the wheels may allow less.
     #[serde(default = "unlimited")]
     pub max_speed: f64,
+    /// Largest jerk of the base along its way, m/s³; without it plans change their acceleration at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_jerk: Option<f64>,
     /// Time constant of the motors, s.
     #[serde(default)]
     pub motor_lag: f64,
+    /// What the simulated robot does differently from what it believes.
+    #[serde(default)]
+    pub errors: DriveErrors,
+}
+
+/// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
+/// Mobile Robots", 1996). The simulator drives by them; the robot knows of the slip only.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DriveErrors {
+    /// How much larger the wheels (left, right) are than stated, as a share.
+    pub wheel_radius: [f64; 2],
+    /// How much farther apart the wheels touch the floor than stated, as a share.
+    pub wheel_separation: f64,
+    /// Standard deviation of what a wheel slips, m for each square root of a metre rolled.
+    pub slip: f64,
 }
 
 fn default_lateral() -> f64 {
@@ -193,6 +212,22 @@ pub struct LidarModel {
     /// Standard deviation of a range, m.
     #[serde(default)]
     pub noise: f64,
+    /// Constant error of a range, m.
+    #[serde(default)]
+    pub bias: f64,
+    /// Share of beams that are lost.
+    #[serde(default)]
+    pub dropout: f64,
+    /// Smallest step of a range, m.
+    #[serde(default = "millimetre")]
+    pub resolution: f64,
+    /// Time from a sweep to its delivery, s.
+    #[serde(default)]
+    pub latency: f64,
+}
+
+fn millimetre() -> f64 {
+    0.001
 }
 
 impl LidarModel {
@@ -229,6 +264,12 @@ pub struct EncoderModel {
     pub noise: f64,
     /// Smallest step, rad.
     pub resolution: f64,
+    /// Readings a second; without it one every control step.
+    pub rate_hz: Option<f64>,
+    /// Share of readings that are lost: the angles of the one before stand.
+    pub dropout: f64,
+    /// Time from a reading to its delivery, s.
+    pub latency: f64,
 }
 
 impl Default for EncoderModel {
@@ -236,6 +277,9 @@ impl Default for EncoderModel {
         Self {
             noise: 0.005,
             resolution: 0.001,
+            rate_hz: None,
+            dropout: 0.0,
+            latency: 0.0,
         }
     }
 }
@@ -252,6 +296,14 @@ pub struct ImuModel {
     pub gyro_bias: f64,
     /// Standard deviation of the compass, rad; without it there is no compass.
     pub compass_noise: Option<f64>,
+    /// Constant error of the compass, rad.
+    pub compass_bias: f64,
+    /// Smallest step of the yaw rate, rad/s.
+    pub resolution: f64,
+    /// Share of readings that are lost.
+    pub dropout: f64,
+    /// Time from a reading to its delivery, s.
+    pub latency: f64,
 }
 
 impl Default for ImuModel {
@@ -261,6 +313,10 @@ impl Default for ImuModel {
             gyro_noise: 0.002,
             gyro_bias: 0.0,
             compass_noise: None,
+            compass_bias: 0.0,
+            resolution: 0.0,
+            dropout: 0.0,
+            latency: 0.0,
         }
     }
 }
@@ -273,6 +329,18 @@ pub struct GpsModel {
     pub rate_hz: f64,
     /// Standard deviation of each coordinate, m.
     pub noise: f64,
+    /// Constant error (x, y), m.
+    #[serde(default)]
+    pub bias: [f64; 2],
+    /// Smallest step of a coordinate, m.
+    #[serde(default)]
+    pub resolution: f64,
+    /// Share of readings that are lost.
+    #[serde(default)]
+    pub dropout: f64,
+    /// Time from a reading to its delivery, s.
+    #[serde(default)]
+    pub latency: f64,
 }
 
 /// Battery and consumption: `idle + rolling * |v| + heat * (left² + right²)`.
@@ -417,11 +485,13 @@ impl RobotModel {
             ("drive.max_lateral_acceleration", self.drive.max_lateral_acceleration),
             ("drive.max_yaw_rate", self.drive.max_yaw_rate),
             ("drive.max_speed", self.drive.max_speed),
+            ("drive.max_jerk", self.drive.max_jerk.unwrap_or(1.0)),
             ("lidar.rate_hz", self.lidar.rate_hz),
             ("lidar.range_max", self.lidar.range_max),
             ("lidar.field_of_view", self.lidar.field_of_view),
             ("imu.rate_hz", self.imu.rate_hz),
             ("gps.rate_hz", self.gps.as_ref().map_or(1.0, |gps| gps.rate_hz)),
+            ("encoders.rate_hz", self.encoders.rate_hz.unwrap_or(1.0)),
             ("battery.capacity", self.battery.capacity),
             ("controller.waypoint_threshold", self.controller.waypoint_threshold),
         ];
@@ -439,6 +509,10 @@ impl RobotModel {
             ("imu.gyro_noise", self.imu.gyro_noise),
             ("imu.compass_noise", self.imu.compass_noise.unwrap_or(0.0)),
             ("gps.noise", self.gps.as_ref().map_or(0.0, |gps| gps.noise)),
+            ("gps.resolution", self.gps.as_ref().map_or(0.0, |gps| gps.resolution)),
+            ("lidar.resolution", self.lidar.resolution),
+            ("imu.resolution", self.imu.resolution),
+            ("drive.errors.slip", self.drive.errors.slip),
             ("battery.idle_power", self.battery.idle_power),
             ("battery.rolling_power", self.battery.rolling_power),
             ("battery.acceleration_energy", self.battery.acceleration_energy),
@@ -449,8 +523,49 @@ impl RobotModel {
                 return fail(field, value, "zero or a positive number");
             }
         }
-        if !self.lidar.mount.is_finite() || !self.imu.gyro_bias.is_finite() {
-            return fail("lidar.mount or imu.gyro_bias", f64::NAN, "finite numbers");
+        let gps = self.gps.as_ref();
+        for (field, share) in [
+            ("lidar.dropout", self.lidar.dropout),
+            ("encoders.dropout", self.encoders.dropout),
+            ("imu.dropout", self.imu.dropout),
+            ("gps.dropout", gps.map_or(0.0, |gps| gps.dropout)),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return fail(field, share, "a share, 0 to 1");
+            }
+        }
+        for (field, secs) in [
+            ("lidar.latency", self.lidar.latency),
+            ("encoders.latency", self.encoders.latency),
+            ("imu.latency", self.imu.latency),
+            ("gps.latency", gps.map_or(0.0, |gps| gps.latency)),
+        ] {
+            if !(0.0..=10.0).contains(&secs) {
+                return fail(field, secs, "0 to 10 s");
+            }
+        }
+        let [left, right] = self.drive.errors.wheel_radius;
+        for (field, share) in [
+            ("drive.errors.wheel_radius", left),
+            ("drive.errors.wheel_radius", right),
+            ("drive.errors.wheel_separation", self.drive.errors.wheel_separation),
+        ] {
+            if !(-0.5..=0.5).contains(&share) {
+                return fail(field, share, "a share, -0.5 to 0.5");
+            }
+        }
+        for (field, value) in [
+            ("lidar.bias", self.lidar.bias),
+            ("imu.gyro_bias", self.imu.gyro_bias),
+            ("imu.compass_bias", self.imu.compass_bias),
+            ("gps.bias", gps.map_or(0.0, |gps| gps.bias[0] + gps.bias[1])),
+        ] {
+            if !value.is_finite() {
+                return fail(field, value, "a finite number");
+            }
+        }
+        if !self.lidar.mount.is_finite() {
+            return fail("lidar.mount", f64::NAN, "finite numbers");
         }
         if !(1..=100_000).contains(&self.lidar.beams) {
             return fail("lidar.beams", self.lidar.beams as f64, "1 to 100000");

@@ -10,7 +10,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::chassis::{Chassis, Moved, Surroundings};
 use crate::lidar::{AngularBuffer, measure};
-use crate::sensors::{Encoders, Inertial, Positioning, Schedule, Sensor, stream};
+use crate::sensors::{Delay, Encoders, Inertial, Positioning, Schedule, Sensor, stream};
 
 /// One robot: chassis and sensors.
 #[derive(Clone, Debug)]
@@ -25,7 +25,9 @@ pub struct Body {
     lidar_rng: Pcg64Mcg,
     lidar_schedule: Schedule,
     ranges: Vec<f32>,
-    swept: bool,
+    sweeps: Delay<Sweep>,
+    sweep: Option<Sweep>,
+    wheels: [f64; 2],
     imu: Option<Imu>,
     gps: Option<Gps>,
     now: Stamp,
@@ -36,7 +38,7 @@ impl Body {
     #[must_use]
     pub fn new(id: &Id, model: RobotModel, map_from_base: Pose2, seed: u64) -> Self {
         Self {
-            chassis: Chassis::new(&model, map_from_base),
+            chassis: Chassis::new(&model, map_from_base, stream(seed, id, Sensor::Slip)),
             encoders: Encoders::new(model.encoders.clone(), stream(seed, id, Sensor::Encoders)),
             inertial: Inertial::new(model.imu.clone(), stream(seed, id, Sensor::Imu)),
             positioning: model
@@ -47,7 +49,9 @@ impl Body {
             lidar_rng: stream(seed, id, Sensor::Lidar),
             lidar_schedule: Schedule::new(model.lidar.rate_hz),
             ranges: Vec::with_capacity(model.lidar.beams),
-            swept: false,
+            sweeps: Delay::new(model.lidar.latency),
+            sweep: None,
+            wheels: [0.0; 2],
             imu: None,
             gps: None,
             now: Stamp::ZERO,
@@ -81,8 +85,9 @@ impl Body {
         let map_from_base = self.chassis.truth().map_from_base;
         self.imu = self.inertial.read(now, map_from_base);
         self.gps = self.positioning.as_mut().and_then(|gps| gps.read(now, map_from_base));
-        self.swept = self.lidar_schedule.due(now);
-        if self.swept {
+        self.wheels = self.encoders.read(now);
+        let due = self.lidar_schedule.due(now);
+        if due {
             self.lidar.begin(map_from_base * self.model.lidar.mount);
             self.lidar.scene(around.scene);
             self.lidar.crowd(around.crowd, around.own);
@@ -93,6 +98,11 @@ impl Body {
                 &mut self.ranges,
             );
         }
+        let swept = due.then(|| Sweep {
+            stamp: now,
+            ranges: self.ranges.clone(),
+        });
+        self.sweep = self.sweeps.pass(now, swept);
     }
 
     /// What the sensors said in the last step.
@@ -101,13 +111,10 @@ impl Body {
         let bearing = self.chassis.bump();
         Readings {
             stamp: self.now,
-            wheels: self.encoders.angles(),
+            wheels: self.wheels,
             imu: self.imu.clone(),
             gps: self.gps.clone(),
-            sweep: self.swept.then(|| Sweep {
-                stamp: self.now,
-                ranges: self.ranges.clone(),
-            }),
+            sweep: self.sweep.clone(),
             bump: Bump {
                 stamp: self.now,
                 pressed: bearing.is_some(),

@@ -9,11 +9,6 @@ pub(crate) fn vector(point: Point2<f64>) -> Vector {
     Vector::new(point.x, point.y)
 }
 
-/// The box with these corners.
-pub(crate) fn aabb(low: Point2<f64>, high: Point2<f64>) -> Aabb {
-    Aabb::new(vector(low), vector(high))
-}
-
 /// The box around a disc.
 pub(crate) fn around(center: Point2<f64>, radius: f64) -> Aabb {
     Aabb::from_half_extents(vector(center), Vector::new(radius, radius))

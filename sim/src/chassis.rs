@@ -5,14 +5,16 @@
 //! Exact distances are only computed where the last known clearance does not already rule contact out.
 
 use nalgebra::Vector2;
+use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::robot::RobotModel;
+use zenav_protocol::robot::{Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::clearance::{Nearest, Placed};
 use crate::crowd::Crowd;
 use crate::drive::{Motors, energy};
 use crate::scene::Scene;
+use crate::sensors::gauss;
 
 /// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
 const SKIN: f64 = 1e-6;
@@ -91,10 +93,18 @@ pub struct Moved {
     pub reach: f64,
 }
 
+/// The base's velocity when its wheels turn, with the errors that the robot does not know of.
+fn true_twist(drive: &Drive, wheels: [f64; 2]) -> Twist2 {
+    let [left, right] = drive.errors.wheel_radius;
+    let twist = drive.twist([wheels[0] * (1.0 + left), wheels[1] * (1.0 + right)]);
+    Twist2::new(twist.v, twist.w / (1.0 + drive.errors.wheel_separation))
+}
+
 /// Wheels, footprint and battery of one robot.
 #[derive(Clone, Debug)]
 pub struct Chassis {
     motors: Motors,
+    floor: Pcg64Mcg,
     reach: f64,
     inscribed: f64,
     /// No solid is nearer than this, m: exact at the end of a tick.
@@ -105,9 +115,9 @@ pub struct Chassis {
 }
 
 impl Chassis {
-    /// At rest at a pose.
+    /// At rest at a pose. `floor` draws what the wheels slip.
     #[must_use]
-    pub fn new(model: &RobotModel, map_from_base: Pose2) -> Self {
+    pub fn new(model: &RobotModel, map_from_base: Pose2, floor: Pcg64Mcg) -> Self {
         let truth = Truth {
             map_from_base,
             twist: Twist2::ZERO,
@@ -124,6 +134,7 @@ impl Chassis {
         );
         Self {
             motors: Motors::at_rest(),
+            floor,
             reach,
             inscribed,
             clearance: 0.0,
@@ -178,9 +189,9 @@ impl Chassis {
     }
 
     fn substep(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, now: Stamp, moved: &mut Moved) {
-        let before = model.drive.twist(self.motors.speed()).v;
+        let before = true_twist(&model.drive, self.motors.speed()).v;
         let wheels = self.motors.step(&model.drive, secs);
-        let twist = model.drive.twist(wheels);
+        let twist = true_twist(&model.drive, self.slipped(&model.drive, wheels, secs));
         let share = if wheels == [0.0; 2] {
             1.0
         } else {
@@ -196,8 +207,20 @@ impl Chassis {
         if share < 1.0 {
             self.motors.stall();
         }
-        self.truth.twist = model.drive.twist(self.motors.speed());
+        self.truth.twist = true_twist(&model.drive, self.motors.speed());
         self.truth.drawn_j += energy(&model.battery, twist, before, self.truth.twist.v, secs);
+    }
+
+    /// The wheel speeds by which the robot gets on, rad/s: a random walk along the way, whatever the step.
+    fn slipped(&mut self, drive: &Drive, wheels: [f64; 2], secs: f64) -> [f64; 2] {
+        let slip = drive.errors.slip;
+        if slip <= 0.0 {
+            return wheels;
+        }
+        wheels.map(|speed| {
+            let rolled = (speed * drive.wheel_radius * secs).abs();
+            speed + gauss(&mut self.floor, slip * rolled.sqrt()) / (drive.wheel_radius * secs)
+        })
     }
 
     /// No point of the footprint moves faster, m/s.

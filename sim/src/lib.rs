@@ -7,7 +7,8 @@
 //! | [`world_check`] | which values may a world hold? |
 //! | [`shape`] | what are solids made of? (edges and discs) |
 //! | [`outline`] | which edges bound the occupied cells of a map? |
-//! | [`scene`] | which edges and discs are near? (a tree of boxes) |
+//! | [`boxes`] | which things are near, the nearest first? |
+//! | [`scene`] | what never moves, and what of it is near? |
 //! | [`crowd`] | which movers and robots are near? |
 //! | [`clearance`] | how far is a footprint from a solid? |
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
@@ -41,6 +42,7 @@
 
 pub mod bench;
 pub mod body;
+pub mod boxes;
 mod bridge;
 pub mod chassis;
 pub mod clearance;

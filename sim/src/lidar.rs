@@ -6,27 +6,41 @@
 //! An approximate arc tangent finds the first and last beam of an edge, and exact cross products then decide, so that
 //! two edges which share a corner leave no gap. Edges seen from inside the solid are skipped (back faces).
 //!
-//! Source of the idea: z-buffering, Catmull 1974, on the circle of directions. Equal to parry's ray cast beam by beam.
+//! Edges come front to back from a tree of boxes. A box is left out when every beam that may meet it has already met something nearer:
+//! the farthest range of each block of beams is kept for that, so that rooms behind a wall cost nothing.
+//!
+//! Sources of the ideas: z-buffering, Catmull 1974, and its hierarchical form, Greene, Kass and Miller 1993, on the circle of directions.
+//! Equal to parry's ray cast beam by beam.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Point2, Vector2};
+use rand::RngExt as _;
 use rand_distr::{Distribution, StandardNormal};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::robot::LidarModel;
 
+use crate::boxes::{Bounded, BoxTree, Met};
 use crate::crowd::Crowd;
 use crate::scene::Scene;
+use crate::sensors::stepped;
 use crate::shape::{Disc, Edge, cross};
 
 /// Largest error of [`turn`], rad (Abramowitz and Stegun 4.4.49 promises 1e-5).
 const TURN_ERROR: f64 = 2e-5;
 
+/// Edges whose directions are found together.
+const LANES: usize = 8;
+
+/// Beams whose farthest range is kept together.
+const BLOCK: usize = 16;
+
 /// The nearest solid in every beam of one lidar; reused from sweep to sweep.
 #[derive(Clone, Debug)]
 pub struct AngularBuffer {
     angle_min: f64,
-    increment: f64,
+    /// Beams a radian.
+    per_radian: f64,
     range_max: f64,
     /// Directions of the beams in the laser frame.
     laser_cos: Vec<f64>,
@@ -36,8 +50,12 @@ pub struct AngularBuffer {
     sin: Vec<f64>,
     /// One over the range to the nearest solid so far; zero is none.
     inverse: Vec<f64>,
+    /// The least of `inverse` in each block of beams, where it is not stale.
+    farthest: Vec<f64>,
+    stale: Vec<bool>,
     origin: Point2<f64>,
-    yaw: f64,
+    /// Direction of the first beam in the world, rad in (-pi, pi].
+    first: f64,
 }
 
 impl AngularBuffer {
@@ -49,41 +67,129 @@ impl AngularBuffer {
             .unzip();
         Self {
             angle_min: model.angle_min(),
-            increment: model.angle_increment(),
+            per_radian: 1.0 / model.angle_increment(),
             range_max: model.range_max,
             cos: laser_cos.clone(),
             sin: laser_sin.clone(),
             inverse: vec![0.0; model.beams],
+            farthest: vec![0.0; model.beams.div_ceil(BLOCK)],
+            stale: vec![false; model.beams.div_ceil(BLOCK)],
             laser_cos,
             laser_sin,
             origin: Point2::origin(),
-            yaw: 0.0,
+            first: model.angle_min(),
         }
     }
 
     /// Begins a sweep: nothing seen yet.
     pub fn begin(&mut self, map_from_laser: Pose2) {
         self.origin = map_from_laser.position();
-        self.yaw = map_from_laser.yaw;
-        let (sin, cos) = self.yaw.sin_cos();
+        self.first = wrap_angle(map_from_laser.yaw + self.angle_min);
+        let (sin, cos) = map_from_laser.yaw.sin_cos();
         let world = self.cos.iter_mut().zip(&mut self.sin);
         for ((c, s), (laser_c, laser_s)) in world.zip(self.laser_cos.iter().zip(&self.laser_sin)) {
             *c = cos * laser_c - sin * laser_s;
             *s = sin * laser_c + cos * laser_s;
         }
         self.inverse.fill(0.0);
+        self.farthest.fill(0.0);
+        self.stale.fill(false);
     }
 
     /// Draws what never moves, as far as the lidar sees.
     pub fn scene(&mut self, scene: &Scene) {
-        scene.near(self.origin, self.range_max, |edges, discs| {
-            for edge in edges {
-                self.edge(edge);
-            }
-            for disc in discs {
-                self.disc(disc);
+        self.tree(scene.edges(), Self::edges);
+        self.tree(scene.discs(), |buffer, discs| {
+            discs.iter().for_each(|disc| buffer.disc(disc))
+        });
+    }
+
+    fn tree<T: Bounded>(&mut self, tree: &BoxTree<T>, draw: impl Fn(&mut Self, &[T])) {
+        let limit = self.range_max * self.range_max;
+        tree.walk(self.origin, |met| match met {
+            // To find a leaf hidden costs about as much as to draw it.
+            Met::Box {
+                squared, leaf: true, ..
+            } => squared <= limit,
+            Met::Box { low, high, squared, .. } => squared <= limit && !self.hides(low, high, squared),
+            Met::Things(things) => {
+                draw(self, things);
+                false
             }
         });
+    }
+
+    /// Whether nothing in a box can be seen: it lies behind what was drawn, or outside the field of view.
+    fn hides(&mut self, low: Point2<f64>, high: Point2<f64>, squared: f64) -> bool {
+        if squared <= 0.0 {
+            return false;
+        }
+        let (low, high) = (low - self.origin, high - self.origin);
+        // The two corners that bound the box as seen from here, clockwise one first.
+        let (right, left) = match (low.x > 0.0, high.x < 0.0, low.y > 0.0, high.y < 0.0) {
+            (true, _, true, _) => ([high.x, low.y], [low.x, high.y]),
+            (true, _, _, true) => ([low.x, low.y], [high.x, high.y]),
+            (true, _, _, _) => ([low.x, low.y], [low.x, high.y]),
+            (_, true, true, _) => ([high.x, high.y], [low.x, low.y]),
+            (_, true, _, true) => ([low.x, high.y], [high.x, low.y]),
+            (_, true, _, _) => ([high.x, high.y], [high.x, low.y]),
+            (_, _, true, _) => ([high.x, low.y], [low.x, low.y]),
+            _ => ([low.x, high.y], [high.x, high.y]),
+        };
+        let start = direction(right.into());
+        let mut span = direction(left.into()) - start;
+        if span < 0.0 {
+            span += TAU;
+        }
+        // What begins in this turn of the circle, and what reaches into it from the turn before.
+        let from = self.turned(start);
+        self.all_nearer(from, span, squared) && self.all_nearer(from - TAU, span, squared)
+    }
+
+    /// Whether every beam in a range has met something nearer than a squared distance, m².
+    fn all_nearer(&mut self, from: f64, span: f64, squared: f64) -> bool {
+        let (low, high) = self.beams(from, span);
+        let mut block = low / BLOCK;
+        while block * BLOCK < high {
+            if self.stale[block] {
+                let end = ((block + 1) * BLOCK).min(self.inverse.len());
+                let mut least = f64::INFINITY;
+                for inverse in &self.inverse[block * BLOCK..end] {
+                    least = if *inverse < least { *inverse } else { least };
+                }
+                (self.farthest[block], self.stale[block]) = (least, false);
+            }
+            if self.farthest[block] * self.farthest[block] * squared < 1.0 {
+                return false;
+            }
+            block += 1;
+        }
+        true
+    }
+
+    /// Angle from the first beam to a direction (rad, world), rad in [0, 2 pi).
+    #[inline]
+    fn turned(&self, start: f64) -> f64 {
+        let turned = start - self.first;
+        if turned < 0.0 {
+            turned + TAU
+        } else if turned >= TAU {
+            turned - TAU
+        } else {
+            turned
+        }
+    }
+
+    /// Beams from an angle after the first one (rad) over `span`, and a few more: the first, and the one after the last.
+    #[inline]
+    fn beams(&self, from: f64, span: f64) -> (usize, usize) {
+        let last = (from + span + TURN_ERROR) * self.per_radian;
+        if last < 0.0 {
+            return (0, 0);
+        }
+        // Float to integer casts saturate: the first beam is at least zero.
+        let low = ((from - TURN_ERROR) * self.per_radian) as usize;
+        (low, (last as usize + 2).min(self.inverse.len()))
     }
 
     /// Draws what moves, but for the robot that carries the lidar.
@@ -94,26 +200,44 @@ impl AngularBuffer {
             }
             match solid.disc() {
                 Some(disc) => self.disc(&disc),
-                None => solid.edges().iter().for_each(|edge| self.edge(edge)),
+                None => self.edges(solid.edges()),
             }
         });
     }
 
-    /// Draws an edge, where the lidar is on its open side.
-    pub fn edge(&mut self, edge: &Edge) {
-        let (a, b) = (edge.a - self.origin, edge.b - self.origin);
-        let facing = cross(b, a);
-        // Not greater than zero: seen from inside the solid, or edge-on (then its neighbours stand before it).
-        if facing <= 0.0 {
-            return;
+    /// Draws edges, where the lidar is on their open side.
+    pub fn edges(&mut self, edges: &[Edge]) {
+        let mut facing = Facing::default();
+        for edge in edges {
+            let (a, b) = (edge.a - self.origin, edge.b - self.origin);
+            // Not greater than zero: seen from inside the solid, or edge-on (then its neighbours stand before it).
+            if cross(b, a) > 0.0 {
+                facing.push(a, b);
+                if facing.count == LANES {
+                    self.draw_edges(&mut facing);
+                }
+            }
         }
-        let start = turn(b);
-        let mut span = turn(a) - start;
+        self.draw_edges(&mut facing);
+    }
+
+    fn draw_edges(&mut self, facing: &mut Facing) {
+        // Directions of a few edges in one go: loops without branches become vector instructions.
+        let (ends, starts) = (turns(&facing.ax, &facing.ay), turns(&facing.bx, &facing.by));
+        let count = std::mem::take(&mut facing.count);
+        for (((a, b), start), end) in facing.corners.iter().zip(starts).zip(ends).take(count) {
+            self.edge(*a, *b, f64::from(start), f64::from(end));
+        }
+    }
+
+    /// Draws an edge between corners in directions `end` and `start`, rad.
+    fn edge(&mut self, a: Vector2<f64>, b: Vector2<f64>, start: f64, end: f64) {
+        let mut span = end - start;
         if span < -PI {
             span += TAU;
         }
-        let along = edge.b - edge.a;
-        let (x, y) = (-along.y / facing, along.x / facing);
+        let over = 1.0 / cross(b, a);
+        let (x, y) = ((a.y - b.y) * over, (b.x - a.x) * over);
         // The beam lies between the corners: left of `b` and right of `a`, both included.
         let covers = |direction: Vector2<f64>| cross(b, direction) >= 0.0 && cross(direction, a) >= 0.0;
         self.draw(start, span.max(0.0), covers, |cos, sin| x * cos + y * sin);
@@ -126,13 +250,13 @@ impl AngularBuffer {
         if power <= 0.0 {
             return;
         }
-        let half = turn(Vector2::new(power.sqrt(), disc.radius));
+        let half = direction(Vector2::new(power.sqrt(), disc.radius));
         let squared = disc.radius * disc.radius;
         let covers =
             |direction: Vector2<f64>| cross(direction, center).abs() <= disc.radius && direction.dot(&center) > 0.0;
         // The nearer root of |t d - c| = r is power / (c.d + sqrt(r² - (d x c)²)): its inverse needs no division.
         let over_power = 1.0 / power;
-        self.draw(turn(center) - half, 2.0 * half, covers, |cos, sin| {
+        self.draw(direction(center) - half, 2.0 * half, covers, |cos, sin| {
             let direction = Vector2::new(cos, sin);
             let aside = cross(direction, center);
             (direction.dot(&center) + (squared - aside * aside).max(0.0).sqrt()) * over_power
@@ -147,32 +271,39 @@ impl AngularBuffer {
         covers: impl Fn(Vector2<f64>) -> bool,
         inverse: impl Fn(f64, f64) -> f64,
     ) {
-        let mut first = start - self.yaw - self.angle_min;
-        first -= (first / TAU).floor() * TAU;
-        let count = self.inverse.len();
         // What begins in this turn of the circle, and what reaches into it from the turn before.
-        for first in [first, first - TAU] {
-            let last = (first + span + TURN_ERROR) / self.increment;
-            if last < 0.0 {
-                continue;
-            }
-            // Float to integer casts saturate: the first beam is at least zero.
-            let mut low = ((first - TURN_ERROR) / self.increment) as usize;
-            let mut high = (last as usize + 2).min(count);
-            while low < high && !covers(Vector2::new(self.cos[low], self.sin[low])) {
-                low += 1;
-            }
-            while low < high && !covers(Vector2::new(self.cos[high - 1], self.sin[high - 1])) {
-                high -= 1;
-            }
-            if low >= high {
-                continue;
-            }
-            let directions = self.cos[low..high].iter().zip(&self.sin[low..high]);
-            for (nearest, (cos, sin)) in self.inverse[low..high].iter_mut().zip(directions) {
-                let candidate = inverse(*cos, *sin);
-                *nearest = if candidate > *nearest { candidate } else { *nearest };
-            }
+        let from = self.turned(start);
+        self.draw_beams(from, span, &covers, &inverse);
+        if from + span + TURN_ERROR >= TAU {
+            self.draw_beams(from - TAU, span, &covers, &inverse);
+        }
+    }
+
+    #[inline]
+    fn draw_beams(
+        &mut self,
+        from: f64,
+        span: f64,
+        covers: &impl Fn(Vector2<f64>) -> bool,
+        inverse: &impl Fn(f64, f64) -> f64,
+    ) {
+        let (mut low, mut high) = self.beams(from, span);
+        while low < high && !covers(Vector2::new(self.cos[low], self.sin[low])) {
+            low += 1;
+        }
+        while low < high && !covers(Vector2::new(self.cos[high - 1], self.sin[high - 1])) {
+            high -= 1;
+        }
+        if low >= high {
+            return;
+        }
+        let directions = self.cos[low..high].iter().zip(&self.sin[low..high]);
+        for (nearest, (cos, sin)) in self.inverse[low..high].iter_mut().zip(directions) {
+            let candidate = inverse(*cos, *sin);
+            *nearest = if candidate > *nearest { candidate } else { *nearest };
+        }
+        for stale in &mut self.stale[low / BLOCK..=(high - 1) / BLOCK] {
+            *stale = true;
         }
     }
 
@@ -182,12 +313,13 @@ impl AngularBuffer {
     }
 }
 
-/// What the lidar reports of true ranges: noise added, rounded to millimetres; outside its limits there is no return.
+/// What the lidar reports of true ranges: bias and noise added, rounded to its steps; outside its limits there is no return, and none
+/// of beams that are lost.
 pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut impl rand::Rng, ranges: &mut Vec<f32>) {
     ranges.clear();
     ranges.extend(truth.map(|range| {
         // Far beyond the limit no noise brings it back.
-        if range > model.range_max + 8.0 * model.noise {
+        if range > model.range_max + 8.0 * model.noise + model.bias.abs() {
             return f32::INFINITY;
         }
         let noise: f64 = if model.noise > 0.0 {
@@ -195,7 +327,10 @@ pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut i
         } else {
             0.0
         };
-        let range = (((range + noise * model.noise) * 1000.0).round() / 1000.0) as f32;
+        if model.dropout > 0.0 && rng.random::<f64>() < model.dropout {
+            return f32::INFINITY;
+        }
+        let range = stepped(range + model.bias + noise * model.noise, model.resolution) as f32;
         if (model.range_min..=model.range_max).contains(&f64::from(range)) {
             range
         } else {
@@ -204,20 +339,56 @@ pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut i
     }));
 }
 
+/// Edges that face the lidar, their corners as seen from it.
+#[derive(Default)]
+struct Facing {
+    corners: [(Vector2<f64>, Vector2<f64>); LANES],
+    ax: [f32; LANES],
+    ay: [f32; LANES],
+    bx: [f32; LANES],
+    by: [f32; LANES],
+    count: usize,
+}
+
+impl Facing {
+    fn push(&mut self, a: Vector2<f64>, b: Vector2<f64>) {
+        let lane = self.count;
+        self.corners[lane] = (a, b);
+        (self.ax[lane], self.ay[lane]) = (a.x as f32, a.y as f32);
+        (self.bx[lane], self.by[lane]) = (b.x as f32, b.y as f32);
+        self.count += 1;
+    }
+}
+
+/// Direction of a vector, rad in (-pi, pi], within [`TURN_ERROR`].
+fn direction(v: Vector2<f64>) -> f64 {
+    f64::from(turn(v.x as f32, v.y as f32))
+}
+
+/// Directions of several vectors.
+fn turns(x: &[f32; LANES], y: &[f32; LANES]) -> [f32; LANES] {
+    let mut angles = [0.0; LANES];
+    for ((angle, x), y) in angles.iter_mut().zip(x).zip(y) {
+        *angle = turn(*x, *y);
+    }
+    angles
+}
+
 /// Direction of a vector, rad in (-pi, pi], within [`TURN_ERROR`]. Source: Abramowitz and Stegun 1964, 4.4.49.
-fn turn(v: Vector2<f64>) -> f64 {
-    let (x, y) = (v.x.abs(), v.y.abs());
-    let (low, high) = if x < y { (x, y) } else { (y, x) };
+///
+/// Selections instead of branches, so that several are computed at once.
+#[allow(clippy::inline_always, reason = "inside a loop it becomes vector instructions")]
+#[inline(always)]
+fn turn(x: f32, y: f32) -> f32 {
+    use std::f32::consts::{FRAC_PI_2, PI};
+    let (across, up) = (x.abs(), y.abs());
+    let (low, high) = if across < up { (across, up) } else { (up, across) };
     let t = low / high;
     let s = t * t;
-    let mut angle = t * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
-    if x < y {
-        angle = FRAC_PI_2 - angle;
-    }
-    if v.x < 0.0 {
-        angle = PI - angle;
-    }
-    if v.y < 0.0 { -angle } else { angle }
+    let angle = t * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
+    let angle = if across < up { FRAC_PI_2 - angle } else { angle };
+    let angle = if x < 0.0 { PI - angle } else { angle };
+    angle.copysign(y)
 }
 
 #[cfg(test)]
@@ -242,6 +413,10 @@ mod tests {
             beams,
             field_of_view,
             noise: 0.0,
+            bias: 0.0,
+            dropout: 0.0,
+            resolution: 0.001,
+            latency: 0.0,
         }
     }
 
@@ -329,7 +504,7 @@ mod tests {
 
         #[test]
         fn the_approximate_angle_is_within_its_promise(angle in -PI..PI, length in 1e-3..1e3) {
-            prop_assert!((turn(Vector2::new(angle.cos(), angle.sin()) * length) - angle).abs() < TURN_ERROR);
+            prop_assert!((direction(Vector2::new(angle.cos(), angle.sin()) * length) - angle).abs() < TURN_ERROR);
         }
 
         #[test]
@@ -339,7 +514,7 @@ mod tests {
             let ring: Vec<_> = (0..corners).rev().map(|i| (turned + i as f64 * step).sin_cos()).map(|(s, c)| laser.position() + Vector2::new(c, s) * 20.0).collect();
             let mut buffer = AngularBuffer::new(&model(360, TAU));
             buffer.begin(laser);
-            edges(&ring).for_each(|edge| buffer.edge(&edge));
+            buffer.edges(&edges(&ring).collect::<Vec<_>>());
             prop_assert!(buffer.ranges().all(|range| range < 20.1), "{:?}", buffer.ranges().collect::<Vec<_>>());
         }
     }

@@ -1,30 +1,61 @@
-//! Where are the moving obstacles? On closed paths at constant speed; they wait where a robot stands in their way.
+//! Where are the moving obstacles? They walk their route at constant speed, and wait where a robot stands in their way.
 //!
-//! A mover keeps its orientation. Its path leads from the last point back to the first: two points make it go to and fro.
+//! A mover keeps its orientation. A path leads from its last point back to the first: two points make it go to and fro; it may rest at
+//! each. A walker goes straight to one place after another, drawn at random from its area, wherever nothing that stands is in between.
+//! A door is a path of two places: shut, and slid aside.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
+use rand::RngExt as _;
+use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::robot::Footprint;
 
+use crate::clearance::Placed;
+use crate::scene::Scene;
 use crate::shape::{Shape, Solid};
 
 /// A moving obstacle as the world file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MoverModel {
-    /// Its form around its place on the path.
+    /// Its form around its place.
     pub shape: Shape,
-    /// Corners of the closed path, m; it starts at the first.
-    pub path: Vec<Point2<f64>>,
+    /// Where it goes.
+    pub route: Route,
     /// m/s.
     pub speed: f64,
+}
+
+/// Where a mover goes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Route {
+    /// A closed path: its corners, m, and how long it rests at each, s. It starts at the first.
+    Path(Vec<(Point2<f64>, f64)>),
+    /// Anywhere in a box.
+    Walk {
+        /// Where it starts, m.
+        start: Point2<f64>,
+        /// Lower-left corner, m.
+        low: Point2<f64>,
+        /// Upper-right corner, m.
+        high: Point2<f64>,
+    },
 }
 
 /// A moving obstacle at work.
 #[derive(Clone, Debug)]
 pub struct Mover {
-    path: Vec<Point2<f64>>,
+    route: Route,
     speed: f64,
-    leg: usize,
+    /// What it draws its places from.
+    rng: Pcg64Mcg,
+    /// The corner that it comes from, on a path.
+    corner: usize,
+    from: Point2<f64>,
+    to: Point2<f64>,
     along: f64,
+    rest: f64,
+    /// How long something has been in its way, s.
+    held: f64,
 }
 
 /// A mover goes in steps of at most this length, so that it cannot jump through a robot, m.
@@ -33,63 +64,85 @@ const STRIDE: f64 = 0.01;
 const MAX_STRIDES: f64 = 1000.0;
 /// A blocked step is halved this often to find how far it goes.
 const HALVINGS: u32 = 16;
+/// Places that a walker looks at before it rests.
+const LOOKS: u32 = 20;
+/// A walker that finds no way rests this long, s.
+const REST: f64 = 1.0;
+/// A walker that is held this long turns elsewhere, s.
+const PATIENCE: f64 = 2.0;
+/// A walker sets out only where its way stays this far from what stands, m.
+const MARGIN: f64 = 0.05;
+/// Samples on a walker's way: a longer one is not looked at so finely.
+const MAX_SAMPLES: f64 = 10_000.0;
 
 impl Mover {
-    /// At the start of its path.
+    /// At the start of its route.
     #[must_use]
-    pub fn new(model: &MoverModel) -> (Self, Solid) {
-        let mover = Self {
-            path: model.path.clone(),
-            speed: model.speed,
-            leg: 0,
-            along: 0.0,
+    pub fn new(model: &MoverModel, rng: Pcg64Mcg) -> (Self, Solid) {
+        let start = match &model.route {
+            Route::Path(corners) => corners.first().map_or_else(Point2::origin, |(at, _)| *at),
+            Route::Walk { start, .. } => *start,
         };
-        let solid = Solid::new(model.shape.clone(), mover.pose());
+        let mut mover = Self {
+            route: model.route.clone(),
+            speed: model.speed,
+            rng,
+            corner: 0,
+            from: start,
+            to: start,
+            along: 0.0,
+            rest: 0.0,
+            held: 0.0,
+        };
+        if let Route::Path(corners) = &mover.route {
+            mover.rest = corners.first().map_or(0.0, |(_, rest)| *rest);
+            mover.to = corners.get(1).map_or(start, |(at, _)| *at);
+        }
+        let solid = Solid::new(model.shape.clone(), Pose2::new(start.x, start.y, 0.0));
         (mover, solid)
     }
 
-    fn leg(&self) -> (Point2<f64>, Point2<f64>) {
-        let from = self.path.get(self.leg).copied().unwrap_or_else(Point2::origin);
-        let to = self
-            .path
-            .get(self.leg + 1)
-            .or(self.path.first())
-            .copied()
-            .unwrap_or(from);
-        (from, to)
+    fn length(&self) -> f64 {
+        (self.to - self.from).norm()
     }
 
-    fn pose(&self) -> Pose2 {
-        let (from, to) = self.leg();
-        let length = (to - from).norm();
-        let at = if length > 0.0 {
-            from + (to - from) * (self.along / length)
-        } else {
-            from
-        };
+    fn at(&self, along: f64) -> Pose2 {
+        let length = self.length();
+        let share = if length > 0.0 { (along / length).min(1.0) } else { 0.0 };
+        let at = self.from + (self.to - self.from) * share;
         Pose2::new(at.x, at.y, 0.0)
     }
 
-    /// The mover this much farther on its path, m.
-    fn ahead(&self, distance: f64) -> Self {
-        let mut next = self.clone();
-        next.along += distance;
-        // A whole turn of the path at most: a longer way is not walked leg by leg for ever.
-        for _ in 0..=next.path.len() {
-            let (from, to) = next.leg();
-            let length = (to - from).norm();
-            if next.along < length {
-                return next;
+    /// Sets out for the next place, from where it has come to.
+    fn turn(&mut self, scene: &Scene, reach: f64) {
+        self.along = 0.0;
+        self.held = 0.0;
+        match &self.route {
+            Route::Path(corners) => {
+                self.corner = if self.corner + 1 < corners.len() {
+                    self.corner + 1
+                } else {
+                    0
+                };
+                let following = corners.get(self.corner + 1).or(corners.first());
+                if let (Some((from, rest)), Some((to, _))) = (corners.get(self.corner), following) {
+                    (self.from, self.to, self.rest) = (*from, *to, *rest);
+                }
             }
-            next.along -= length;
-            next.leg = if next.leg + 1 < next.path.len() {
-                next.leg + 1
-            } else {
-                0
-            };
+            Route::Walk { low, high, .. } => {
+                let (low, size) = (*low, *high - *low);
+                self.from = self.to;
+                for _ in 0..LOOKS {
+                    let share = Vector2::new(self.rng.random::<f64>(), self.rng.random::<f64>());
+                    let place = low + size.component_mul(&share);
+                    if is_open(scene, self.from, place, reach) {
+                        self.to = place;
+                        return;
+                    }
+                }
+                self.rest = REST;
+            }
         }
-        next.along = 0.0;
-        next
     }
 
     /// How far it goes in a time when nothing is in its way, m.
@@ -99,55 +152,104 @@ impl Mover {
     }
 
     /// Moves on for a time and places `solid`; it stops where `blocked` says that the next place would touch a robot.
-    pub fn step(&mut self, secs: f64, solid: &mut Solid, blocked: impl Fn(&Solid) -> bool) {
-        let way = self.stride(secs);
-        if way <= 0.0 {
+    pub fn step(&mut self, secs: f64, scene: &Scene, solid: &mut Solid, blocked: impl Fn(&Solid) -> bool) {
+        if self.speed <= 0.0 {
             return;
         }
-        let strides = (way / STRIDE).ceil().clamp(1.0, MAX_STRIDES);
-        let stride = way / strides;
+        let strides = (self.stride(secs) / STRIDE).ceil().clamp(1.0, MAX_STRIDES);
+        let piece = secs / strides;
         for _ in 0..strides as u32 {
-            let next = self.ahead(stride);
-            solid.place(next.pose());
+            if !self.advance(piece, scene, solid, &blocked) {
+                self.held += secs;
+                if self.held > PATIENCE && matches!(self.route, Route::Walk { .. }) {
+                    self.to = self.at(self.along).position();
+                    self.turn(scene, solid.reach());
+                }
+                return;
+            }
+        }
+        self.held = 0.0;
+    }
+
+    /// Goes on for a short time; `false` when a robot is in the way.
+    fn advance(&mut self, secs: f64, scene: &Scene, solid: &mut Solid, blocked: &impl Fn(&Solid) -> bool) -> bool {
+        let mut left = secs;
+        // Rests and corners are passed within the time, but none forever.
+        for _ in 0..8 {
+            let rested = self.rest.min(left);
+            (self.rest, left) = (self.rest - rested, left - rested);
+            if left <= 0.0 {
+                break;
+            }
+            let next = (self.along + self.speed * left).min(self.length());
+            solid.place(self.at(next));
             if blocked(solid) {
-                let (mut free, mut taken) = (0.0, stride);
+                let (mut free, mut taken) = (self.along, next);
                 for _ in 0..HALVINGS {
                     let middle = 0.5 * (free + taken);
-                    solid.place(self.ahead(middle).pose());
+                    solid.place(self.at(middle));
                     if blocked(solid) {
                         taken = middle;
                     } else {
                         free = middle;
                     }
                 }
-                *self = self.ahead(free);
-                solid.place(self.pose());
-                return;
+                self.along = free;
+                solid.place(self.at(free));
+                return false;
             }
-            *self = next;
+            left -= (next - self.along) / self.speed;
+            self.along = next;
+            if self.along >= self.length() {
+                self.turn(scene, solid.reach());
+            }
         }
+        true
     }
+}
+
+/// Whether a disc goes straight between two places and stays off what stands.
+fn is_open(scene: &Scene, from: Point2<f64>, to: Point2<f64>, reach: f64) -> bool {
+    let disc = Footprint::Radius(reach + MARGIN);
+    // Samples two margins apart: in between the disc is at most a margin nearer to anything than at one of them.
+    let steps = ((to - from).norm() / (2.0 * MARGIN)).ceil().clamp(1.0, MAX_SAMPLES);
+    (0..=steps as u32).all(|step| {
+        let at = from + (to - from) * (f64::from(step) / steps);
+        scene
+            .nearest(&Placed::new(&disc, Pose2::new(at.x, at.y, 0.0)), MARGIN)
+            .is_none_or(|nearest| nearest.distance > 0.0)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn rng() -> Pcg64Mcg {
+        Pcg64Mcg::new(1)
+    }
+
+    fn open() -> Scene {
+        Scene::new(Vec::new(), Vec::new())
+    }
+
     fn square() -> MoverModel {
         MoverModel {
             shape: Shape::Disc(0.2),
-            path: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-                .map(|[x, y]| Point2::new(x, y))
-                .to_vec(),
+            route: Route::Path(
+                [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+                    .map(|[x, y]| (Point2::new(x, y), 0.0))
+                    .to_vec(),
+            ),
             speed: 0.5,
         }
     }
 
     #[test]
     fn a_mover_is_back_after_one_turn_of_its_path() {
-        let (mut mover, mut solid) = Mover::new(&square());
+        let (mut mover, mut solid) = Mover::new(&square(), rng());
         for tick in 1..=400 {
-            mover.step(0.02, &mut solid, |_| false);
+            mover.step(0.02, &open(), &mut solid, |_| false);
             if tick == 100 {
                 assert!((solid.center() - Point2::new(1.0, 0.0)).norm() < 1e-9);
             }
@@ -157,20 +259,75 @@ mod tests {
 
     #[test]
     fn a_mover_waits_in_front_of_what_blocks_it() {
-        let (mut mover, mut solid) = Mover::new(&square());
+        let (mut mover, mut solid) = Mover::new(&square(), rng());
         for _ in 0..400 {
-            mover.step(0.02, &mut solid, |solid| solid.center().x > 0.5);
+            mover.step(0.02, &open(), &mut solid, |solid| solid.center().x > 0.5);
         }
         assert!((solid.center() - Point2::new(0.5, 0.0)).norm() < 1e-4);
     }
 
     #[test]
     fn a_path_without_length_stands_still() {
-        let (mut mover, mut solid) = Mover::new(&MoverModel {
-            path: vec![Point2::new(1.0, 1.0); 3],
-            ..square()
-        });
-        mover.step(0.02, &mut solid, |_| false);
+        let (mut mover, mut solid) = Mover::new(
+            &MoverModel {
+                route: Route::Path(vec![(Point2::new(1.0, 1.0), 0.0); 3]),
+                ..square()
+            },
+            rng(),
+        );
+        mover.step(0.02, &open(), &mut solid, |_| false);
         assert_eq!(solid.center(), Point2::new(1.0, 1.0));
+    }
+
+    #[test]
+    fn a_mover_rests_at_the_corners_that_say_so() {
+        let model = MoverModel {
+            route: Route::Path(vec![(Point2::origin(), 1.0), (Point2::new(1.0, 0.0), 3.0)]),
+            ..square()
+        };
+        let (mut mover, mut solid) = Mover::new(&model, rng());
+        let mut at = |secs: f64| {
+            let steps = (secs / 0.02).round() as u32;
+            (0..steps).for_each(|_| mover.step(0.02, &open(), &mut solid, |_| false));
+            solid.center().x
+        };
+        // One second of rest, two there, three of rest, two back.
+        assert!(at(1.0).abs() < 1e-9);
+        assert!((at(1.0) - 0.5).abs() < 1e-9);
+        assert!((at(1.0) - 1.0).abs() < 1e-9);
+        assert!((at(2.98) - 1.0).abs() < 1e-9);
+        assert!((at(1.02) - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_walker_stays_in_its_area_off_what_stands_and_goes_the_same_way_for_a_seed() {
+        let wall = [[-0.1, -3.0], [0.1, -3.0], [0.1, 1.0], [-0.1, 1.0]].map(|[x, y]| Point2::new(x, y));
+        let scene = Scene::new(crate::shape::edges(&wall).collect(), Vec::new());
+        let model = MoverModel {
+            route: Route::Walk {
+                start: Point2::new(-1.0, 0.0),
+                low: Point2::new(-3.0, -3.0),
+                high: Point2::new(3.0, 3.0),
+            },
+            ..square()
+        };
+        let walk = || {
+            let (mut mover, mut solid) = Mover::new(&model, rng());
+            let mut places = Vec::new();
+            for _ in 0..20_000 {
+                mover.step(0.02, &scene, &mut solid, |_| false);
+                places.push(solid.center());
+            }
+            places
+        };
+        let places = walk();
+        assert_eq!(places, walk());
+        let disc = Footprint::Radius(0.2);
+        for at in &places {
+            assert!(at.x.abs() <= 3.0 && at.y.abs() <= 3.0);
+            let nearest = scene.nearest(&Placed::new(&disc, Pose2::new(at.x, at.y, 0.0)), f64::INFINITY);
+            assert!(nearest.is_none_or(|nearest| nearest.distance > 0.0), "{at}");
+        }
+        assert!(places.iter().any(|at| at.x > 1.0) && places.iter().any(|at| at.x < -1.0));
     }
 }

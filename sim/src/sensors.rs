@@ -1,7 +1,11 @@
-//! What do encoders, gyro, compass and GPS measure, and when? Truth with noise, each from its own random stream.
+//! What do encoders, gyro, compass and GPS measure, and when? Truth with bias, noise and steps, each from its own random stream;
+//! readings get lost, and come late with the stamp of their measurement.
 //!
 //! A stream belongs to a robot's name and a sensor: another robot in the world changes nobody's noise.
 
+use std::collections::VecDeque;
+
+use rand::RngExt as _;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -21,27 +25,90 @@ pub enum Sensor {
     Imu,
     /// Position.
     Gps,
+    /// No sensor, but the floor: what the wheels slip.
+    Slip,
 }
 
 /// The random stream of a robot's sensor.
 #[must_use]
 pub fn stream(seed: u64, robot: &Id, sensor: Sensor) -> Pcg64Mcg {
-    // FNV-1a over the name, then the finaliser of SplitMix64 (Steele et al. 2014) to spread every bit.
+    // FNV-1a over the name.
     let name = robot.as_str().bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
+    generator(seed, name.wrapping_add(sensor as u64))
+}
+
+/// The random stream of a mover, by its place in the world's file.
+#[must_use]
+pub fn walker_stream(seed: u64, index: usize) -> Pcg64Mcg {
+    generator(seed, WALKERS.wrapping_add(index as u64))
+}
+
+/// Keeps the movers' streams apart from the robots'.
+const WALKERS: u64 = 0x5_7A1B_E125;
+
+/// A generator of its own for each name; the finaliser of SplitMix64 (Steele et al. 2014) spreads every bit.
+fn generator(seed: u64, name: u64) -> Pcg64Mcg {
     let mix = |value: u64| {
         let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         value ^ (value >> 31)
     };
-    let low = mix(mix(seed).wrapping_add(name).wrapping_add(sensor as u64));
+    let low = mix(mix(seed).wrapping_add(name));
     Pcg64Mcg::new((u128::from(mix(low.wrapping_add(0x9e37_79b9_7f4a_7c15))) << 64) | u128::from(low))
 }
 
-fn gauss(rng: &mut Pcg64Mcg, std_dev: f64) -> f64 {
+pub(crate) fn gauss(rng: &mut Pcg64Mcg, std_dev: f64) -> f64 {
     let unit: f64 = StandardNormal.sample(rng);
     unit * std_dev
+}
+
+/// Whether a reading is lost. A sensor that loses none draws nothing.
+fn is_lost(rng: &mut Pcg64Mcg, dropout: f64) -> bool {
+    dropout > 0.0 && rng.random::<f64>() < dropout
+}
+
+/// Rounds to a sensor's steps; a step of zero leaves the value.
+pub(crate) fn stepped(value: f64, step: f64) -> f64 {
+    if step > 0.0 {
+        (value / step).round() * step
+    } else {
+        value
+    }
+}
+
+/// Readings on their way.
+#[derive(Clone, Debug)]
+pub struct Delay<T> {
+    latency: f64,
+    waiting: VecDeque<(Stamp, T)>,
+}
+
+impl<T> Delay<T> {
+    /// Nothing on its way; every reading takes `latency` seconds.
+    #[must_use]
+    pub fn new(latency: f64) -> Self {
+        Self {
+            latency,
+            waiting: VecDeque::new(),
+        }
+    }
+
+    /// Sends what was measured now; returns what arrives now, of several the latest.
+    pub fn pass(&mut self, now: Stamp, reading: Option<T>) -> Option<T> {
+        if self.latency <= 0.0 {
+            return reading;
+        }
+        if let Some(reading) = reading {
+            self.waiting.push_back((now.plus_secs(self.latency), reading));
+        }
+        let mut arrived = None;
+        while self.waiting.front().is_some_and(|(due, _)| *due <= now) {
+            arrived = self.waiting.pop_front().map(|(_, reading)| reading);
+        }
+        arrived
+    }
 }
 
 /// When a sensor measures: at multiples of its period, at the first step at or after each.
@@ -79,6 +146,9 @@ pub struct Encoders {
     model: EncoderModel,
     rng: Pcg64Mcg,
     measured: [f64; 2],
+    schedule: Option<Schedule>,
+    delay: Delay<[f64; 2]>,
+    told: [f64; 2],
 }
 
 impl Encoders {
@@ -86,9 +156,12 @@ impl Encoders {
     #[must_use]
     pub fn new(model: EncoderModel, rng: Pcg64Mcg) -> Self {
         Self {
-            model,
             rng,
             measured: [0.0; 2],
+            schedule: model.rate_hz.map(Schedule::new),
+            delay: Delay::new(model.latency),
+            told: [0.0; 2],
+            model,
         }
     }
 
@@ -99,17 +172,15 @@ impl Encoders {
         }
     }
 
-    /// Measured angles since start (left, right; rad).
-    #[must_use]
-    pub fn angles(&self) -> [f64; 2] {
-        let step = self.model.resolution;
-        self.measured.map(|angle| {
-            if step > 0.0 {
-                (angle / step).round() * step
-            } else {
-                angle
-            }
-        })
+    /// Measured angles since start (left, right; rad), as far as they have arrived.
+    pub fn read(&mut self, now: Stamp) -> [f64; 2] {
+        let due = self.schedule.as_mut().is_none_or(|schedule| schedule.due(now));
+        let read = (due && !is_lost(&mut self.rng, self.model.dropout))
+            .then(|| self.measured.map(|angle| stepped(angle, self.model.resolution)));
+        if let Some(angles) = self.delay.pass(now, read) {
+            self.told = angles;
+        }
+        self.told
     }
 }
 
@@ -121,19 +192,20 @@ pub struct Inertial {
     schedule: Schedule,
     turned: f64,
     last: Stamp,
+    delay: Delay<Imu>,
 }
 
 impl Inertial {
     /// At rest.
     #[must_use]
     pub fn new(model: ImuModel, rng: Pcg64Mcg) -> Self {
-        let schedule = Schedule::new(model.rate_hz);
         Self {
-            model,
             rng,
-            schedule,
+            schedule: Schedule::new(model.rate_hz),
             turned: 0.0,
             last: Stamp::ZERO,
+            delay: Delay::new(model.latency),
+            model,
         }
     }
 
@@ -142,9 +214,14 @@ impl Inertial {
         self.turned += angle;
     }
 
-    /// A reading, when it is due.
+    /// A reading, when one arrives.
     pub fn read(&mut self, now: Stamp, truth: Pose2) -> Option<Imu> {
-        if !self.schedule.due(now) {
+        let measured = self.measure(now, truth);
+        self.delay.pass(now, measured)
+    }
+
+    fn measure(&mut self, now: Stamp, truth: Pose2) -> Option<Imu> {
+        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout) {
             return None;
         }
         let secs = now.secs_since(self.last);
@@ -152,10 +229,11 @@ impl Inertial {
         self.turned = 0.0;
         self.last = now;
         let yaw_rate = rate + self.model.gyro_bias + gauss(&mut self.rng, self.model.gyro_noise);
+        let yaw_rate = stepped(yaw_rate, self.model.resolution);
         let yaw = self
             .model
             .compass_noise
-            .map(|noise| wrap_angle(truth.yaw + gauss(&mut self.rng, noise)));
+            .map(|noise| wrap_angle(truth.yaw + self.model.compass_bias + gauss(&mut self.rng, noise)));
         Some(Imu {
             stamp: now,
             yaw_rate,
@@ -170,27 +248,38 @@ pub struct Positioning {
     model: GpsModel,
     rng: Pcg64Mcg,
     schedule: Schedule,
+    delay: Delay<Gps>,
 }
 
 impl Positioning {
     /// Before its first reading.
     #[must_use]
     pub fn new(model: GpsModel, rng: Pcg64Mcg) -> Self {
-        let schedule = Schedule::new(model.rate_hz);
-        Self { model, rng, schedule }
+        Self {
+            rng,
+            schedule: Schedule::new(model.rate_hz),
+            delay: Delay::new(model.latency),
+            model,
+        }
     }
 
-    /// A reading, when it is due.
+    /// A reading, when one arrives.
     pub fn read(&mut self, now: Stamp, truth: Pose2) -> Option<Gps> {
-        if !self.schedule.due(now) {
+        let measured = self.measure(now, truth);
+        self.delay.pass(now, measured)
+    }
+
+    fn measure(&mut self, now: Stamp, truth: Pose2) -> Option<Gps> {
+        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout) {
             return None;
         }
-        let x = truth.x + gauss(&mut self.rng, self.model.noise);
-        let y = truth.y + gauss(&mut self.rng, self.model.noise);
+        let [bias_x, bias_y] = self.model.bias;
+        let x = truth.x + bias_x + gauss(&mut self.rng, self.model.noise);
+        let y = truth.y + bias_y + gauss(&mut self.rng, self.model.noise);
         Some(Gps {
             stamp: now,
-            x,
-            y,
+            x: stepped(x, self.model.resolution),
+            y: stepped(y, self.model.resolution),
             std_dev: self.model.noise,
         })
     }
@@ -224,13 +313,14 @@ mod tests {
             EncoderModel {
                 noise: 0.005,
                 resolution: 0.001,
+                ..EncoderModel::default()
             },
             rng(),
         );
         for _ in 0..10_000 {
             encoders.turn([0.01, -0.02]);
         }
-        let [left, right] = encoders.angles();
+        let [left, right] = encoders.read(Stamp::ZERO);
         assert!(
             (left - 100.0).abs() < 0.02 && (right + 200.0).abs() < 0.04,
             "{left} {right}"
@@ -245,7 +335,7 @@ mod tests {
                 rate_hz: 10.0,
                 gyro_noise: 0.01,
                 gyro_bias: 0.1,
-                compass_noise: None,
+                ..ImuModel::default()
             },
             rng(),
         );
@@ -262,6 +352,58 @@ mod tests {
             (mean - 0.6).abs() < 1e-3 && (spread - 0.01).abs() < 1e-3,
             "{mean} {spread}"
         );
+    }
+
+    #[test]
+    fn late_readings_keep_the_stamp_of_their_measurement_and_lost_ones_never_come() {
+        let mut gps = Positioning::new(
+            GpsModel {
+                rate_hz: 10.0,
+                noise: 0.0,
+                bias: [1.0, -2.0],
+                resolution: 0.5,
+                dropout: 0.3,
+                latency: 0.15,
+            },
+            rng(),
+        );
+        let mut readings = Vec::new();
+        for tick in 0..10_000 {
+            let now = Stamp(tick * 20_000_000);
+            readings.extend(gps.read(now, Pose2::new(0.3, 0.1, 0.0)).map(|gps| (now, gps)));
+        }
+        // Ten a second for 200 s, three of ten lost; 0.15 s are eight steps of 20 ms.
+        assert!((1300..1500).contains(&readings.len()), "{}", readings.len());
+        assert!(
+            readings
+                .iter()
+                .all(|(now, gps)| (now.secs_since(gps.stamp) - 0.16).abs() < 1e-9 && (gps.x, gps.y) == (1.5, -2.0))
+        );
+    }
+
+    #[test]
+    fn encoders_with_a_rate_hold_their_angles_in_between() {
+        let mut encoders = Encoders::new(
+            EncoderModel {
+                noise: 0.0,
+                resolution: 0.0,
+                rate_hz: Some(10.0),
+                dropout: 0.0,
+                latency: 0.04,
+            },
+            rng(),
+        );
+        let told: Vec<f64> = (0..13)
+            .map(|tick| {
+                let angles = encoders.read(Stamp(tick * 20_000_000));
+                encoders.turn([0.1, 0.1]);
+                angles[0]
+            })
+            .collect();
+        // Read at 0, 0.1, 0.2 s, told 0.04 s later.
+        assert!(told[..7].iter().all(|angle| *angle == 0.0), "{told:?}");
+        assert!(told[7..12].iter().all(|angle| (angle - 0.5).abs() < 1e-12), "{told:?}");
+        assert!((told[12] - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -2,24 +2,10 @@
 //!
 //! Everything that a lidar sees or a footprint touches is one of the two: polygons and map cells are their edges.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
+pub use zenav_protocol::polygon::{Edge, contains, cross, crossings, doubled_area, edges};
 use zenav_protocol::robot::Footprint;
-
-/// Cross product in the plane: positive when `b` points to the left of `a`.
-#[must_use]
-pub fn cross(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
-    a.x * b.y - a.y * b.x
-}
-
-/// A straight piece of a solid's boundary, m; the solid lies on the left of `a -> b`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Edge {
-    /// Where it begins.
-    pub a: Point2<f64>,
-    /// Where it ends.
-    pub b: Point2<f64>,
-}
 
 /// A round solid, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,49 +32,6 @@ impl From<&Footprint> for Shape {
             Footprint::Polygon(corners) => Self::Polygon(corners.clone()),
         }
     }
-}
-
-/// The edges of a polygon, the last corner joined to the first.
-pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
-    corners
-        .iter()
-        .zip(corners.iter().cycle().skip(1))
-        .map(|(a, b)| Edge { a: *a, b: *b })
-}
-
-/// Twice the area of a polygon, positive when its corners run counter-clockwise.
-#[must_use]
-pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
-    edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
-}
-
-/// Whether a point lies inside a polygon (crossing number; points on the boundary may count as either).
-#[must_use]
-pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {
-    crossings(edges(corners), point)
-}
-
-fn crossings(edges: impl Iterator<Item = Edge>, point: Point2<f64>) -> bool {
-    let crossed = edges.filter(|edge| {
-        (edge.a.y > point.y) != (edge.b.y > point.y)
-            && point.x < edge.a.x + (point.y - edge.a.y) / (edge.b.y - edge.a.y) * (edge.b.x - edge.a.x)
-    });
-    crossed.count() % 2 == 1
-}
-
-/// Whether two edges touch or cross.
-#[must_use]
-pub fn touch(p: Edge, q: Edge) -> bool {
-    let side = |edge: Edge, point: Point2<f64>| cross(edge.b - edge.a, point - edge.a);
-    let (pa, pb, qa, qb) = (side(q, p.a), side(q, p.b), side(p, q.a), side(p, q.b));
-    if pa * pb < 0.0 && qa * qb < 0.0 {
-        return true;
-    }
-    let within = |edge: Edge, point: Point2<f64>| (edge.a - point).dot(&(edge.b - point)) <= 0.0;
-    (pa == 0.0 && within(q, p.a))
-        || (pb == 0.0 && within(q, p.b))
-        || (qa == 0.0 && within(p, q.a))
-        || (qb == 0.0 && within(p, q.b))
 }
 
 /// A solid that can move: its form and where it is now, in world coordinates.
@@ -187,18 +130,6 @@ mod tests {
         assert_eq!(doubled_area(&l_shape()), 6.0);
         assert!(contains(&l_shape(), Point2::new(0.5, 1.5)));
         assert!(!contains(&l_shape(), Point2::new(1.5, 1.5)));
-    }
-
-    #[test]
-    fn edges_that_cross_or_meet_touch() {
-        let edge = |ax, ay, bx, by| Edge {
-            a: Point2::new(ax, ay),
-            b: Point2::new(bx, by),
-        };
-        assert!(touch(edge(0.0, 0.0, 2.0, 2.0), edge(0.0, 2.0, 2.0, 0.0)));
-        assert!(touch(edge(0.0, 0.0, 2.0, 0.0), edge(1.0, 0.0, 1.0, 1.0)));
-        assert!(!touch(edge(0.0, 0.0, 1.0, 0.0), edge(2.0, 0.0, 3.0, 0.0)));
-        assert!(!touch(edge(0.0, 0.0, 1.0, 0.0), edge(0.0, 0.1, 1.0, 0.1)));
     }
 
     #[test]

@@ -21,6 +21,7 @@ use crate::clearance::Placed;
 use crate::crowd::Crowd;
 use crate::movers::Mover;
 use crate::scene::Scene;
+use crate::sensors::walker_stream;
 use crate::shape::{Shape, Solid};
 use crate::world::World;
 
@@ -104,7 +105,12 @@ impl Simulation {
         if robots.len() > MAX_ROBOTS {
             return Err(SimError::TooMany(robots.len()));
         }
-        let (movers, solids): (Vec<Mover>, Vec<Solid>) = world.movers().iter().map(Mover::new).unzip();
+        let (movers, solids): (Vec<Mover>, Vec<Solid>) = world
+            .movers()
+            .iter()
+            .enumerate()
+            .map(|(index, model)| Mover::new(model, walker_stream(seed, index)))
+            .unzip();
         let mut crowd = Crowd::new(solids);
         let mut ids: Vec<Id> = Vec::with_capacity(robots.len());
         let mut names = BTreeSet::new();
@@ -206,7 +212,11 @@ impl Simulation {
     /// Moves all movers; returns how far the fastest went at most, m.
     fn move_movers(&mut self, secs: f64) -> f64 {
         let Self {
-            movers, bodies, crowd, ..
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
         } = self;
         let mut farthest = 0.0_f64;
         for (index, mover) in movers.iter_mut().enumerate() {
@@ -229,7 +239,7 @@ impl Simulation {
                     distance <= 0.5 * CONTACT && distance < *before
                 })
             };
-            crowd.change(index, |solid| mover.step(secs, solid, blocked));
+            crowd.change(index, |solid| mover.step(secs, scene, solid, blocked));
         }
         farthest
     }
@@ -469,6 +479,56 @@ mod tests {
         assert_eq!(truth.collisions, 0);
         assert!(truth.min_clearance > 0.15, "{truth:?}");
         assert!((16.0..19.0).contains(&truth.length), "{truth:?}");
+    }
+
+    #[test]
+    fn a_door_is_shut_and_open_by_its_schedule() {
+        let door =
+            "[[door]]\nfrom = [2, -1]\nto = [2, 1]\nthickness = 0.1\nclosed_secs = 3\nopen_secs = 2\nslide_secs = 1\n";
+        let mut simulation = simulate(&world(door), vec![robot("a", "tiago", Pose2::IDENTITY)]);
+        let mut shut = Vec::new();
+        for _ in 0..14 {
+            steps(&mut simulation, 0, [0.0, 0.0], 25);
+            let nearest = simulation.clearance(&Footprint::Radius(0.2), Pose2::new(1.7, 0.0, 0.0));
+            shut.push(nearest < 0.1);
+        }
+        // At every half second: three seconds shut, open once it has slid by half, two seconds open, one sliding back.
+        let expected: Vec<bool> = (1..=14).map(|half| !(8..=12).contains(&half)).collect();
+        assert_eq!(shut, expected);
+    }
+
+    #[test]
+    fn wheels_that_are_not_what_they_seem_lead_astray_and_encoders_do_not_see_it() {
+        let mut crooked = robot("a", "tiago", Pose2::IDENTITY);
+        crooked.model.drive.errors.wheel_radius = [0.0, 0.02];
+        let mut simulation = simulate(&world(""), vec![crooked]);
+        steps(&mut simulation, 0, [4.0, 4.0], 500);
+        let (truth, [left, right]) = (simulation.truth(0), simulation.readings(0).wheels);
+        let separation = simulation.model(0).drive.wheel_separation;
+        let expected = truth.length / 1.01 * 0.02 / separation;
+        assert!((truth.map_from_base.yaw - expected).abs() < 1e-6 && expected > 0.1);
+        assert!((left - right).abs() < 0.2, "{left} {right}");
+    }
+
+    #[test]
+    fn slip_spreads_with_the_root_of_the_way() {
+        let spread = |secs: usize| {
+            let offsets = (0..60).map(|seed| {
+                let mut spec = robot("a", "tiago", Pose2::IDENTITY);
+                spec.model.drive.errors.slip = 0.01;
+                let mut simulation = Simulation::new(&world(""), vec![spec], seed).unwrap();
+                steps(&mut simulation, 0, [4.0, 4.0], secs * 50);
+                simulation.truth(0).map_from_base.yaw
+            });
+            (offsets.map(|yaw| yaw * yaw).sum::<f64>() / 60.0).sqrt()
+        };
+        let (short, long) = (spread(4), spread(16));
+        assert!((1.4..2.8).contains(&(long / short)), "{short} {long}");
+        // Two wheels, a centimetre each after a metre.
+        let drive = model("tiago").drive;
+        let metres = 4.0 * drive.wheel_radius * 16.0;
+        let expected = 0.01 * (2.0 * metres).sqrt() / drive.wheel_separation;
+        assert!((long / expected - 1.0).abs() < 0.3, "{long} {expected}");
     }
 
     #[test]

@@ -311,6 +311,6 @@ mod tests {
         let world = World::from_map("block", map, Pose2::new(0.5, 0.5, 0.0));
         assert!(world.is_solid(Point2::new(1.5, 1.5)) && !world.is_solid(Point2::new(0.5, 1.5)));
         assert!((world.clearance(&Footprint::Radius(0.2), Pose2::new(0.5, 1.5, 0.0)) - 0.3).abs() < 1e-12);
-        assert_eq!(world.scene().edge_count(), 4);
+        assert_eq!(world.scene().edges().things().len(), 4);
     }
 }

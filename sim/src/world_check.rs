@@ -5,8 +5,7 @@ use std::ops::Range;
 use nalgebra::Point2;
 use thiserror::Error;
 use toml::Spanned;
-
-use crate::shape;
+use zenav_protocol::polygon;
 
 /// Most polygons, circles and walls, each.
 pub const MAX_SHAPES: usize = 20_000;
@@ -18,6 +17,8 @@ pub const MAX_ALL_CORNERS: usize = 200_000;
 pub const MAX_MOVERS: usize = 1_000;
 /// Coordinates lie within this, m.
 pub const MAX_COORDINATE: f64 = 100_000.0;
+/// A mover or door rests at most this long, s.
+pub const MAX_REST: f64 = 86_400.0;
 /// Movers are not faster than this, m/s.
 pub const MAX_MOVER_SPEED: f64 = 20.0;
 
@@ -122,52 +123,8 @@ impl Source<'_> {
 
     /// A simple polygon, brought into counter-clockwise order.
     pub fn polygon(self, points: &Spanned<Vec<[f64; 2]>>, key: &'static str) -> Result<Vec<Point2<f64>>, WorldError> {
-        let mut corners = self.points(points, key, 3)?;
-        let edges: Vec<_> = shape::edges(&corners).collect();
-        if let Some(edge) = edges.iter().find(|edge| edge.a == edge.b) {
-            return self.fail(
-                points.span(),
-                key,
-                format!("the corner ({}, {}) stands twice in a row", edge.a.x, edge.a.y),
-            );
-        }
-        for (i, edge) in edges.iter().enumerate() {
-            // Neighbours share a corner: they may only not turn straight back.
-            let next = edges[(i + 1) % edges.len()];
-            let (along, on) = (edge.b - edge.a, next.b - next.a);
-            if shape::cross(along, on) == 0.0 && along.dot(&on) < 0.0 {
-                return self.fail(
-                    points.span(),
-                    key,
-                    format!("the outline turns straight back at ({}, {})", edge.b.x, edge.b.y),
-                );
-            }
-            let others = edges
-                .iter()
-                .enumerate()
-                .skip(i + 2)
-                .filter(|(j, _)| i != 0 || j + 1 != edges.len());
-            for (_, other) in others {
-                if shape::touch(*edge, *other) {
-                    return self.fail(
-                        points.span(),
-                        key,
-                        format!(
-                            "the outline meets itself between ({}, {}) and ({}, {})",
-                            edge.a.x, edge.a.y, edge.b.x, edge.b.y
-                        ),
-                    );
-                }
-            }
-        }
-        let area = shape::doubled_area(&corners);
-        if area.abs() <= 1e-12 {
-            return self.fail(points.span(), key, "the outline encloses no area");
-        }
-        if area < 0.0 {
-            corners.reverse();
-        }
-        Ok(corners)
+        let corners = self.points(points, key, 3)?;
+        polygon::simple(corners).or_else(|error| self.fail(points.span(), key, error.to_string()))
     }
 
     pub fn count(self, count: usize, limit: usize, key: &'static str) -> Result<(), WorldError> {

@@ -7,10 +7,10 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
 
-use crate::movers::MoverModel;
+use crate::movers::{MoverModel, Route};
 use crate::shape::{Disc, Shape};
 use crate::world::{Parts, Place};
-use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVER_SPEED, MAX_MOVERS, MAX_SHAPES, Source, WorldError};
+use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVER_SPEED, MAX_MOVERS, MAX_REST, MAX_SHAPES, Source, WorldError};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -28,6 +28,8 @@ struct WorldFile {
     wall: Vec<Spanned<WallTable>>,
     #[serde(default)]
     mover: Vec<Spanned<MoverTable>>,
+    #[serde(default)]
+    door: Vec<Spanned<DoorTable>>,
     #[serde(default)]
     place: Vec<Spanned<PlaceTable>>,
 }
@@ -74,8 +76,30 @@ struct WallTable {
 struct MoverTable {
     radius: Option<Spanned<f64>>,
     polygon: Option<Spanned<Vec<[f64; 2]>>>,
-    path: Spanned<Vec<[f64; 2]>>,
+    path: Option<Spanned<Vec<[f64; 2]>>>,
+    rest_secs: Option<Spanned<Vec<f64>>>,
+    walk: Option<Spanned<[[f64; 2]; 2]>>,
+    start: Option<Spanned<[f64; 2]>>,
     speed: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DoorTable {
+    from: [f64; 2],
+    to: Spanned<[f64; 2]>,
+    thickness: Spanned<f64>,
+    closed_secs: Spanned<f64>,
+    open_secs: Spanned<f64>,
+    #[serde(default = "slide_secs")]
+    slide_secs: Spanned<f64>,
+    #[serde(default)]
+    starts_open: bool,
+}
+
+/// Time that a door takes to slide where its table does not say, s.
+fn slide_secs() -> Spanned<f64> {
+    Spanned::new(0..0, 2.0)
 }
 
 #[derive(Deserialize)]
@@ -107,6 +131,7 @@ pub(crate) fn read(
         (world.circle.len(), MAX_SHAPES, "circle"),
         (world.wall.len(), MAX_SHAPES, "wall"),
         (world.mover.len(), MAX_MOVERS, "mover"),
+        (world.door.len(), MAX_MOVERS, "door"),
         (world.place.len(), MAX_MOVERS, "place"),
         (
             world.polygon.iter().map(|polygon| polygon.points.get_ref().len()).sum(),
@@ -170,6 +195,7 @@ pub(crate) fn read(
         .mover
         .iter()
         .map(|mover| self::mover(source, mover))
+        .chain(world.door.iter().map(|door| self::door(source, door)))
         .collect::<Result<_, _>>()?;
     let places = places(source, &world.place)?;
     Ok(Parts {
@@ -239,6 +265,9 @@ fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<MoverModel, 
         radius,
         polygon,
         path,
+        rest_secs,
+        walk,
+        start,
         speed,
     } = mover.get_ref();
     let shape = match (radius, polygon) {
@@ -246,7 +275,21 @@ fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<MoverModel, 
         (None, Some(polygon)) => Shape::Polygon(source.polygon(polygon, "mover.polygon")?),
         _ => return source.fail(mover.span(), "mover", "expected either `radius` or `polygon`"),
     };
-    let path = source.points(path, "mover.path", 1)?;
+    let route = match (path, walk) {
+        (Some(path), None) => {
+            if let Some(start) = start {
+                return source.fail(start.span(), "mover.start", "a path starts at its first point");
+            }
+            let corners = source.points(path, "mover.path", 1)?;
+            let rests = match rest_secs {
+                None => vec![0.0; corners.len()],
+                Some(rests) => self::rests(source, rests, corners.len())?,
+            };
+            Route::Path(corners.into_iter().zip(rests).collect())
+        }
+        (None, Some(walk)) => self::walk(source, walk, start.as_ref())?,
+        _ => return source.fail(mover.span(), "mover", "expected either `path` or `walk`"),
+    };
     let metres_per_second = *speed.get_ref();
     if !(0.0..=MAX_MOVER_SPEED).contains(&metres_per_second) {
         return source.fail(
@@ -257,8 +300,95 @@ fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<MoverModel, 
     }
     Ok(MoverModel {
         shape,
-        path,
+        route,
         speed: metres_per_second,
+    })
+}
+
+/// How long a mover rests at each corner.
+fn rests(source: Source<'_>, rests: &Spanned<Vec<f64>>, corners: usize) -> Result<Vec<f64>, WorldError> {
+    let values = rests.get_ref();
+    if values.len() != corners || !values.iter().all(|secs| (0.0..=MAX_REST).contains(secs)) {
+        return source.fail(
+            rests.span(),
+            "mover.rest_secs",
+            format!("expected {corners} numbers, one for each point of `path`, 0 to {MAX_REST}"),
+        );
+    }
+    Ok(values.clone())
+}
+
+/// A box to walk in; the walker starts in its middle, or where it is told to.
+fn walk(
+    source: Source<'_>,
+    walk: &Spanned<[[f64; 2]; 2]>,
+    start: Option<&Spanned<[f64; 2]>>,
+) -> Result<Route, WorldError> {
+    let [low, high] = *walk.get_ref();
+    source.coordinates(walk.span(), "mover.walk", &[low[0], low[1], high[0], high[1]])?;
+    if low[0] > high[0] || low[1] > high[1] {
+        return source.fail(
+            walk.span(),
+            "mover.walk",
+            "expected the lower-left corner before the upper-right one",
+        );
+    }
+    let (low, high) = (Point2::from(low), Point2::from(high));
+    let start = match start {
+        None => nalgebra::center(&low, &high),
+        Some(start) => {
+            source.coordinates(start.span(), "mover.start", start.get_ref())?;
+            Point2::from(*start.get_ref())
+        }
+    };
+    Ok(Route::Walk { start, low, high })
+}
+
+/// A door shuts the way between two points, and slides aside by its own length.
+fn door(source: Source<'_>, door: &Spanned<DoorTable>) -> Result<MoverModel, WorldError> {
+    let DoorTable {
+        from,
+        to,
+        thickness,
+        closed_secs,
+        open_secs,
+        slide_secs,
+        starts_open,
+    } = door.get_ref();
+    source.coordinates(door.span(), "door.from", from)?;
+    source.coordinates(to.span(), "door.to", to.get_ref())?;
+    let half = 0.5 * source.positive(thickness, "door.thickness")?;
+    for (secs, key) in [(closed_secs, "door.closed_secs"), (open_secs, "door.open_secs")] {
+        if !(0.0..=MAX_REST).contains(secs.get_ref()) {
+            return source.fail(
+                secs.span(),
+                key,
+                format!("{}: expected 0 to {MAX_REST}", secs.get_ref()),
+            );
+        }
+    }
+    let slide = source.positive(slide_secs, "door.slide_secs")?;
+    let (from, to_point) = (Point2::from(*from), Point2::from(*to.get_ref()));
+    let along = to_point - from;
+    let speed = along.norm() / slide;
+    if along.norm() <= 1e-6 || speed > MAX_MOVER_SPEED {
+        return source.fail(
+            to.span(),
+            "door.to",
+            format!("expected another point than `from`, and to slide at {MAX_MOVER_SPEED} m/s at most"),
+        );
+    }
+    let aside = nalgebra::Vector2::new(-along.y, along.x) * (half / along.norm());
+    let middle = nalgebra::center(&from, &to_point);
+    let corners = [from - aside, to_point - aside, to_point + aside, from + aside];
+    let mut path = vec![(middle, *closed_secs.get_ref()), (middle + along, *open_secs.get_ref())];
+    if *starts_open {
+        path.reverse();
+    }
+    Ok(MoverModel {
+        shape: Shape::Polygon(corners.map(|corner| Point2::from(corner - middle)).to_vec()),
+        route: Route::Path(path),
+        speed,
     })
 }
 
@@ -313,13 +443,14 @@ mod tests {
     fn everything_a_world_may_hold_is_read() {
         let text = format!(
             "{HEAD}[start]\nx = 1\ny = 2\n[[polygon]]\npoints = [[0,0],[0,1],[1,0]]\n[[circle]]\nx = 3\ny = 3\nradius = 0.5\n[[wall]]\nfrom = [0,5]\nto = [4,5]\nthickness = 0.1\n\
-             [[mover]]\nradius = 0.25\npath = [[0,3],[1,3]]\nspeed = 0.5\n[[mover]]\npolygon = [[0,0],[0.3,0],[0,0.3]]\npath = [[0,3]]\nspeed = 0\n[[place]]\nname = \"sink\"\nx = 0.88\ny = 0.09\nyaw = 1\n"
+             [[mover]]\nradius = 0.25\npath = [[0,3],[1,3]]\nspeed = 0.5\n[[mover]]\npolygon = [[0,0],[0.3,0],[0,0.3]]\npath = [[0,3]]\nspeed = 0\n\
+             [[mover]]\nradius = 0.2\nwalk = [[0,0],[1,1]]\nspeed = 1\n[[door]]\nfrom = [0,4]\nto = [1,4]\nthickness = 0.05\nclosed_secs = 5\nopen_secs = 3\n[[place]]\nname = \"sink\"\nx = 0.88\ny = 0.09\nyaw = 1\n"
         );
         let world = World::from_toml(&text, "w.toml", &|_| Err(String::new())).unwrap();
         assert_eq!(world.bounds(), (Point2::new(-1.0, 0.0), Point2::new(4.0, 6.0)));
         assert_eq!(
             (world.polygons().len(), world.discs().len(), world.movers().len()),
-            (2, 1, 2)
+            (2, 1, 4)
         );
         assert!(
             world
@@ -360,6 +491,26 @@ mod tests {
             (
                 "[[mover]]\npath = [[0,0]]\nspeed = 1\n",
                 ["w.toml:4:", "either `radius` or `polygon`"],
+            ),
+            (
+                "[[mover]]\nradius = 1\nspeed = 1\n",
+                ["w.toml:4:", "either `path` or `walk`"],
+            ),
+            (
+                "[[mover]]\nradius = 1\nspeed = 1\nwalk = [[1, 0], [0, 1]]\n",
+                ["w.toml:7:", "mover.walk"],
+            ),
+            (
+                "[[mover]]\nradius = 1\nspeed = 1\npath = [[1, 0], [0, 1]]\nrest_secs = [1]\n",
+                ["w.toml:8:", "mover.rest_secs"],
+            ),
+            (
+                "[[door]]\nfrom = [0, 0]\nto = [1, 0]\nthickness = 0.1\nclosed_secs = -1\nopen_secs = 1\n",
+                ["w.toml:8:", "door.closed_secs"],
+            ),
+            (
+                "[[door]]\nfrom = [0, 0]\nto = [0, 0]\nthickness = 0.1\nclosed_secs = 1\nopen_secs = 1\n",
+                ["w.toml:6:", "door.to"],
             ),
             (
                 "[[mover]]\nradius = 1\npath = []\nspeed = 1\n",

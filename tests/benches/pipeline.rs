@@ -20,7 +20,7 @@ use zenav_cloud::behaviour_tree::samples::reactive_tree;
 use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
 use zenav_cloud::planning::{Budget, PlanOptions, PlanWorker, Planner, Query, Searcher, plan};
 use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, SmoothWorker, smooth};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
+use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::Cell;
@@ -169,6 +169,7 @@ fn search(criterion: &mut Criterion) {
         cell == start || cell == goal || random.random::<f64>() > 0.1
     });
     let mut searcher = Searcher::new(&free).unwrap();
+    let sight = PointSight::new(&free);
     let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
     let query = Query {
         start: center(start),
@@ -181,7 +182,7 @@ fn search(criterion: &mut Criterion) {
         group.bench_function(planner.name(), |bencher| {
             bencher.iter(|| {
                 searcher
-                    .search(planner, &free, &query, Budget::UNLIMITED)
+                    .search(planner, &sight, &query, Budget::UNLIMITED)
                     .result
                     .expect("a way")
             });

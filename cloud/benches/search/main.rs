@@ -32,7 +32,7 @@ use criterion::Criterion;
 use rustix::time::{ClockId, clock_gettime};
 use zenav_cloud::mapping::map_file;
 use zenav_cloud::planning::{Budget, Planner, Query, Searcher};
-use zenav_cloud::space::BitGrid;
+use zenav_cloud::space::{BitGrid, PointSight};
 use zenav_protocol::grid::Occupancy;
 
 /// Runs of each query, of which the least time counts.
@@ -82,6 +82,8 @@ fn main() {
 
 /// One line of the table.
 fn compare(case: &Case) {
+    let sight = PointSight::new(&case.free);
+    let sight = PointSight::new(&case.free);
     let began = cpu();
     let mut searcher = Searcher::new(&case.free).unwrap();
     if let Some(query) = case.queries.first() {
@@ -90,7 +92,7 @@ fn compare(case: &Case) {
             goal: query.start,
             ..*query
         };
-        black_box(searcher.search(Planner::Jps, &case.free, &stay, Budget::UNLIMITED));
+        black_box(searcher.search(Planner::Jps, &sight, &stay, Budget::UNLIMITED));
     }
     let ready = cpu() - began;
     let mut times = [const { Vec::new() }; 3];
@@ -103,7 +105,7 @@ fn compare(case: &Case) {
                 lengths[i] = match solver {
                     Solver::Peer => peer::length(&case.free, query),
                     Solver::Ours(planner) => {
-                        let searched = searcher.search(*planner, &case.free, query, Budget::UNLIMITED);
+                        let searched = searcher.search(*planner, &sight, query, Budget::UNLIMITED);
                         searched.result.unwrap().length
                     }
                 };
@@ -142,13 +144,14 @@ fn compare(case: &Case) {
 /// All of a map's queries in a row, followed from run to run by criterion.
 fn follow(criterion: &mut Criterion, case: &Case) {
     let mut searcher = Searcher::new(&case.free).unwrap();
+    let sight = PointSight::new(&case.free);
     for planner in [Planner::AStar, Planner::Jps] {
         criterion.bench_function(&format!("{}/{planner}", case.name), |bencher| {
             bencher.iter(|| {
                 for query in &case.queries {
                     black_box(
                         searcher
-                            .search(planner, &case.free, query, Budget::UNLIMITED)
+                            .search(planner, &sight, query, Budget::UNLIMITED)
                             .expansions,
                     );
                 }

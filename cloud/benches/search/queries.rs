@@ -5,7 +5,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_cloud::mapping::moving_ai;
 use zenav_cloud::planning::{Budget, Planner, Query, Searcher};
-use zenav_cloud::space::BitGrid;
+use zenav_cloud::space::{BitGrid, PointSight};
 use zenav_protocol::grid::{Cell, GridSpec};
 
 /// Queries a map.
@@ -37,12 +37,14 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
         return Vec::new();
     }
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
+    let sight = PointSight::new(free);
     let mut searcher = Searcher::new(free).unwrap();
+    let sight = PointSight::new(free);
     let mut found: Vec<(f64, Query)> = Vec::new();
     for _ in 0..DRAWN {
         let mut draw = || cells[random.random_range(0..cells.len())];
         let query = query(draw(), draw());
-        if let Ok(way) = searcher.search(Planner::AStar, free, &query, Budget::UNLIMITED).result {
+        if let Ok(way) = searcher.search(Planner::AStar, &sight, &query, Budget::UNLIMITED).result {
             found.push((way.length, query));
         }
     }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::Scan;
 
@@ -28,16 +28,39 @@ impl Default for BeamOptions {
     }
 }
 
-/// One beam in the map frame.
+/// A map's anchor and scale: where the map frame's points lie, counted in cells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellFrame {
+    /// Lower-left corner of cell (0, 0), m.
+    pub anchor: Point2<f64>,
+    /// Side of a cell, m.
+    pub resolution: f64,
+}
+
+impl CellFrame {
+    /// A point of the map frame in cells from the anchor.
+    #[inline]
+    #[must_use]
+    pub fn cells(&self, p: Point2<f64>) -> Point2<f64> {
+        Point2::new(
+            (p.x - self.anchor.x) / self.resolution,
+            (p.y - self.anchor.y) / self.resolution,
+        )
+    }
+}
+
+/// One beam, in cells from the map's anchor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
-    /// Where it ends, m.
+    /// Where it ends.
     pub end: Point2<f64>,
-    /// Its length, m.
-    pub range: f64,
+    /// Where it goes, of length one.
+    pub direction: Vector2<f64>,
+    /// Its length.
+    pub length: f64,
     /// Position in the sweep: neighbours differ by one.
     pub number: usize,
-    /// Whether it met something there.
+    /// Whether it met something at its end.
     pub hit: bool,
 }
 
@@ -50,7 +73,7 @@ pub struct BeamReader {
 
 impl BeamReader {
     /// Appends the beams of a sane scan that tell something.
-    pub fn read(&mut self, scan: &Scan, options: &BeamOptions, beams: &mut Vec<Beam>) {
+    pub fn read(&mut self, scan: &Scan, options: &BeamOptions, frame: &CellFrame, beams: &mut Vec<Beam>) {
         let count = scan.ranges.len();
         if self.directions.len() != count || self.geometry != (scan.angle_min, scan.angle_increment) {
             self.geometry = (scan.angle_min, scan.angle_increment);
@@ -63,6 +86,7 @@ impl BeamReader {
             .filter(|range| *range > 0.0)
             .map_or(scan.range_max, |range| range.min(scan.range_max));
         let laser = scan.map_from_laser();
+        let (origin, per_metre) = (frame.cells(laser.position()), frame.resolution.recip());
         let (yaw_sin, yaw_cos) = laser.yaw.sin_cos();
         for (number, (range, [sin, cos])) in scan
             .ranges
@@ -80,14 +104,12 @@ impl BeamReader {
             {
                 continue;
             }
-            let range = measured.min(usable);
-            let end = Point2::new(
-                laser.x + range * (yaw_cos * cos - yaw_sin * sin),
-                laser.y + range * (yaw_sin * cos + yaw_cos * sin),
-            );
+            let length = measured.min(usable) * per_metre;
+            let direction = Vector2::new(yaw_cos * cos - yaw_sin * sin, yaw_sin * cos + yaw_cos * sin);
             beams.push(Beam {
-                end,
-                range,
+                end: origin + direction * length,
+                direction,
+                length,
                 number,
                 hit,
             });
@@ -116,9 +138,14 @@ mod tests {
         }
     }
 
+    /// In cells of 0.5 m, whose anchor lies at (-1, 0).
     fn read(scan: &Scan, options: &BeamOptions) -> Vec<Beam> {
+        let frame = CellFrame {
+            anchor: Point2::new(-1.0, 0.0),
+            resolution: 0.5,
+        };
         let mut beams = Vec::new();
-        BeamReader::default().read(scan, options, &mut beams);
+        BeamReader::default().read(scan, options, &frame, &mut beams);
         beams
     }
 
@@ -131,7 +158,7 @@ mod tests {
                 ..BeamOptions::default()
             },
         );
-        assert!((beams[0].end - Point2::new(0.0, 5.0)).norm() < 1e-12 && beams[0].hit);
+        assert!((beams[0].end - Point2::new(2.0, 10.0)).norm() < 1e-12 && beams[0].hit);
     }
 
     #[test]
@@ -146,9 +173,9 @@ mod tests {
         assert_eq!(
             beams
                 .iter()
-                .map(|beam| (beam.number, beam.hit, beam.range))
+                .map(|beam| (beam.number, beam.hit, beam.length))
                 .collect::<Vec<_>>(),
-            vec![(3, true, 1.0), (4, false, 4.0), (5, false, 4.0)]
+            vec![(3, true, 2.0), (4, false, 8.0), (5, false, 8.0)]
         );
         assert_eq!(
             read(

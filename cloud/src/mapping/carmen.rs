@@ -1,4 +1,4 @@
-//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans, and a map.
+//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans.
 //!
 //! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` (a sweep of half a circle; the first pose is
 //! the laser's) and `ROBOTLASER1`, which tells its own field of view. Other lines are passed over.
@@ -9,16 +9,12 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
-use serde::Serialize;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 
 use super::beams::BeamOptions;
-use super::evidence::SensorModel;
-use super::occupancy::{InsertMode, LogOddsGrid};
 
 /// Longest line that is read, bytes.
 const MAX_LINE: u64 = 1 << 20;
@@ -100,6 +96,12 @@ impl<R: BufRead> CarmenReader<R> {
             if self.buffer.len() as u64 == MAX_LINE {
                 return Err(wrong(format!("longer than {MAX_LINE} bytes")));
             }
+            if !["FLASER", "ROBOTLASER1"]
+                .iter()
+                .any(|kind| self.buffer.starts_with(kind.as_bytes()))
+            {
+                continue;
+            }
             let Ok(text) = std::str::from_utf8(&self.buffer) else {
                 return Err(wrong("expected text".to_owned()));
             };
@@ -169,11 +171,24 @@ impl Words<'_> {
         Ok(Pose2::new(self.number("x")?, self.number("y")?, self.number("theta")?))
     }
 
+    /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
+    fn time(&mut self) -> Result<f64, String> {
+        let time = self.number("the time");
+        let left = self.words.clone().count();
+        let time = match time {
+            Ok(_) if left > 2 => Err(format!(
+                "expected the host and its time at the end of the line, found {left} words"
+            )),
+            time => time,
+        };
+        time.map_err(|error| format!("{error}: is the number of readings right?"))
+    }
+
     fn front_laser(mut self) -> Result<Scan, String> {
         let ranges = self.ranges()?;
         let laser = self.pose()?;
         self.pose()?;
-        let time = self.number("the time")?;
+        let time = self.time()?;
         // A sweep of half a circle: 180 readings are a degree apart, and so are 181.
         let angle_increment = match ranges.len() {
             180 | 181 => PI / 180.0,
@@ -188,10 +203,14 @@ impl Words<'_> {
         let angle_min = self.number("the start angle")?;
         self.number("the field of view")?;
         let angle_increment = self.number("the angular resolution")?;
-        let range_max = self.number("the maximum range")?;
+        let range_max = self.number("the maximum range")?.min(NOTHING_SEEN);
         self.number("the accuracy")?;
         self.number("the remission mode")?;
-        let ranges = self.ranges()?;
+        let mut ranges = self.ranges()?;
+        // The maximum itself stands for no return.
+        for range in ranges.iter_mut().filter(|range| f64::from(**range) >= range_max) {
+            *range = f32::INFINITY;
+        }
         for _ in 0..self.count("the number of remissions")? {
             self.number("a remission")?;
         }
@@ -206,15 +225,8 @@ impl Words<'_> {
         ] {
             self.number(what)?;
         }
-        let time = self.number("the time")?;
-        Ok(scan(
-            time,
-            laser,
-            angle_min,
-            angle_increment,
-            range_max.min(NOTHING_SEEN),
-            ranges,
-        ))
+        let time = self.time()?;
+        Ok(scan(time, laser, angle_min, angle_increment, range_max, ranges))
     }
 }
 
@@ -232,23 +244,6 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
     }
 }
 
-/// What a map was built from, and what came out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct BuildReport {
-    /// Scans inserted.
-    pub scans: u64,
-    /// Beams drawn.
-    pub beams: u64,
-    /// Cells of the grid.
-    pub cells: u64,
-    /// Occupied cells.
-    pub occupied: u64,
-    /// Free cells.
-    pub free: u64,
-    /// Unknown cells.
-    pub unknown: u64,
-}
-
 /// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
 pub const LOG_BEAMS: BeamOptions = BeamOptions {
     trim: 0,
@@ -256,78 +251,12 @@ pub const LOG_BEAMS: BeamOptions = BeamOptions {
     clear_without_return: false,
 };
 
-/// Builds a map of scans at known poses, in their order.
-#[must_use]
-pub fn build_map(
-    scans: &[Scan],
-    resolution: f64,
-    mode: InsertMode,
-    beams: &BeamOptions,
-) -> (OccupancyGrid, BuildReport) {
-    let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
-    let drawn: usize = scans.iter().map(|scan| map.insert(scan, beams, mode, None)).sum();
-    let counts = map.counts();
-    let grid = map.to_occupancy();
-    let report = BuildReport {
-        scans: scans.len() as u64,
-        beams: drawn as u64,
-        cells: grid.spec().len() as u64,
-        occupied: counts.occupied,
-        free: counts.free,
-        unknown: counts.unknown,
-    };
-    (grid, report)
-}
-
-/// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Agreement {
-    /// On occupied cells.
-    pub occupied: f64,
-    /// On free cells.
-    pub free: f64,
-}
-
-/// Compares maps cell by cell, in the reference's cells.
-#[must_use]
-pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
-    let share = |class: Occupancy| {
-        let spec = reference.spec();
-        let (mut both, mut in_reference) = (0_u64, 0_u64);
-        for (index, value) in reference
-            .values()
-            .iter()
-            .enumerate()
-            .filter(|(_, value)| Occupancy::of(**value) == class)
-        {
-            in_reference += 1;
-            let theirs = if other.spec() == spec {
-                other.values().get(index)
-            } else {
-                other.at(spec.center(spec.cell(index)))
-            };
-            both += u64::from(theirs.is_some_and(|theirs| Occupancy::of(*theirs) == Occupancy::of(*value)));
-        }
-        let in_other = other
-            .values()
-            .iter()
-            .filter(|value| Occupancy::of(**value) == class)
-            .count() as u64;
-        let most = in_reference.max(in_other);
-        if most == 0 { 1.0 } else { both as f64 / most as f64 }
-    };
-    Agreement {
-        occupied: share(Occupancy::Occupied),
-        free: share(Occupancy::Free),
-    }
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
-    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 2 1.5 2.5 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
+    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 3 1.5 2.5 20 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
 
     #[test]
     fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
@@ -344,8 +273,10 @@ mod tests {
         assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
         assert_eq!(
             (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
-            (-1.5, 0.5, 2)
+            (-1.5, 0.5, 3)
         );
+        // The maximum range stands for no return.
+        assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
     }
 
     #[test]
@@ -367,6 +298,14 @@ mod tests {
         assert_eq!(
             error("FLASER 1e9 1.0\n"),
             "line 1: expected the number of readings up to 10000, found 1000000000"
+        );
+        assert_eq!(
+            error("FLASER 2 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
+            "line 1: expected the host and its time at the end of the line, found 3 words: is the number of readings right?"
+        );
+        assert_eq!(
+            error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
+            "line 1: expected the time, found `host`: is the number of readings right?"
         );
         assert_eq!(
             error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
@@ -392,34 +331,5 @@ mod tests {
         let read = |path| open(path).unwrap().collect::<Result<Vec<Scan>, CarmenError>>();
         assert_eq!(read(&plain).unwrap(), read(&packed).unwrap());
         assert!(matches!(read(&broken), Err(CarmenError::Io { .. })));
-    }
-
-    #[test]
-    fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
-        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
-        let (map, report) = build_map(&scans, 0.05, InsertMode::Reference, &LOG_BEAMS);
-        assert_eq!(
-            (
-                report.scans,
-                report.beams,
-                report.free + report.occupied + report.unknown
-            ),
-            (2, 4, report.cells)
-        );
-        assert_eq!(
-            agreement(&map, &map),
-            Agreement {
-                occupied: 1.0,
-                free: 1.0
-            }
-        );
-        let (empty, _) = build_map(&[], 0.05, InsertMode::Reference, &LOG_BEAMS);
-        assert_eq!(
-            agreement(&map, &empty),
-            Agreement {
-                occupied: 0.0,
-                free: 0.0
-            }
-        );
     }
 }

@@ -55,19 +55,6 @@ pub(super) struct Evidence {
 /// The byte of a cell that nobody has seen: zero, as memory comes.
 pub(super) const UNSEEN: u8 = 0;
 
-/// Eight bits as eight bytes, 255 for a set bit.
-const BYTES_OF_BITS: [[u8; 8]; 256] = {
-    let mut table = [[0; 8]; 256];
-    let mut at = 0;
-    while at < 256 * 8 {
-        if (at / 8) >> (at % 8) & 1 == 1 {
-            table[at / 8][at % 8] = 255;
-        }
-        at += 1;
-    }
-    table
-};
-
 impl Evidence {
     /// Probabilities outside (0, 1), and numbers that are not any, are brought inside.
     pub(super) fn new(model: &SensorModel) -> Self {
@@ -98,30 +85,21 @@ impl Evidence {
         }
     }
 
-    /// Takes notice of a miss in every cell of 64 whose bit is set; says whether anything changed.
-    pub(super) fn miss(&self, cells: &mut [u8; 64], missed: u64) -> bool {
-        // Most of what is seen has been seen to be empty before.
-        if cells.iter().fold(0, |differs, cell| differs | (cell ^ self.least)) == 0 {
-            return false;
-        }
-        let mut changed = 0;
-        for (eight, bits) in cells.as_chunks_mut::<8>().0.iter_mut().zip(missed.to_le_bytes()) {
-            for (cell, mask) in eight.iter_mut().zip(&BYTES_OF_BITS[usize::from(bits)]) {
-                let before = if *cell == UNSEEN { self.prior } else { *cell };
-                let after = before.saturating_sub(self.miss).max(self.least);
-                let change = (after ^ *cell) & mask;
-                changed |= change;
-                *cell ^= change;
-            }
-        }
-        changed != 0
+    /// What a miss makes of a byte.
+    #[inline]
+    pub(super) fn after_miss(&self, cell: u8) -> u8 {
+        self.known(cell).saturating_sub(self.miss).max(self.least)
     }
 
-    /// Takes notice of a hit; says whether anything changed.
-    pub(super) fn hit(&self, cell: &mut u8) -> bool {
-        let before = if *cell == UNSEEN { self.prior } else { *cell };
-        let after = before.saturating_add(self.hit).min(self.most);
-        after != std::mem::replace(cell, after)
+    /// What a hit makes of a byte.
+    #[inline]
+    pub(super) fn after_hit(&self, cell: u8) -> u8 {
+        self.known(cell).saturating_add(self.hit).min(self.most)
+    }
+
+    #[inline]
+    fn known(&self, cell: u8) -> u8 {
+        if cell == UNSEEN { self.prior } else { cell }
     }
 }
 
@@ -142,39 +120,34 @@ fn level(probability: f64) -> u8 {
 mod tests {
     use super::*;
 
+    fn class(evidence: &Evidence, cell: u8) -> Occupancy {
+        Occupancy::of(evidence.percent[usize::from(cell)])
+    }
+
     #[test]
     fn one_look_decides_about_an_unknown_cell() {
         let evidence = Evidence::new(&SensorModel::default());
-        let mut cells = [UNSEEN; 64];
-        evidence.miss(&mut cells, 1);
-        evidence.hit(&mut cells[1]);
-        assert_eq!(cells[2], UNSEEN);
-        assert_eq!(Occupancy::of(evidence.percent[usize::from(cells[0])]), Occupancy::Free);
-        assert_eq!(
-            Occupancy::of(evidence.percent[usize::from(cells[1])]),
-            Occupancy::Occupied
-        );
+        assert_eq!(class(&evidence, UNSEEN), Occupancy::Unknown);
+        assert_eq!(class(&evidence, evidence.after_miss(UNSEEN)), Occupancy::Free);
+        assert_eq!(class(&evidence, evidence.after_hit(UNSEEN)), Occupancy::Occupied);
     }
 
     #[test]
     fn a_wall_that_a_third_of_the_scans_hit_stays_and_a_passer_by_goes() {
         let evidence = Evidence::new(&SensorModel::default());
-        let mut wall = [UNSEEN; 64];
+        let mut wall = UNSEEN;
         for scan in 0..300 {
-            if scan % 3 == 0 {
-                evidence.hit(&mut wall[0])
+            wall = if scan % 3 == 0 {
+                evidence.after_hit(wall)
             } else {
-                evidence.miss(&mut wall, 1)
+                evidence.after_miss(wall)
             };
         }
-        assert_eq!(
-            Occupancy::of(evidence.percent[usize::from(wall[0])]),
-            Occupancy::Occupied
-        );
+        assert_eq!(class(&evidence, wall), Occupancy::Occupied);
         for _ in 0..12 {
-            evidence.miss(&mut wall, 1);
+            wall = evidence.after_miss(wall);
         }
-        assert_eq!(Occupancy::of(evidence.percent[usize::from(wall[0])]), Occupancy::Free);
+        assert_eq!(class(&evidence, wall), Occupancy::Free);
     }
 
     #[test]
@@ -186,10 +159,7 @@ mod tests {
             least: f64::INFINITY,
             most: f64::NAN,
         });
-        let mut cells = [UNSEEN];
-        for _ in 0..300 {
-            evidence.hit(&mut cells[0]);
-        }
-        assert!(evidence.percent[usize::from(cells[0])] >= 50);
+        let cell = (0..300).fold(UNSEEN, |cell, _| evidence.after_hit(cell));
+        assert!(evidence.percent[usize::from(cell)] >= 50);
     }
 }

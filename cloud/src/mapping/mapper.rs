@@ -1,49 +1,13 @@
 //! How do a robot's scans become its map? The pure core of mapping: scans in, patches out.
 
 use nalgebra::Point2;
-use serde::{Deserialize, Serialize};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
-use super::beams::BeamOptions;
-use super::evidence::SensorModel;
-use super::occupancy::{InsertMode, LogOddsGrid};
-
-/// What a mapper needs to know.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct MapperConfig {
-    /// Side of a cell, m.
-    pub resolution: f64,
-    /// Cells under the robot's own outline are free. `None`: nothing is known of it.
-    pub footprint: Option<Footprint>,
-    /// How beams are read.
-    pub beams: BeamOptions,
-    /// What a look says.
-    pub model: SensorModel,
-    /// How scans are drawn.
-    pub mode: InsertMode,
-    /// The robot's way is kept about each so many metres.
-    pub trajectory_step: f64,
-    /// Most tiles in a patch; the others follow in the next.
-    pub patch_tiles: usize,
-}
-
-impl Default for MapperConfig {
-    fn default() -> Self {
-        Self {
-            resolution: 0.05,
-            footprint: None,
-            beams: BeamOptions::default(),
-            model: SensorModel::default(),
-            mode: InsertMode::Reference,
-            trajectory_step: 0.1,
-            patch_tiles: 2048,
-        }
-    }
-}
+use super::config::MapperConfig;
+use super::occupancy::LogOddsGrid;
 
 /// What became of a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +20,7 @@ pub enum Insertion {
     OutOfOrder,
     /// Its description makes no sense.
     NotSane,
-    /// It was taken beyond the largest map.
+    /// It was taken beyond the largest map, or every beam ends beyond it.
     OutOfMap,
 }
 
@@ -85,7 +49,7 @@ impl Mapper {
     #[must_use]
     pub fn new(config: MapperConfig, map_id: impl Into<String>) -> Self {
         Self {
-            grid: LogOddsGrid::new(config.resolution, &config.model),
+            grid: config.fading(LogOddsGrid::new(config.resolution, &config.model)),
             map: MapRef {
                 id: map_id.into(),
                 revision: 0,
@@ -111,7 +75,7 @@ impl Mapper {
     ) -> Self {
         let log_odds = LogOddsGrid::from_occupancy(grid, &config.model);
         Self {
-            grid: log_odds,
+            grid: config.fading(log_odds),
             trajectory,
             scans,
             stored: true,
@@ -132,14 +96,13 @@ impl Mapper {
         if self.scans > 0 && scan.stamp <= self.stamp && self.stamp.secs_since(scan.stamp) < ANOTHER_CLOCK {
             return Insertion::OutOfOrder;
         }
-        if self.grid.insert(
+        let drawn = self.grid.insert(
             scan,
             &self.config.beams,
             self.config.mode,
             self.config.footprint.as_ref(),
-        ) == 0
-            && !self.grid.is_dirty()
-        {
+        );
+        if drawn.is_none_or(|drawn| drawn.beams == 0 && drawn.left_out > 0) {
             return Insertion::OutOfMap;
         }
         self.stamp = scan.stamp;
@@ -216,7 +179,7 @@ impl Mapper {
     pub fn reply(&self) -> MapReply {
         MapReply {
             info: self.info(),
-            values: self.grid.values(),
+            values: self.grid.to_occupancy().into_values(),
             trajectory: self.trajectory.clone(),
         }
     }

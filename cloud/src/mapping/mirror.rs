@@ -1,10 +1,13 @@
 //! How does another machine keep a copy of a map? By patches, and by the whole where a patch is missing.
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::time::Stamp;
 
+use super::beyond::{Beyond, Outlook, tiles_before};
 use super::tiles::MAX_CELLS;
 
 /// What became of a patch.
@@ -19,12 +22,18 @@ pub enum Mirrored {
     Gap,
 }
 
-/// A copy of a map.
+/// A copy of a map. It may reach farther than the map, over cells that nobody has seen. A copy of the copy costs nothing until one of
+/// them changes.
 #[derive(Clone, Debug)]
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
-    grid: OccupancyGrid,
+    /// The map's own grid.
+    spec: GridSpec,
+    beyond: Beyond,
+    grid: Arc<OccupancyGrid>,
+    /// The revision in which each tile was last written, row by row.
+    written: Arc<Vec<u64>>,
 }
 
 impl Default for MapMirror {
@@ -46,7 +55,10 @@ impl MapMirror {
         Self {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
-            grid: OccupancyGrid::filled(nothing, Occupancy::UNKNOWN),
+            spec: nothing,
+            beyond: Beyond::default(),
+            grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
+            written: Arc::default(),
         }
     }
 
@@ -61,12 +73,26 @@ impl MapMirror {
             return Mirrored::Gap;
         }
         if from_unknown {
-            self.grid = OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN);
-        } else if *self.grid.spec() != patch.spec && !self.regrid(patch.spec) {
-            return Mirrored::Gap;
+            // Another map: places of the one before mean nothing here.
+            self.beyond = Beyond::default();
         }
+        let reached = self.beyond.around(patch.spec);
+        let begun = if from_unknown {
+            Some(OccupancyGrid::filled(reached, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == reached {
+            None
+        } else if let Some(grown) = self.regridded(reached) {
+            Some(grown)
+        } else {
+            return Mirrored::Gap;
+        };
+        if let Some(grid) = begun {
+            self.begin(grid, patch.map.revision);
+        }
+        self.spec = patch.spec;
+        let before = tiles_before(&reached, &patch.spec);
         for tile in &patch.tiles {
-            self.write(tile);
+            self.write(tile, before, patch.map.revision);
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
@@ -78,10 +104,30 @@ impl MapMirror {
         let Ok(grid) = reply.grid() else {
             return false;
         };
-        self.grid = grid;
+        if self.map.id != reply.info.map.id {
+            self.beyond = Beyond::default();
+        }
+        self.spec = *grid.spec();
+        self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
+        self.reach_out();
         true
+    }
+
+    /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
+    pub fn reach(&mut self, outlook: &Outlook) {
+        self.beyond.include(outlook);
+        self.reach_out();
+    }
+
+    fn reach_out(&mut self) {
+        let reached = self.beyond.around(self.spec);
+        if reached != *self.grid.spec()
+            && let Some(grid) = self.regridded(reached)
+        {
+            self.begin(grid, self.map.revision);
+        }
     }
 
     /// The copy.
@@ -114,8 +160,26 @@ impl MapMirror {
         self.map.id == wanted.id && self.map.revision >= wanted.revision
     }
 
-    /// Moves the values over to another grid of the same cells; `false` when the cells do not coincide.
-    fn regrid(&mut self, spec: GridSpec) -> bool {
+    /// Tiles (column and row) that may have changed after a revision of this map, row by row.
+    #[must_use]
+    pub fn changed_since(&self, revision: u64) -> Vec<(u32, u32)> {
+        let columns = self.grid.spec().width.div_ceil(TILE).max(1);
+        let numbered = (0_u32..).zip(self.written.iter());
+        numbered
+            .filter(|(_, written)| **written > revision)
+            .map(|(number, _)| (number % columns, number / columns))
+            .collect()
+    }
+
+    /// Takes another grid, all of it new in a revision.
+    fn begin(&mut self, grid: OccupancyGrid, revision: u64) {
+        let tiles = grid.spec().width.div_ceil(TILE) as usize * grid.spec().height.div_ceil(TILE) as usize;
+        self.grid = Arc::new(grid);
+        self.written = Arc::new(vec![revision; tiles]);
+    }
+
+    /// The values moved over to another grid of the same cells; `None` when the cells do not coincide.
+    fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
         let (x, y) = (shift.x.round(), shift.y.round());
@@ -123,7 +187,7 @@ impl MapMirror {
             || (shift.x - x).abs() > 1e-3
             || (shift.y - y).abs() > 1e-3
         {
-            return false;
+            return None;
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let (dx, dy) = (x as i64, y as i64);
@@ -140,15 +204,25 @@ impl MapMirror {
             let length = (end - first) as usize;
             grid.values_mut()[target..target + length].copy_from_slice(&self.grid.values()[source..source + length]);
         }
-        self.grid = grid;
-        true
+        Some(grid)
     }
 
-    fn write(&mut self, tile: &Tile) {
-        let (width, height) = (self.grid.spec().width as usize, self.grid.spec().height as usize);
+    /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
+    fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
+        let columns = self.grid.spec().width.div_ceil(TILE) as usize;
+        let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
+        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(place) {
+            *written = revision;
+        }
+        let grid = Arc::make_mut(&mut self.grid);
+        let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
-        let (x, y) = (tile.x as usize * side, tile.y as usize * side);
-        let length = side.min(width.saturating_sub(x));
+        let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
+        // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
+        let length = side
+            .min(width.saturating_sub(x))
+            .min((self.spec.width as usize).saturating_sub(tile.x as usize * side));
+        let height = height.min(before.1 as usize * side + self.spec.height as usize);
         for (row, values) in tile
             .values
             .chunks_exact(side)
@@ -156,7 +230,7 @@ impl MapMirror {
             .take(height.saturating_sub(y))
         {
             let start = (y + row) * width + x;
-            if let Some(cells) = self.grid.values_mut().get_mut(start..start + length) {
+            if let Some(cells) = grid.values_mut().get_mut(start..start + length) {
                 cells.copy_from_slice(&values[..length]);
             }
         }
@@ -183,7 +257,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::Mapper;
     use super::*;
 
     fn scan(stamp: u64, x: f64, y: f64) -> Scan {
@@ -277,6 +352,39 @@ mod tests {
                         revision: 2
                     })
             );
+        }
+    }
+
+    #[test]
+    fn a_copy_that_reaches_farther_holds_the_same_map_and_nothing_else() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let (mut far, mut exact) = (MapMirror::new(), MapMirror::new());
+        for (step, x) in [0.0, 4.0, -9.0, 12.0, 12.5].into_iter().enumerate() {
+            mapper.insert(&scan(step as u64 + 1, x, 0.5 * x));
+            while let Some(patch) = mapper.take_patch() {
+                assert_eq!(far.apply(&patch), Mirrored::Applied);
+                assert_eq!(exact.apply(&patch), Mirrored::Applied);
+            }
+            if step == 1 {
+                far.reach(&Outlook {
+                    places: vec![Point2::new(-30.0, 21.0)],
+                    ring: 1.0,
+                });
+            } else if step == 3 {
+                assert!(far.replace(&mapper.reply()));
+            }
+        }
+        assert_eq!(exact.grid().values(), mapper.grid().values());
+        let (large, small) = (far.grid().spec(), exact.grid().spec());
+        assert!(large.cell_at(Point2::new(-30.9, 21.9)).is_some() && small.cell_at(Point2::new(-30.0, 21.0)).is_none());
+        for y in 0..large.height {
+            for x in 0..large.width {
+                let cell = zenav_protocol::grid::Cell::new(x, y);
+                let known = small
+                    .cell_at(large.center(cell))
+                    .and_then(|cell| exact.grid().get(cell));
+                assert_eq!(far.grid().get(cell), known.or(Some(&Occupancy::UNKNOWN)), "{cell:?}");
+            }
         }
     }
 }

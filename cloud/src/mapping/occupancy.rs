@@ -4,17 +4,21 @@
 //! that any beam went through takes one miss, all others none. Beams of one scan are not independent looks, and a hit is
 //! not wiped out by its neighbours that graze the same cell.
 
-use nalgebra::Point2;
+use std::time::Duration;
+
+use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{Scan, Tile};
 use zenav_protocol::robot::Footprint;
 
-use super::beams::{Beam, BeamOptions, BeamReader};
+use super::beams::{Beam, BeamOptions, BeamReader, CellFrame};
 use super::evidence::{Evidence, SensorModel};
-use super::tiles::{Bounds, TILE_SIDE, TiledBytes};
-use super::window::{Ray, Window};
+use super::fading::Fading;
+use super::tile::EvidenceTile;
+use super::tiles::{Bounds, TILE_SIDE, Tiles};
+use super::window::Window;
 
 /// How scans are drawn into the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,7 +28,7 @@ pub enum InsertMode {
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as long as every cell there is met by a beam, and only what lies
-    /// beyond is drawn beam by beam.
+    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::build::agreement) tells how many.
     Fast,
 }
 
@@ -55,11 +59,21 @@ impl CellCounts {
     }
 }
 
+/// What became of a scan's beams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drawn {
+    /// Beams in the map.
+    pub beams: usize,
+    /// Beams that would have made the map too large.
+    pub left_out: usize,
+}
+
 /// Log-odds of every cell seen so far.
 #[derive(Clone, Debug)]
 pub struct LogOddsGrid {
     evidence: Evidence,
-    map: TiledBytes,
+    map: Tiles,
+    fading: Option<Fading>,
     reader: BeamReader,
     beams: Vec<Beam>,
     window: Window,
@@ -69,30 +83,58 @@ impl LogOddsGrid {
     /// An empty map; cells have this side (m), and a tile border lies at the map frame's origin.
     #[must_use]
     pub fn new(resolution: f64, model: &SensorModel) -> Self {
+        Self::of_tiles(
+            Tiles::new(CellFrame {
+                anchor: Point2::origin(),
+                resolution,
+            }),
+            model,
+        )
+    }
+
+    fn of_tiles(map: Tiles, model: &SensorModel) -> Self {
         Self {
             evidence: Evidence::new(model),
-            map: TiledBytes::new(resolution, Point2::origin()),
+            map,
+            fading: None,
             reader: BeamReader::default(),
             beams: Vec::new(),
             window: Window::default(),
         }
     }
 
-    /// A map that begins with known values; it is padded with unknown cells to whole tiles, and all of it counts as changed.
+    /// A map that begins with known values; it is padded with unknown cells to whole tiles, and all that is known counts as
+    /// changed.
     #[must_use]
     pub fn from_occupancy(grid: &OccupancyGrid, model: &SensorModel) -> Self {
         let spec = *grid.spec();
-        let mut map = Self::new(spec.resolution, model);
-        map.map = TiledBytes::with_size(spec.resolution, spec.origin, spec.width, spec.height);
-        let (width, stride) = (spec.width as usize, map.map.stride());
-        if width > 0 {
-            for (row, values) in grid.values().chunks_exact(width).enumerate() {
-                for (cell, value) in map.map.cells[row * stride..].iter_mut().zip(values) {
-                    *cell = map.evidence.of_percent(*value);
+        let frame = CellFrame {
+            anchor: spec.origin,
+            resolution: spec.resolution,
+        };
+        let mut map = Self::of_tiles(Tiles::with_size(frame, spec.width, spec.height), model);
+        let columns = map.map.counts[0];
+        for (y, row) in grid.values().chunks_exact((spec.width as usize).max(1)).enumerate() {
+            for (column, values) in row.chunks(TILE_SIDE).enumerate() {
+                if values.iter().all(|value| *value < 0) {
+                    continue;
                 }
+                let index = y / TILE_SIDE * columns + column;
+                let tile = map.map.tiles[index].get_or_insert_with(|| Box::new(EvidenceTile::UNSEEN));
+                for (x, value) in values.iter().enumerate() {
+                    tile.set(x, y, map.evidence.of_percent(*value), &map.evidence);
+                }
+                map.map.dirty[index] = true;
             }
         }
         map
+    }
+
+    /// The same map; from now on what goes away unseen fades after so long (see the module `fading`), by the scans' stamps.
+    #[must_use]
+    pub fn with_fading(mut self, after: Duration) -> Self {
+        self.fading = Some(Fading::new(after));
+        self
     }
 
     /// Where the grid lies now.
@@ -102,26 +144,27 @@ impl LogOddsGrid {
     }
 
     /// Inserts a sane scan, and clears the cells under the robot's own footprint, where one is given. Beams that end
-    /// beyond the largest map are left out. Returns how many beams were drawn.
+    /// beyond the largest map are left out. `None`, and nothing changed, for a scan that was taken beyond it.
     pub fn insert(
         &mut self,
         scan: &Scan,
         options: &BeamOptions,
         mode: InsertMode,
         footprint: Option<&Footprint>,
-    ) -> usize {
+    ) -> Option<Drawn> {
         let mut beams = std::mem::take(&mut self.beams);
         beams.clear();
-        self.reader.read(scan, options, &mut beams);
-        let laser = scan.map_from_laser().position();
+        self.reader.read(scan, options, &self.map.frame, &mut beams);
         let base = scan.map_from_odom * scan.odom_from_base;
-        let body = footprint.map_or(0.0, Footprint::circumscribed_radius);
+        if let Some(fading) = &mut self.fading {
+            fading.go_on(scan.stamp, &mut self.map, &self.evidence);
+        }
         let drawn = self.draw(
-            laser,
+            self.map.frame.cells(scan.map_from_laser().position()),
             &mut beams,
-            mode,
-            footprint.map(|footprint| (footprint, base, body)),
-            scan.angle_increment,
+            // Neighbouring beams are a cell apart where an arc of the circle between them is one cell long.
+            (mode == InsertMode::Fast).then_some(scan.angle_increment.recip()),
+            footprint.map(|footprint| (footprint, base)),
         );
         self.beams = beams;
         drawn
@@ -131,18 +174,22 @@ impl LogOddsGrid {
         &mut self,
         laser: Point2<f64>,
         beams: &mut Vec<Beam>,
-        mode: InsertMode,
-        body: Option<(&Footprint, Pose2, f64)>,
-        spacing: f64,
-    ) -> usize {
+        dense: Option<f64>,
+        body: Option<(&Footprint, Pose2)>,
+    ) -> Option<Drawn> {
         let mut bounds = Bounds::at(laser);
-        if let Some((_, base, radius)) = body {
-            bounds.add(Point2::new(base.x - radius, base.y - radius));
-            bounds.add(Point2::new(base.x + radius, base.y + radius));
+        let body_bounds = body.map(|(footprint, base)| {
+            let radius = footprint.circumscribed_radius();
+            let center = base.position();
+            [-radius, radius].map(|side| self.map.frame.cells(center + Vector2::repeat(side)))
+        });
+        for corner in body_bounds.iter().flatten() {
+            bounds.add(*corner);
         }
         if !self.map.cover(&bounds) {
-            return 0;
+            return None;
         }
+        let read = beams.len();
         let mut all = bounds;
         for beam in beams.iter() {
             all.add(beam.end);
@@ -161,76 +208,40 @@ impl LogOddsGrid {
                 covered
             });
         }
-        let spec = self.spec();
-        let (low, high) = (spec.to_cells(bounds.low), spec.to_cells(bounds.high));
-        let (words, rows) = (
-            low.x as usize / TILE_SIDE..high.x as usize / TILE_SIDE + 1,
-            low.y as usize..high.y as usize + 1,
-        );
-        let words = words.start..words.end.min(self.map.tiles[0]);
-        let rows = rows.start..rows.end.min(self.map.tiles[1] * TILE_SIDE);
-        if words.is_empty() || rows.is_empty() {
-            return 0;
+        let (first, counts) = bounds.tiles();
+        self.window.lay(first, counts);
+        self.window.draw(laser, beams, dense);
+        if let (Some((footprint, base)), Some(corners)) = (body, body_bounds) {
+            self.vacate(footprint, base, corners);
         }
-        self.window.lay(words.clone(), rows.clone());
-        let corner = ((words.start * TILE_SIDE) as f64, rows.start as f64);
-        let in_window = |p: Point2<f64>| {
-            let p = spec.to_cells(p);
-            (p.x - corner.0, p.y - corner.1)
-        };
-        let origin = in_window(laser);
-        let rays = beams.iter().map(|beam| Ray::new(origin, in_window(beam.end), beam));
-        self.window
-            .draw(origin, rays, (mode == InsertMode::Fast).then_some(1.0 / spacing));
-        if let Some((footprint, base, radius)) = body {
-            self.vacate(footprint, base, radius, &spec, corner);
-        }
-        self.apply();
-        beams.len()
-    }
-
-    /// Marks the cells whose centre the robot itself covers as empty.
-    fn vacate(&mut self, footprint: &Footprint, base: Pose2, radius: f64, spec: &GridSpec, corner: (f64, f64)) {
-        let base_from_map = base.inverse();
-        let (low, high) = (
-            spec.to_cells(Point2::new(base.x - radius, base.y - radius)),
-            spec.to_cells(Point2::new(base.x + radius, base.y + radius)),
-        );
-        for y in low.y as u32..=high.y as u32 {
-            for x in low.x as u32..=high.x as u32 {
-                let center = spec.center(Cell::new(x, y));
-                if footprint.distance(base_from_map.transform_point(center)) <= 0.0 {
-                    self.window.vacate(
-                        (x as usize).saturating_sub(corner.0 as usize),
-                        (y as usize).saturating_sub(corner.1 as usize),
-                    );
-                }
+        let (map, evidence) = (&mut self.map, &self.evidence);
+        self.window.take(|at, seen, hits| {
+            if let Some(fading) = &mut self.fading {
+                fading.notice(at, hits, map, evidence);
             }
-        }
+            if let Some(index) = map.index(at) {
+                let tile = map.tiles[index].get_or_insert_with(|| Box::new(EvidenceTile::UNSEEN));
+                map.dirty[index] |= tile.look(seen, hits, evidence);
+            }
+        });
+        Some(Drawn {
+            beams: beams.len(),
+            left_out: read - beams.len(),
+        })
     }
 
-    /// Carries the window's bits over into the map.
-    fn apply(&mut self) {
-        let stride = self.map.stride();
-        let window = &self.window;
-        for row in 0..window.rows {
-            let y = window.first_row + row;
-            let (cleared, hits) = window.row(row);
-            for (column, (cleared, hits)) in cleared.iter().zip(hits).enumerate() {
-                let (missed, mut hit) = (cleared & !hits, *hits);
-                if missed | hit == 0 {
-                    continue;
+    /// Marks the cells between two corners whose centre the robot itself covers as empty.
+    fn vacate(&mut self, footprint: &Footprint, base: Pose2, [low, high]: [Point2<f64>; 2]) {
+        let base_from_map = base.inverse();
+        let corner = self.window.corner();
+        let CellFrame { anchor, resolution } = self.map.frame;
+        let (low, high) = (low - corner, high - corner);
+        for y in low.y as usize..=high.y as usize {
+            for x in low.x as usize..=high.x as usize {
+                let center = anchor + (Vector2::new(x as f64 + 0.5, y as f64 + 0.5) + corner) * resolution;
+                if footprint.distance(base_from_map.transform_point(center)) <= 0.0 {
+                    self.window.vacate(x, y);
                 }
-                let word = window.first_word + column;
-                let Some(cells) = self.map.cells[y * stride + word * TILE_SIDE..].first_chunk_mut::<TILE_SIDE>() else {
-                    continue;
-                };
-                let mut changed = missed != 0 && self.evidence.miss(cells, missed);
-                while hit != 0 {
-                    changed |= self.evidence.hit(&mut cells[hit.trailing_zeros() as usize]);
-                    hit &= hit - 1;
-                }
-                self.map.dirty[y / TILE_SIDE * self.map.tiles[0] + word] |= changed;
             }
         }
     }
@@ -249,42 +260,47 @@ impl LogOddsGrid {
                 break;
             }
             if std::mem::take(&mut self.map.dirty[index]) {
-                tiles.push(self.tile(index % self.map.tiles[0], index / self.map.tiles[0]));
+                if let Some(tile) = &mut self.map.tiles[index] {
+                    tile.keep_counts(&self.evidence);
+                }
+                tiles.push(self.tile(index));
             }
         }
         tiles
     }
 
-    fn tile(&self, x: usize, y: usize) -> Tile {
-        let stride = self.map.stride();
-        let mut values = Vec::with_capacity(TILE_SIDE * TILE_SIDE);
-        for row in y * TILE_SIDE..(y + 1) * TILE_SIDE {
-            let cells = &self.map.cells[row * stride + x * TILE_SIDE..][..TILE_SIDE];
-            values.extend(cells.iter().map(|cell| self.evidence.percent[usize::from(*cell)]));
-        }
+    fn tile(&self, index: usize) -> Tile {
         Tile {
-            x: x as u32,
-            y: y as u32,
-            values,
+            x: (index % self.map.counts[0]) as u32,
+            y: (index / self.map.counts[0]) as u32,
+            values: match &self.map.tiles[index] {
+                Some(tile) => tile.rows().iter().flatten().map(|byte| self.percent(*byte)).collect(),
+                None => vec![Occupancy::UNKNOWN; TILE_SIDE * TILE_SIDE],
+            },
         }
     }
 
-    /// All occupancy values, row-major from the lowest row.
-    #[must_use]
-    pub fn values(&self) -> Vec<i8> {
-        self.map
-            .cells
-            .iter()
-            .map(|cell| self.evidence.percent[usize::from(*cell)])
-            .collect()
+    fn percent(&self, byte: u8) -> i8 {
+        self.evidence.percent[usize::from(byte)]
     }
 
     /// The map with ROS's occupancy values.
     #[must_use]
     pub fn to_occupancy(&self) -> OccupancyGrid {
         let mut grid = OccupancyGrid::filled(self.spec(), Occupancy::UNKNOWN);
-        for (value, cell) in grid.values_mut().iter_mut().zip(&self.map.cells) {
-            *value = self.evidence.percent[usize::from(*cell)];
+        let columns = self.map.counts[0].max(1);
+        let bands = grid.values_mut().chunks_exact_mut(columns * TILE_SIDE * TILE_SIDE);
+        for (band, tiles) in bands.zip(self.map.tiles.chunks_exact(columns)) {
+            for (column, tile) in tiles.iter().enumerate() {
+                let Some(tile) = tile else {
+                    continue;
+                };
+                for (values, bytes) in band.chunks_exact_mut(columns * TILE_SIDE).zip(tile.rows()) {
+                    for (value, byte) in values[column * TILE_SIDE..].iter_mut().zip(bytes) {
+                        *value = self.percent(*byte);
+                    }
+                }
+            }
         }
         grid
     }
@@ -292,27 +308,25 @@ impl LogOddsGrid {
     /// How many cells are free, occupied, unknown.
     #[must_use]
     pub fn counts(&self) -> CellCounts {
-        let mut histogram = [0_u64; 256];
-        for cell in &self.map.cells {
-            histogram[usize::from(*cell)] += 1;
-        }
         let mut counts = CellCounts::default();
-        for (count, percent) in histogram.iter().zip(&self.evidence.percent) {
-            match Occupancy::of(*percent) {
-                Occupancy::Free => counts.free += count,
-                Occupancy::Occupied => counts.occupied += count,
-                Occupancy::Unknown => counts.unknown += count,
-            }
+        for (_, tile) in self.map.known() {
+            let [free, occupied] = tile.counts(&self.evidence);
+            counts.free += u64::from(free);
+            counts.occupied += u64::from(occupied);
         }
+        counts.unknown = self.spec().len() as u64 - counts.free - counts.occupied;
         counts
     }
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use zenav_protocol::grid::Cell;
     use zenav_protocol::messages::TILE;
     use zenav_protocol::time::Stamp;
 
+    use super::super::evidence::UNSEEN;
     use super::*;
 
     const OPTIONS: BeamOptions = BeamOptions {
@@ -344,6 +358,37 @@ mod tests {
         map.to_occupancy()
             .at(Point2::new(x, y))
             .map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::test_runner::Config::with_cases(32))]
+
+        #[test]
+        fn the_exact_way_is_a_walk_along_every_beam(looks in proptest::collection::vec((-3.0..3.0, -3.0..3.0, -3.1..3.1, 0.01..0.3, proptest::collection::vec(0.05_f32..7.0, 1..40)), 1..12)) {
+            let (mut map, evidence) = (empty(), Evidence::new(&SensorModel::default()));
+            let whole = GridSpec { origin: Point2::new(-12.8, -12.8), resolution: 0.05, width: 512, height: 512 };
+            let mut bytes = vec![UNSEEN; whole.len()];
+            for (x, y, yaw, step, mut ranges) in looks {
+                ranges.truncate((std::f64::consts::TAU / step) as usize);
+                let scan = scan(Pose2::new(x, y, yaw), step, ranges);
+                proptest::prop_assert!(map.insert(&scan, &OPTIONS, InsertMode::Reference, None).is_some());
+                let (mut seen, mut hit) = (std::collections::BTreeSet::new(), std::collections::BTreeSet::new());
+                for (beam, range) in scan.ranges.iter().enumerate() {
+                    let length = f64::from(*range).min(scan.range_max);
+                    let end = Point2::new(x, y) + Vector2::new((yaw + scan.angle(beam)).cos(), (yaw + scan.angle(beam)).sin()) * length;
+                    seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
+                    hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
+                }
+                for index in seen {
+                    bytes[index] = if hit.contains(&index) { evidence.after_hit(bytes[index]) } else { evidence.after_miss(bytes[index]) };
+                }
+            }
+            let map = map.to_occupancy();
+            for (index, byte) in bytes.iter().enumerate() {
+                let value = map.at(whole.center(whole.cell(index))).copied().unwrap_or(Occupancy::UNKNOWN);
+                proptest::prop_assert_eq!(value, evidence.percent[usize::from(*byte)], "at {}", whole.center(whole.cell(index)));
+            }
+        }
     }
 
     proptest::proptest! {
@@ -472,9 +517,10 @@ mod tests {
         let mut map = empty();
         let mut far = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0, 1e9]);
         far.range_max = 1e10;
-        assert_eq!(map.insert(&far, &OPTIONS, InsertMode::Reference, None), 1);
+        let drawn = Drawn { beams: 1, left_out: 1 };
+        assert_eq!(map.insert(&far, &OPTIONS, InsertMode::Reference, None), Some(drawn));
         let nowhere = scan(Pose2::new(1e12, 0.0, 0.0), 0.1, vec![1.0]);
-        assert_eq!(map.insert(&nowhere, &OPTIONS, InsertMode::Reference, None), 0);
+        assert_eq!(map.insert(&nowhere, &OPTIONS, InsertMode::Reference, None), None);
         assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
     }
 
@@ -485,7 +531,7 @@ mod tests {
         map.insert(&still, &OPTIONS, InsertMode::Reference, None);
         let tiles = map.take_dirty(usize::MAX);
         assert_eq!(tiles.len(), 1);
-        assert_eq!(tiles[0].values, map.values());
+        assert_eq!(tiles[0].values, map.to_occupancy().values());
         assert!(!map.is_dirty());
         // A scene that does not change any more is not told again.
         for _ in 0..100 {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Request, Shutdown};
 use zenav_protocol::grid::OccupancyGrid;
@@ -14,9 +15,10 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key};
 
-use super::map_file;
+use super::config::{MapperConfig, MapperConfigError};
+use super::map_image;
 use super::map_yaml::MapMode;
-use super::mapper::{Insertion, Mapper, MapperConfig};
+use super::mapper::{Insertion, Mapper};
 use super::store::{self, MapRecord, StoredMap};
 
 /// One robot's mapping.
@@ -53,6 +55,17 @@ impl MappingConfig {
     }
 }
 
+/// Why mapping does not run.
+#[derive(Debug, Error)]
+pub enum MappingError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] MapperConfigError),
+    /// The network.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
 /// Answers that are remembered, so that a repeated request is answered with the first answer.
 const REMEMBERED: usize = 64;
 /// Whole maps that are encoded at the same time; further askers are told to come back.
@@ -66,8 +79,9 @@ const OUTLINE_DEADLINE: Duration = Duration::from_secs(30);
 /// be read is reported and left alone, and a new one is begun.
 ///
 /// # Errors
-/// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), BusError> {
+/// [`MappingError`] for a configuration that makes no sense, and when a key cannot be declared.
+pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
+    config.mapper.check()?;
     let robot = config.robot.clone();
     let chunks = [robot.as_str()];
     let mut scans = bus.latest(&SCAN, &chunks)?;
@@ -335,14 +349,14 @@ impl Service {
 /// The map in a form that map tools read, and that form's media type.
 fn picture(grid: &OccupancyGrid, format: &str) -> Result<(Vec<u8>, &'static str), Refusal> {
     match format {
-        "pgm" => Ok((map_file::to_pgm(grid), "image/x-portable-graymap")),
+        "pgm" => Ok((map_image::to_pgm(grid), "image/x-portable-graymap")),
         "yaml" => Ok((
-            map_file::to_yaml(grid, MapMode::Trinary, "map.pgm")
+            map_image::to_yaml(grid, MapMode::Trinary, "map.pgm")
                 .to_text(&[])
                 .into_bytes(),
             "application/yaml",
         )),
-        _ => map_file::to_png(grid)
+        _ => map_image::to_png(grid)
             .map(|bytes| (bytes, "image/png"))
             .map_err(|error| Refusal::Internal {
                 reason: error.to_string(),

@@ -1,255 +1,322 @@
 //! Which cells did one scan look at? Bitmaps over the scan's bounding box: beams only set bits there, and the map itself is
-//! touched once a scan, run by run.
+//! touched once a scan, tile by tile.
 
-use std::ops::Range;
+use nalgebra::{Point2, Vector2};
 
 use super::beams::Beam;
+use super::tile::Bits;
+use super::tiles::TILE_SIDE;
 
-/// Bits of the words and rows that one scan can touch. Coordinates are in cells from the window's lower-left corner.
+/// Bits of the tiles that one scan can touch, all clear between two scans.
+///
+/// Bits lie in columns of words: first all rows of the tiles' first column. So a ray that climbs goes from word to word, and
+/// the words of a tile lie together. Coordinates are in cells from the window's lower-left corner.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
-    /// First word column of the grid.
-    pub(super) first_word: usize,
-    /// First row of the grid.
-    pub(super) first_row: usize,
-    /// Words a row.
-    pub(super) stride: usize,
-    pub(super) rows: usize,
+    /// Tile column and row of the lower-left corner, from the map's anchor.
+    first: [i64; 2],
+    /// Tiles in each direction.
+    counts: [usize; 2],
+    /// Rows.
+    height: usize,
+    /// Cells that beams went through.
     cleared: Vec<u64>,
+    /// Cells that beams ended in.
     hits: Vec<u64>,
     /// Borders of filled wedges: bits that flip inside and outside along a row.
     flips: Vec<u64>,
-    rays: Vec<Ray>,
+    /// Tiles with any bit set, in the order of the bits.
+    touched: Vec<bool>,
 }
 
-/// A beam to be drawn, in cells of the window.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Ray {
-    end: (f64, f64),
-    /// A step of one cell along the ray.
-    step: (f64, f64),
-    length: f64,
-    /// Position in the sweep.
-    number: usize,
-    /// Whether the beam met something at its end.
-    hit: bool,
-}
-
-impl Ray {
-    pub(super) fn new(origin: (f64, f64), end: (f64, f64), beam: &Beam) -> Self {
-        let (x, y) = (end.0 - origin.0, end.1 - origin.1);
-        let length = (x * x + y * y).sqrt();
-        let per_cell = if length > 0.0 { 1.0 / length } else { 0.0 };
-        Self {
-            end,
-            step: (x * per_cell, y * per_cell),
-            length,
-            number: beam.number,
-            hit: beam.hit,
-        }
-    }
-
-    /// The point at a distance from the origin.
-    fn at(&self, origin: (f64, f64), distance: f64) -> (f64, f64) {
-        (origin.0 + self.step.0 * distance, origin.1 + self.step.1 * distance)
-    }
-}
-
-/// Whole part of a fixed-point number.
+/// Bits after the point of a fixed-point number.
 const FRACTION: u32 = 32;
 
-/// The cell that a coordinate lies in; the first one for negative numbers and what is not a number.
-fn whole(at: f64) -> usize {
-    // Through a signed number: half as long on most processors.
-    (at as i32).max(0) as usize
-}
-
-/// Steps of a filled border that are not worth an edge of their own, cells.
+/// Differences of length that are not worth an edge or a ray of their own, cells.
 const SMALL_STEP: f64 = 0.25;
+
+/// Neighbouring beams whose lengths differ by at most so much ended on one surface, cells.
+const ONE_SURFACE: f64 = 1.0;
+
+/// Beams this much closer together than a cell leave out hardly any cell of a surface that they ended on.
+const CLOSE: f64 = 0.7;
 
 /// A cell that a ray meets has its centre at most so far along the ray from there, cells.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
+/// A coordinate as a fixed-point number, to the nearest; nonsense for what no grid holds.
+///
+/// Adding 1.5 * 2^20 leaves 32 bits after the point in the mantissa: a few times as fast as a conversion that saturates.
 fn fixed(cells: f64) -> i64 {
-    // Saturates for anything unreasonable.
-    (cells * f64::from(2.0_f32.powi(FRACTION as i32))) as i64
+    const SHIFT: f64 = 1_572_864.0;
+    (cells + SHIFT).to_bits().wrapping_sub(SHIFT.to_bits()).cast_signed()
+}
+
+/// The column or row that a coordinate lies in.
+fn whole(cells: f64) -> i64 {
+    fixed(cells) >> FRACTION
 }
 
 impl Window {
-    /// Lays the window over words and rows of the grid, all bits clear.
-    pub(super) fn lay(&mut self, words: Range<usize>, rows: Range<usize>) {
-        (self.first_word, self.first_row, self.stride, self.rows) = (words.start, rows.start, words.len(), rows.len());
-        for bits in [&mut self.cleared, &mut self.hits, &mut self.flips] {
-            bits.clear();
-            bits.resize(words.len() * rows.len(), 0);
+    /// Lays the window over tiles, counted from the map's anchor.
+    pub(super) fn lay(&mut self, first: [i64; 2], counts: [usize; 2]) {
+        (self.first, self.counts, self.height) = (first, counts, counts[1] * TILE_SIDE);
+        let tiles = counts[0] * counts[1];
+        if self.touched.len() < tiles {
+            self.touched.resize(tiles, false);
+            for bits in [&mut self.cleared, &mut self.hits, &mut self.flips] {
+                bits.resize(tiles * TILE_SIDE, 0);
+            }
         }
     }
 
-    /// Bits of cells that beams went through, and of cells that beams ended in, of a row.
-    pub(super) fn row(&self, row: usize) -> (&[u64], &[u64]) {
-        let range = row * self.stride..(row + 1) * self.stride;
-        (&self.cleared[range.clone()], &self.hits[range])
+    /// Lower-left corner, in cells from the map's anchor.
+    pub(super) fn corner(&self) -> Vector2<f64> {
+        Vector2::new(self.first[0] as f64, self.first[1] as f64) * TILE_SIDE as f64
     }
 
-    /// Marks what all rays of a scan went through and ended in: ray by ray, or with wedges filled as long as neighbouring
-    /// rays are at most a cell apart, which they are up to `dense` cells from the origin.
-    pub(super) fn draw(&mut self, origin: (f64, f64), rays: impl Iterator<Item = Ray>, dense: Option<f64>) {
-        let mut all = std::mem::take(&mut self.rays);
-        all.clear();
-        all.extend(rays);
-        for ray in all.iter().filter(|ray| ray.hit) {
-            self.hit(ray.end.0, ray.end.1);
+    /// Gives every tile with any bit set, cells that were looked at and cells that were hit, and clears its bits.
+    pub(super) fn take(&mut self, mut tile: impl FnMut([i64; 2], &Bits, &Bits)) {
+        for row in 0..self.counts[1] {
+            // Rows of bits that are inside where the last tile ended.
+            let mut inside = [0; TILE_SIDE];
+            let mut any_inside = false;
+            for column in 0..self.counts[0] {
+                let index = column * self.counts[1] + row;
+                let at = [self.first[0] + column as i64, self.first[1] + row as i64];
+                if !std::mem::take(&mut self.touched[index]) {
+                    if any_inside {
+                        tile(at, &inside, &[0; TILE_SIDE]);
+                    }
+                    continue;
+                }
+                let bits = index * TILE_SIDE;
+                let take = |bitmap: &mut Vec<u64>| -> Bits {
+                    let mut bits_of_tile = [0; TILE_SIDE];
+                    bits_of_tile.swap_with_slice(&mut bitmap[bits..bits + TILE_SIDE]);
+                    bits_of_tile
+                };
+                let (mut seen, hits, flips) = (take(&mut self.cleared), take(&mut self.hits), take(&mut self.flips));
+                let mut any = 0;
+                for ((seen, flips), inside) in seen.iter_mut().zip(flips).zip(&mut inside) {
+                    let mut filled = flips;
+                    for shift in [1, 2, 4, 8, 16, 32] {
+                        filled ^= filled << shift;
+                    }
+                    filled ^= *inside;
+                    *seen |= filled;
+                    *inside = (filled >> 63).wrapping_neg();
+                    any |= *inside;
+                }
+                any_inside = any != 0;
+                tile(at, &seen, &hits);
+            }
         }
+    }
+
+    /// Marks what all beams of a scan went through and ended in: beam by beam, or with wedges filled as long as neighbouring
+    /// beams are at most a cell apart, which they are up to `dense` cells from the origin.
+    pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], dense: Option<f64>) {
+        let corner = self.corner();
+        let origin = origin - corner;
+        let here = |beam: &Beam| Beam {
+            end: beam.end - corner,
+            ..*beam
+        };
         match dense {
-            Some(dense) => self.fill(origin, &all, dense),
-            None => all.iter().for_each(|ray| self.ray(origin, ray.end)),
+            Some(dense) => self.fill(origin, beams.iter().map(here), dense),
+            None => {
+                for beam in beams.iter().map(here) {
+                    if beam.hit {
+                        self.hit(beam.end);
+                    }
+                    self.ray(origin, beam.end);
+                }
+            }
         }
-        self.rays = all;
+    }
+
+    /// Sets bits of a word, if it lies in the window.
+    #[inline(always)]
+    fn set(bits: &mut [u64], touched: &mut [bool], word: usize, mask: u64) {
+        if let Some(bits) = bits.get_mut(word)
+            && let Some(touched) = touched.get_mut(word / TILE_SIDE)
+        {
+            *bits |= mask;
+            *touched = true;
+        }
     }
 
     /// Marks the cell that a beam ended in.
-    fn hit(&mut self, x: f64, y: f64) {
-        let (x, y) = (whole(x).min(self.stride * 64 - 1), whole(y).min(self.rows - 1));
-        self.hits[y * self.stride + x / 64] |= 1 << (x % 64);
+    #[inline(always)]
+    fn hit(&mut self, p: Point2<f64>) {
+        let (x, y) = (whole(p.x) as usize, whole(p.y) as usize);
+        let word = (x / 64).wrapping_mul(self.height).wrapping_add(y);
+        Self::set(&mut self.hits, &mut self.touched, word, 1 << (x % 64));
     }
 
     /// Marks a cell as looked through, whatever else was seen in it.
     pub(super) fn vacate(&mut self, x: usize, y: usize) {
-        if x < self.stride * 64 && y < self.rows {
-            let bit = 1 << (x % 64);
-            self.cleared[y * self.stride + x / 64] |= bit;
-            self.hits[y * self.stride + x / 64] &= !bit;
+        let (word, bit) = (x / 64 * self.height + y, 1 << (x % 64));
+        if let Some(hits) = self.hits.get_mut(word) {
+            *hits &= !bit;
         }
+        Self::set(&mut self.cleared, &mut self.touched, word, bit);
     }
 
-    /// Marks columns `low..=high` of a row, clamped to the window.
+    /// Marks columns `low..=high`, fixed-point numbers, of a row.
     #[inline(always)]
     fn run(&mut self, row: usize, low: i64, high: i64) {
-        let last = (self.stride * 64 - 1) as i64;
-        let (low, high) = (low.clamp(0, last) as usize, high.clamp(0, last) as usize);
-        let bits = &mut self.cleared[row * self.stride..(row + 1) * self.stride];
-        let (first, end) = (low / 64, high / 64);
+        let (low, high) = ((low >> FRACTION) as usize, (high >> FRACTION) as usize);
+        let (first, last) = (low / 64, high / 64);
         let (head, tail) = (u64::MAX << (low % 64), u64::MAX >> (63 - high % 64));
-        if first == end {
-            bits[first] |= head & tail;
+        let mut word = first.wrapping_mul(self.height).wrapping_add(row);
+        if first == last {
+            Self::set(&mut self.cleared, &mut self.touched, word, head & tail);
         } else {
-            bits[first] |= head;
-            for word in &mut bits[first + 1..end] {
-                *word = u64::MAX;
+            Self::set(&mut self.cleared, &mut self.touched, word, head);
+            for _ in first + 1..last.min(self.counts[0]) {
+                word += self.height;
+                Self::set(&mut self.cleared, &mut self.touched, word, u64::MAX);
             }
-            bits[end] |= tail;
+            Self::set(
+                &mut self.cleared,
+                &mut self.touched,
+                word.wrapping_add(self.height),
+                tail,
+            );
         }
     }
 
     /// Marks every cell that a segment touches: the cells of `GridSpec::walk`, found row by row instead of cell by cell.
     /// (Within rounding of a corner the two may differ in the cells beside it.)
-    fn ray(&mut self, a: (f64, f64), b: (f64, f64)) {
-        let ((x0, y0), (x1, y1)) = if a.1 <= b.1 { (a, b) } else { (b, a) };
-        let (first, last) = (whole(y0).min(self.rows - 1), whole(y1).min(self.rows - 1));
-        let (start, end) = (fixed(x0), fixed(x1));
-        if first == last {
-            self.run(first, start.min(end) >> FRACTION, start.max(end) >> FRACTION);
-            return;
-        }
-        let slope = (x1 - x0) / (y1 - y0);
-        let mut x = fixed(x0 + ((first + 1) as f64 - y0) * slope);
-        self.run(first, start.min(x) >> FRACTION, start.max(x) >> FRACTION);
-        let step = fixed(slope);
-        if step >= 0 {
-            for row in first + 1..last {
-                self.run(row, x >> FRACTION, (x + step) >> FRACTION);
-                x += step;
-            }
-        } else {
-            for row in first + 1..last {
-                self.run(row, (x + step) >> FRACTION, x >> FRACTION);
-                x += step;
+    fn ray(&mut self, a: Point2<f64>, b: Point2<f64>) {
+        let (a, b) = if a.y <= b.y { (a, b) } else { (b, a) };
+        let (first, last) = (whole(a.y).max(0) as usize, whole(b.y).max(0) as usize);
+        let last = last.min(self.height - 1);
+        // Where the segment enters and leaves a row.
+        let mut enter = fixed(a.x);
+        if first < last {
+            let slope = (b.x - a.x) / (b.y - a.y);
+            let (mut leave, step) = (fixed(a.x + ((first + 1) as f64 - a.y) * slope), fixed(slope));
+            for row in first..last {
+                self.run(row, enter.min(leave), enter.max(leave));
+                enter = leave;
+                leave = leave.wrapping_add(step);
             }
         }
-        self.run(last, x.min(end) >> FRACTION, x.max(end) >> FRACTION);
+        let end = fixed(b.x);
+        self.run(last, enter.min(end), enter.max(end));
     }
 
-    /// Marks what [`ray`](Self::ray) would mark for all rays together, or nearly so.
+    /// Marks nearly what [`ray`](Self::ray) would mark for all beams together.
     ///
-    /// Between two neighbouring rays that are nowhere farther apart than a cell, every cell whose centre lies there is met by
-    /// one of them. So wedges are filled, as far as both rays reach and as that holds (`dense` cells from the origin), 64
-    /// cells in one step; and each ray is drawn only from where the shorter of its two wedges ends.
-    fn fill(&mut self, origin: (f64, f64), rays: &[Ray], dense: f64) {
-        // The end of the border so far, the ray that it lies on and its distance from the origin.
-        let mut border = origin;
-        let mut before: Option<&Ray> = None;
-        let mut reach = 0.0_f64;
-        for ray in rays {
-            let Some(last) = before.replace(ray) else {
+    /// Between two neighbouring beams that are nowhere farther apart than a cell, every cell whose centre lies there is met by
+    /// one of them: a line within half a cell of a centre meets that cell. So wedges are filled, as far as both beams reach and
+    /// as that holds (`dense` cells from the origin), 64 cells in one step, and each beam is drawn only from where the shorter
+    /// of its two wedges ends. Where neighbours end close together on one surface, the wedge is filled up to that surface and
+    /// nothing is drawn: the cells that are missed, met by a beam's last cell length with their centre behind the surface, are
+    /// nearly all hit themselves.
+    fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
+        let home = Corner::at(origin);
+        // The end of the border so far, the beam that it lies on and its distance from the origin.
+        let (mut border, mut reach) = (home, 0.0_f64);
+        let mut before: Option<Beam> = None;
+        for beam in beams {
+            if beam.hit {
+                self.hit(beam.end);
+            }
+            let Some(last) = before.replace(beam) else {
                 continue;
             };
-            let neighbours = last.number + 1 == ray.number;
-            let wedge = if neighbours {
-                last.length.min(ray.length).min(dense)
+            let (inner, outer) = (last.length.min(beam.length), last.length.max(beam.length));
+            // How far the wedge reaches along both beams.
+            let (from, to) = if last.number + 1 != beam.number {
+                (0.0, 0.0)
+            } else if outer - inner <= ONE_SURFACE && outer <= CLOSE * dense {
+                (last.length, beam.length)
             } else {
-                0.0
+                (inner.min(dense), inner.min(dense))
             };
-            self.tail(origin, last, reach.min(wedge));
-            // The border steps from one wedge to the next along the ray between them; small steps are left out.
-            if (wedge - reach).abs() > SMALL_STEP {
-                let outer = last.at(origin, wedge);
-                self.border(border, outer);
-                border = outer;
+            if last.length - reach.min(from) > SMALL_STEP {
+                self.tail(origin, &last, reach.min(from));
             }
-            let end = ray.at(origin, wedge);
-            self.border(border, end);
-            (border, reach) = (end, wedge);
+            // The border steps from one wedge to the next along the beam between them.
+            if (from - reach).abs() > SMALL_STEP {
+                let step = Corner::at(origin + last.direction * from);
+                self.border(border, step);
+                border = step;
+            }
+            let corner = Corner::at(origin + beam.direction * to);
+            self.border(border, corner);
+            (border, reach) = (corner, to);
         }
         if let Some(last) = before {
-            self.tail(origin, last, 0.0);
-            self.border(border, origin);
+            self.tail(origin, &last, 0.0);
+            self.border(border, home);
         }
-        self.fill_flips();
     }
 
-    /// Draws a ray from where cells stop to have their centre within `filled` cells of its length.
-    fn tail(&mut self, origin: (f64, f64), ray: &Ray, filled: f64) {
-        self.ray(ray.at(origin, (filled - HALF_DIAGONAL).max(0.0)), ray.end);
+    /// Draws a beam from where cells stop to have their centre within `filled` cells of its length.
+    fn tail(&mut self, origin: Point2<f64>, beam: &Beam, filled: f64) {
+        self.ray(origin + beam.direction * (filled - HALF_DIAGONAL).max(0.0), beam.end);
     }
 
     /// Flips the first cell with its centre to the right of a segment in every row whose middle the segment crosses.
-    fn border(&mut self, a: (f64, f64), b: (f64, f64)) {
-        let ((x0, y0), (x1, y1)) = if a.1 <= b.1 { (a, b) } else { (b, a) };
-        let (first, end) = (whole(y0 + 0.5), whole(y1 + 0.5));
-        if first >= end {
-            return;
+    #[inline(always)]
+    fn border(&mut self, a: Corner, b: Corner) {
+        if (a.row - b.row).abs() <= 1 {
+            let x = 0.5 * (a.x + b.x) + 0.5;
+            self.flip(a.row.min(b.row), whole(x), (a.row ^ b.row) as u64 & 1);
+        } else {
+            self.long_border(a, b);
         }
-        let slope = (x1 - x0) / (y1 - y0);
-        let last = self.stride * 64 - 1;
-        let mut x = x0 + (first as f64 + 0.5 - y0) * slope + 0.5;
-        for row in first..end.min(self.rows) {
-            let column = whole(x).min(last);
-            self.flips[row * self.stride + column / 64] ^= 1 << (column % 64);
+    }
+
+    fn long_border(&mut self, a: Corner, b: Corner) {
+        let (a, b) = if a.row <= b.row { (a, b) } else { (b, a) };
+        let slope = (b.x - a.x) / (b.y - a.y);
+        let first = a.row.max(0);
+        let mut x = a.x + (first as f64 + 0.5 - a.y) * slope + 0.5;
+        for row in first..b.row.min(self.height as i64) {
+            self.flip(row, whole(x), 1);
             x += slope;
         }
     }
 
-    /// Marks what lies between pairs of flips.
-    fn fill_flips(&mut self) {
-        let stride = self.stride.max(1);
-        for (cleared, flips) in self
-            .cleared
-            .chunks_exact_mut(stride)
-            .zip(self.flips.chunks_exact(stride))
+    /// Flips what lies to the right of a column's left side in a row of the window.
+    #[inline(always)]
+    fn flip(&mut self, row: i64, column: i64, bit: u64) {
+        let last = (self.counts[0] * TILE_SIDE - 1) as i64;
+        let column = column.clamp(0, last) as usize;
+        if row as usize >= self.height {
+            return;
+        }
+        let word = column / 64 * self.height + row as usize;
+        if let Some(flips) = self.flips.get_mut(word)
+            && let Some(touched) = self.touched.get_mut(word / TILE_SIDE)
         {
-            let mut inside = 0_u64;
-            for (cleared, flips) in cleared.iter_mut().zip(flips) {
-                if *flips != 0 {
-                    let mut bits = *flips;
-                    for shift in [1, 2, 4, 8, 16, 32] {
-                        bits ^= bits << shift;
-                    }
-                    *cleared |= bits ^ inside;
-                    inside ^= (bits >> 63).wrapping_neg();
-                } else {
-                    *cleared |= inside;
-                }
-            }
+            *flips ^= bit << (column % 64);
+            *touched = true;
+        }
+    }
+}
+
+/// A corner of the filled wedges' border.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    x: f64,
+    y: f64,
+    /// The lowest row with its middle above.
+    row: i64,
+}
+
+impl Corner {
+    fn at(p: Point2<f64>) -> Self {
+        Self {
+            x: p.x,
+            y: p.y,
+            row: whole(p.y + 0.5),
         }
     }
 }
@@ -267,12 +334,18 @@ mod tests {
         fn a_ray_marks_the_cells_of_the_one_ray_walk(ax in 0.0..190.0, ay in 0.0..90.0, bx in 0.0..190.0, by in 0.0..90.0) {
             let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 192, height: 90 };
             let mut window = Window::default();
-            window.lay(0..3, 0..90);
-            window.ray((ax, ay), (bx, by));
+            window.lay([0, 0], [3, 2]);
+            window.ray(Point2::new(ax, ay), Point2::new(bx, by));
             let mut walked: Vec<Cell> = spec.walk(Point2::new(ax, ay), Point2::new(bx, by)).collect();
             walked.sort_by_key(|cell| spec.index(*cell));
-            let marked = (0..90_u32).flat_map(|y| (0..192_u32).map(move |x| Cell::new(x, y)));
-            let marked: Vec<Cell> = marked.filter(|cell| window.row(cell.y as usize).0[cell.x as usize / 64] >> (cell.x % 64) & 1 == 1).collect();
+            let mut marked: Vec<Cell> = Vec::new();
+            window.take(|[x, y], seen, _| {
+                for (row, bits) in (0_u32..).zip(seen) {
+                    let columns = (0..64_u32).filter(|column| bits >> column & 1 == 1);
+                    marked.extend(columns.map(|column| Cell::new(64 * x as u32 + column, 64 * y as u32 + row)));
+                }
+            });
+            marked.sort_by_key(|cell| spec.index(*cell));
             prop_assert_eq!(marked, walked);
         }
     }
@@ -280,10 +353,11 @@ mod tests {
     #[test]
     fn rays_that_leave_the_window_stay_in_bounds() {
         let mut window = Window::default();
-        window.lay(0..1, 0..2);
-        for end in [(1e12, 1e12), (-5.0, 1.0), (f64::NAN, 0.5), (3.0, f64::INFINITY)] {
-            window.ray((1.0, 1.0), end);
-            window.hit(end.0, end.1);
+        window.lay([0, 0], [1, 1]);
+        for end in [(1e12, 1e12), (-5.0, 1.0), (f64::NAN, 0.5), (3.0, f64::INFINITY)].map(|(x, y)| Point2::new(x, y)) {
+            window.ray(Point2::new(1.0, 1.0), end);
+            window.border(Corner::at(Point2::new(1.0, 1.0)), Corner::at(end));
+            window.hit(end);
         }
     }
 }

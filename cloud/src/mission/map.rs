@@ -1,16 +1,16 @@
 //! What is known of the robot's map? A copy kept by patches, and where the robot may be by it.
 
-use std::collections::BTreeSet;
+use std::sync::Arc;
 
-use zenav_protocol::grid::{GridSpec, OccupancyGrid};
-use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest, TILE, Tile};
+use zenav_protocol::grid::GridSpec;
+use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::exchange::{Answer, Ask, Ticket};
-use crate::mapping::{MapMirror, Mirrored};
-use crate::space::{ConfigurationSpace, UnknownPolicy};
+use crate::mapping::{MapMirror, Mirrored, Outlook};
+use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
 
 /// Time between two asks for the whole map, s.
 const RETRY: f64 = 1.0;
@@ -26,9 +26,7 @@ pub struct MapBook {
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
-    space: Option<ConfigurationSpace>,
-    /// Tiles that have changed since the space was brought up to date, by column and row.
-    stale: BTreeSet<(u32, u32)>,
+    spaces: SpaceCache,
 }
 
 impl MapBook {
@@ -38,14 +36,7 @@ impl MapBook {
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.mirror.apply(patch) {
-                Mirrored::Applied => {
-                    self.stale
-                        .extend(patch.tiles.iter().map(|tile: &Tile| (tile.x, tile.y)));
-                    if patch.base_revision == 0 {
-                        self.space = None;
-                    }
-                    false
-                }
+                Mirrored::Applied => false,
                 Mirrored::Old => gap,
                 Mirrored::Gap => true,
             };
@@ -66,7 +57,6 @@ impl MapBook {
                 && self.mirror.replace(&reply)
             {
                 self.behind = None;
-                self.space = None;
                 self.info = Some(reply.info);
             }
         }
@@ -85,7 +75,7 @@ impl MapBook {
         self.info.as_ref()
     }
 
-    /// Where the copy's grid lies; `None` while there is no copy.
+    /// Where the map itself lies; `None` while there is no copy.
     #[must_use]
     pub fn spec(&self) -> Option<GridSpec> {
         self.mirror.has_map().then(|| *self.mirror.grid().spec())
@@ -97,32 +87,24 @@ impl MapBook {
         self.mirror.has_map().then(|| self.mirror.map().clone())
     }
 
-    /// Where the robot may be, as [`Self::space`], beside what is known of each cell.
-    pub fn space_and_grid(&mut self, footprint: &Footprint) -> Option<(&ConfigurationSpace, &OccupancyGrid)> {
-        self.space(footprint)?;
-        Some((self.space.as_ref()?, self.mirror.grid()))
-    }
-
-    /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.
-    pub fn space(&mut self, footprint: &Footprint) -> Option<&ConfigurationSpace> {
+    /// Where the robot may be as far as an outlook goes, and a copy of the map that reaches there; `None` without a map.
+    pub fn space_reaching(
+        &mut self,
+        footprint: &Footprint,
+        outlook: &Outlook,
+    ) -> Option<(Arc<ConfigurationSpace>, MapMirror)> {
         if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
             return None;
         }
-        let grid = self.mirror.grid();
-        let tile = |first: u32| first.saturating_mul(TILE)..first.saturating_add(1).saturating_mul(TILE);
-        if let Some(space) = self.space.as_mut().filter(|space| space.footprint() == footprint)
-            && self
-                .stale
-                .iter()
-                .all(|(x, y)| space.update(grid, tile(*x), tile(*y)).is_ok())
-            && space.spec() == grid.spec()
-        {
-            self.stale.clear();
-        } else {
-            self.stale.clear();
-            self.space = Some(ConfigurationSpace::new(grid, footprint, UnknownPolicy::Free, 0.0));
-        }
-        self.space.as_ref()
+        let mut mirror = self.mirror.clone();
+        mirror.reach(outlook);
+        Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
+    }
+
+    /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.
+    pub fn space(&mut self, footprint: &Footprint) -> Option<Arc<ConfigurationSpace>> {
+        let mapped = self.mirror.has_map() && !self.mirror.grid().spec().is_empty();
+        mapped.then(|| self.spaces.get(&self.mirror, footprint, UnknownPolicy::Free))
     }
 }
 

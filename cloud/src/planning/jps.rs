@@ -77,7 +77,10 @@ const fn name(cell: Cell, direction: usize) -> u32 {
 }
 
 const fn named(name: u32) -> (Cell, usize) {
-    (Cell::new((name >> 2 & 0x7FFF) + 1, (name >> 17) + 1), (name & 3) as usize)
+    (
+        Cell::new((name >> 2 & 0x7FFF) + 1, (name >> 17) + 1),
+        (name & 3) as usize,
+    )
 }
 
 /// Which steps go on from a jump point, by the direction that it was reached in and the steps that can be made: straight on, and to a
@@ -199,7 +202,11 @@ impl Run<'_> {
                 self.expand(cell, cost, u32::from(SUCCESSORS[direction][can & 0xFF]))?;
             }
         }
-        if self.best == UNREACHED { Err(NotFound::NoPath) } else { Ok(()) }
+        if self.best == UNREACHED {
+            Err(NotFound::NoPath)
+        } else {
+            Ok(())
+        }
     }
 
     /// Goes on from a cell by the given steps.
@@ -236,7 +243,12 @@ impl Run<'_> {
         let node = self.lattice.padded(cell);
         if self.lattice.is_free(node) {
             let cost = cost.saturating_add(length * STRAIGHT);
-            self.memory.seen.push(Seen { cell, node, cost, direction });
+            self.memory.seen.push(Seen {
+                cell,
+                node,
+                cost,
+                direction,
+            });
         }
     }
 
@@ -264,7 +276,13 @@ impl Run<'_> {
             }
         }
         // Where the run crosses the goal's row or column, whichever comes first, the goal may lie straight ahead.
-        let ahead = |from: u32, to: u32, step: i32| if (to > from) == (step > 0) { to.abs_diff(from) } else { 0 };
+        let ahead = |from: u32, to: u32, step: i32| {
+            if (to > from) == (step > 0) {
+                to.abs_diff(from)
+            } else {
+                0
+            }
+        };
         let crossing = ahead(self.here.x, self.goal.x, ray.step.x).min(ahead(self.here.y, self.goal.y, ray.step.y));
         if crossing > 0 && crossing <= at.y.abs_diff(self.here.y) && self.sees_goal(ray.after(self.here, crossing)) {
             self.found();
@@ -275,7 +293,8 @@ impl Run<'_> {
     /// Whether nothing lies between a cell and the goal on its row or column.
     fn sees_goal(&self, cell: Cell) -> bool {
         let [east, west, north, south] = self.sides;
-        (cell.y == self.goal.y && west < cell.x && cell.x < east) || (cell.x == self.goal.x && south < cell.y && cell.y < north)
+        (cell.y == self.goal.y && west < cell.x && cell.x < east)
+            || (cell.x == self.goal.x && south < cell.y && cell.y < north)
     }
 
     /// Notes a way from what is being expanded to the goal: diagonally first, then straight.
@@ -290,22 +309,42 @@ impl Run<'_> {
 
     /// Notes the ways from what is being expanded to the jump points seen: diagonally first, then straight.
     fn settle(&mut self) {
-        let Memory { states, open, expanded, seen } = &mut *self.memory;
+        let Memory {
+            states,
+            open,
+            expanded,
+            seen,
+        } = &mut *self.memory;
         // Two passes, of which the first, that waits for memory, has nothing to decide.
         let mut better = 0;
         for i in 0..seen.len() {
-            let Seen { node, cost, direction, .. } = seen[i];
+            let Seen {
+                node, cost, direction, ..
+            } = seen[i];
             let known = State(states.get(node));
             seen[better] = seen[i];
             better += usize::from((cost < known.cost()) | ((cost == known.cost()) & !known.has(direction)));
         }
-        for Seen { cell, node, cost, direction } in seen.drain(..).take(better) {
+        for Seen {
+            cell,
+            node,
+            cost,
+            direction,
+        } in seen.drain(..).take(better)
+        {
             let estimate = cost.saturating_add(octile(cell, self.goal));
             if estimate < self.best {
                 let known = State(states.get(node));
-                let state = if cost < known.cost() { State::new(cost, expanded.len() - 1) } else { known };
+                let state = if cost < known.cost() {
+                    State::new(cost, expanded.len() - 1)
+                } else {
+                    known
+                };
                 states.set(node, state.with(direction).0);
-                open.push(Open { estimate, name: name(cell, direction) });
+                open.push(Open {
+                    estimate,
+                    name: name(cell, direction),
+                });
             }
         }
     }

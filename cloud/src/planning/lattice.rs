@@ -4,6 +4,7 @@
 //! no search asks where the map ends. Costs are whole numbers, [`STRAIGHT`] and [`DIAGONAL`] a step: 8119/5741 is a convergent of the
 //! square root of two, and two ways whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
 
+use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::lines::Lines;
@@ -93,6 +94,12 @@ impl Lattice {
         self.pitch
     }
 
+    /// The bitmap, the border included, and a word more.
+    #[must_use]
+    pub(super) fn words(&self) -> &[u64] {
+        &self.words
+    }
+
     /// The rows of the bitmap, the border included.
     #[must_use]
     pub(super) fn rows(&self) -> Lines {
@@ -114,7 +121,57 @@ impl Lattice {
     pub(super) fn can_step(&self, node: u32, step: Step) -> bool {
         let beside = node.wrapping_add_signed(step.x);
         let rows = step.y * self.pitch.cast_signed();
-        self.is_free(beside) && self.is_free(node.wrapping_add_signed(rows)) && self.is_free(beside.wrapping_add_signed(rows))
+        self.is_free(beside)
+            && self.is_free(node.wrapping_add_signed(rows))
+            && self.is_free(beside.wrapping_add_signed(rows))
+    }
+
+    /// The node of the cell that holds a point, in cells; `None` outside the map.
+    #[must_use]
+    pub fn node_at(&self, p: Point2<f64>) -> Option<u32> {
+        // Casts saturate, and what is not a number is not positive.
+        (p.x >= 0.0 && p.y >= 0.0)
+            .then(|| Cell::new(p.x as u32, p.y as u32))
+            .and_then(|cell| self.node(cell))
+    }
+
+    /// First and last node of the free cells side by side that a free node belongs to.
+    #[must_use]
+    pub(super) fn run(&self, node: u32) -> [u32; 2] {
+        // Every row begins and ends with a blocked column.
+        let (home, bit) = ((node >> 6) as usize, node & 63);
+        let mut word = home;
+        let mut blocked = !self.words[word] & (u64::MAX >> (63 - bit));
+        while blocked == 0 {
+            word -= 1;
+            blocked = !self.words[word];
+        }
+        let first = ((word as u32) << 6) + 64 - blocked.leading_zeros();
+        word = home;
+        blocked = !self.words[word] & (u64::MAX << bit);
+        while blocked == 0 {
+            word += 1;
+            blocked = !self.words[word];
+        }
+        [first, ((word as u32) << 6) + blocked.trailing_zeros() - 1]
+    }
+
+    /// Of the 64 nodes of a word inside the map, those that are free with the two beside them in the given directions, but not with the one
+    /// between these: where an obstacle has a convex corner.
+    #[must_use]
+    pub(super) fn corners(&self, word: u32, right: bool, up: bool) -> u64 {
+        let stride = (self.pitch >> 6) as usize;
+        let here = word as usize;
+        let there = if up { here + stride } else { here - stride };
+        // Each node's neighbour to the right or left, in its own place.
+        let beside = |word: usize| {
+            if right {
+                self.words[word] >> 1 | self.words[word + 1] << 63
+            } else {
+                self.words[word] << 1 | self.words[word.saturating_sub(1)] >> 63
+            }
+        };
+        self.words[here] & beside(here) & self.words[there] & !beside(there)
     }
 
     /// Whether a node is free.
@@ -136,6 +193,12 @@ impl Lattice {
             | (above >> 2 & north & east) << 6
             | (above & north & west & 1) << 7;
         east | west << 1 | north << 2 | south << 3 | diagonals
+    }
+
+    /// The node that a step leads to.
+    #[must_use]
+    pub fn beside(&self, node: u32, step: Step) -> u32 {
+        node.wrapping_add_signed(step.y * self.pitch as i32 + step.x)
     }
 
     /// The bits of a node's left neighbour, itself, and its right neighbour.

@@ -22,13 +22,13 @@ impl Lines {
 
     /// Bit `y` of line `x` is bit `x` of line `y` here; bits that no line here has are zero.
     pub(super) fn transposed(&self) -> Self {
-        self.turned(0, |line, word| line.map_or(0, |line| self.words[line * self.stride + word]))
+        self.turned(|line, word| line.map_or(0, |line| self.words[line * self.stride + word]))
     }
 
     /// Bit `y` of line `x - slope * y` is bit `x` of line `y` here, lines counted around; bits that no line here has are set.
     pub(super) fn sheared(&self, slope: i32) -> Self {
         let bits = self.stride * 64;
-        self.turned(u64::MAX, |line, word| {
+        self.turned(|line, word| {
             let Some(line) = line else { return u64::MAX };
             let shift = line % bits;
             let first = word * 64 + if slope > 0 { shift } else { bits - shift };
@@ -48,10 +48,10 @@ impl Lines {
     }
 
     /// Transposes block by block; `word` gives the words of the lines, and of those that are none.
-    fn turned(&self, filler: u64, word: impl Fn(Option<usize>, usize) -> u64) -> Self {
+    fn turned(&self, word: impl Fn(Option<usize>, usize) -> u64) -> Self {
         let count = self.count();
         let stride = count.div_ceil(64);
-        let mut words = vec![filler; stride * self.stride * 64];
+        let mut words = vec![0; stride * self.stride * 64];
         for band in 0..stride {
             for column in 0..self.stride {
                 let mut block = [0; 64];

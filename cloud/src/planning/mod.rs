@@ -10,6 +10,8 @@
 //! | `lines` | how are bitmaps turned, so that columns and diagonals lie as rows do? |
 //! | `open` | which open node is next? |
 //! | `records` | what does a search note about cells, of which it sees few? |
+//! | [`theta`] | a short way in any direction? |
+//! | [`taut`] | which corners of a way are needed? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -27,8 +29,11 @@ mod open;
 pub mod plan;
 pub mod planner;
 mod records;
+pub mod sampling;
 pub mod searcher;
 pub mod service;
+pub mod taut;
+pub mod theta;
 pub mod way;
 pub mod worker;
 

@@ -9,6 +9,8 @@ use super::jps;
 use super::jump_grid::JumpGrid;
 use super::lattice::{GridPath, Lattice, TooManyCells};
 use super::planner::Planner;
+use super::sampling;
+use super::theta;
 use super::way::Way;
 use crate::space::{BitGrid, Sight};
 
@@ -41,6 +43,13 @@ pub struct Query {
     pub seed: u64,
 }
 
+impl Query {
+    /// The cells that hold its ends; `None` where one lies outside any grid.
+    pub(super) fn cells(&self) -> Option<(Cell, Cell)> {
+        Some((cell_of(self.start)?, cell_of(self.goal)?))
+    }
+}
+
 /// One bitmap's lattice, and memory for searches on it, one after the other.
 #[derive(Clone, Debug)]
 pub struct Searcher {
@@ -49,6 +58,10 @@ pub struct Searcher {
     /// Prepared when it is first asked for.
     jumps: Option<JumpGrid>,
     jump_memory: jps::Memory,
+    theta_memory: theta::Memory,
+    trees: sampling::Memory,
+    /// Parameters of planners that draw samples.
+    pub sampling: sampling::Options,
 }
 
 impl Searcher {
@@ -62,25 +75,49 @@ impl Searcher {
             memory: Memory::default(),
             jumps: None,
             jump_memory: jps::Memory::default(),
+            theta_memory: theta::Memory::default(),
+            trees: sampling::Memory::default(),
+            sampling: sampling::Options::default(),
         })
     }
 
     /// A way between two points. Grids go from cell centre to cell centre without cutting corners; the others ask `sight`, the space
     /// that the searcher's free cells belong to, and start and end exactly where they are asked to.
-    pub fn search(&mut self, planner: Planner, _sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
-        let (Some(start), Some(goal)) = (cell_of(query.start), cell_of(query.goal)) else {
+    pub fn search(&mut self, planner: Planner, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+        let Some((start, goal)) = query.cells() else {
             return Searched {
                 result: Err(NotFound::OutOfMap),
                 expansions: 0,
             };
         };
         match planner {
+            Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),
+            Planner::RrtConnect => self.grow(sampling::Growth::Connect, sight, query, budget),
+            Planner::RrtStar => self.grow(sampling::Growth::Optimal, sight, query, budget),
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
             Planner::Jps => {
                 let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
                 jps::search(&self.lattice, jumps, start, goal, &mut self.jump_memory, budget).into()
             }
+            Planner::Theta => theta::search(&self.lattice, sight, query, &mut self.theta_memory, budget),
         }
+    }
+
+    /// Edges of the trees of the last search by a sampling planner, in cells, at most `limit` of them.
+    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        self.trees.edges().take(limit)
+    }
+
+    fn grow(&mut self, growth: sampling::Growth, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+        sampling::search(
+            growth,
+            &self.lattice,
+            sight,
+            query,
+            &self.sampling,
+            &mut self.trees,
+            budget,
+        )
     }
 
     /// The cheapest way between two cells.

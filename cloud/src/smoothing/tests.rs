@@ -110,12 +110,12 @@ fn assert_sound(result: &Smoothed, space: &ConfigurationSpace, model: &RobotMode
             let moved = Twist2::new(0.5 * (before.v + point.v), 0.5 * (before.w + point.w));
             let expected = before.pose().advance(moved, dt);
             assert!(
-                expected.distance(&point.pose()) < 1e-5,
+                expected.distance(&point.pose()) < 1e-6,
                 "{} m off at {point:?}",
                 expected.distance(&point.pose())
             );
             assert!(
-                wrap_angle(expected.yaw - point.yaw).abs() < 2e-4,
+                wrap_angle(expected.yaw - point.yaw).abs() < 1e-6,
                 "{} rad off at {point:?}",
                 wrap_angle(expected.yaw - point.yaw)
             );
@@ -159,6 +159,7 @@ fn around_a_wall_the_curve_is_faster_than_stop_and_turn() {
         Twist2::ZERO,
         Some(-1.5),
         &super::timing::Limits::of(&model),
+        super::timing::UNRESTRICTED,
     );
     assert!(
         result.motion.duration() < 0.9 * safe.duration(),

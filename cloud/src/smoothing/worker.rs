@@ -7,7 +7,7 @@ use crate::mapping::MapMirror;
 use crate::space::{SpaceCache, UnknownPolicy};
 
 /// Time between two points of a trajectory, s.
-const PERIOD: f64 = 0.05;
+pub const PERIOD: f64 = 0.05;
 /// Most corner points of a way.
 const MAX_POINTS: usize = 100_000;
 
@@ -56,7 +56,7 @@ impl SmoothWorker {
         } else {
             UnknownPolicy::Blocked
         };
-        let space = self.spaces.get(map.map(), map.grid(), &model.footprint, policy);
+        let space = self.spaces.get(map, &model.footprint, policy);
         let query = SmoothQuery {
             way: &request.path,
             start: request.start,

@@ -40,18 +40,21 @@ impl BitGrid {
 
     /// Columns.
     #[must_use]
+    #[inline]
     pub fn width(&self) -> u32 {
         self.width
     }
 
     /// Rows.
     #[must_use]
+    #[inline]
     pub fn height(&self) -> u32 {
         self.height
     }
 
     /// Words a row.
     #[must_use]
+    #[inline]
     pub fn stride(&self) -> usize {
         self.stride
     }
@@ -61,6 +64,7 @@ impl BitGrid {
     /// # Panics
     /// For a row outside the grid.
     #[must_use]
+    #[inline]
     pub fn row(&self, y: u32) -> &[u64] {
         let start = y as usize * self.stride;
         &self.words[start..start + self.stride]
@@ -77,12 +81,14 @@ impl BitGrid {
 
     /// All words, row by row.
     #[must_use]
+    #[inline]
     pub fn words(&self) -> &[u64] {
         &self.words
     }
 
     /// Whether a cell's bit is set; `false` outside the grid.
     #[must_use]
+    #[inline]
     pub fn get(&self, cell: Cell) -> bool {
         cell.x < self.width
             && cell.y < self.height
@@ -98,10 +104,63 @@ impl BitGrid {
         }
     }
 
+    /// Rows become columns: bit (x, y) goes to (y, x). Linear in the words.
+    #[must_use]
+    pub fn transposed(&self) -> Self {
+        let mut turned = Self::new(self.height, self.width);
+        let mut block = [0; 64];
+        for row in 0..turned.stride {
+            let rows = (row * 64)..(self.height as usize).min(row * 64 + 64);
+            for word in 0..self.stride {
+                block.fill(0);
+                for (to, y) in block.iter_mut().zip(rows.clone()) {
+                    *to = self.words[y * self.stride + word];
+                }
+                transpose(&mut block);
+                let columns = (word * 64)..(self.width as usize).min(word * 64 + 64);
+                for (from, x) in block.iter().zip(columns) {
+                    turned.words[x * turned.stride + row] = *from;
+                }
+            }
+        }
+        turned
+    }
+
     /// How many bits are set.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.words.iter().map(|word| u64::from(word.count_ones())).sum()
+    }
+
+    /// Whether any of the columns `from` to `to` of row `y` is set.
+    ///
+    /// # Panics
+    /// For columns or a row outside the grid.
+    #[must_use]
+    #[inline(always)]
+    pub fn any_set(&self, y: u32, from: u32, to: u32) -> bool {
+        let row = self.row(y);
+        let (first, last) = ((from / 64) as usize, (to / 64) as usize);
+        let (head, tail) = (u64::MAX << (from % 64), u64::MAX >> (63 - to % 64));
+        if first == last {
+            return row[first] & head & tail != 0;
+        }
+        row[first] & head | row[last] & tail != 0 || row[first + 1..last].iter().any(|word| *word != 0)
+    }
+
+    /// What is not set.
+    #[must_use]
+    pub fn complement(&self) -> Self {
+        let mut bits = self.clone();
+        let edge = u64::MAX >> ((64 - self.width % 64) % 64);
+        for y in 0..self.height {
+            let row = bits.row_mut(y);
+            row.iter_mut().for_each(|word| *word = !*word);
+            if let Some(last) = row.last_mut() {
+                *last &= edge;
+            }
+        }
+        bits
     }
 
     /// The first set column of row `y` in `from..=to`; columns outside the grid are never set.
@@ -166,6 +225,39 @@ impl BitGrid {
     }
 }
 
+/// For which of 64 values something is true, the first one in the lowest bit.
+#[inline]
+#[allow(
+    clippy::needless_range_loop,
+    reason = "a loop over zipped arrays does not become vector instructions everywhere"
+)]
+pub(super) fn pack<T: Copy>(values: &[T; 64], is: impl Fn(T) -> bool) -> u64 {
+    let mut flags = [0_u8; 64];
+    for i in 0..64 {
+        flags[i] = u8::from(is(values[i]));
+    }
+    let mut word = 0;
+    for (byte, flags) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // Each flag is the lowest bit of its byte; the product brings all of them side by side into the highest byte.
+        word |= (u64::from_le_bytes(*flags).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * byte);
+    }
+    word
+}
+
+/// Turns over 64 by 64 bits: halves are swapped across the diagonal, then halves of halves (Warren, "Hacker's Delight", 7-3).
+fn transpose(block: &mut [u64; 64]) {
+    let (mut size, mut mask) = (32, u64::from(u32::MAX));
+    while size > 0 {
+        for low in (0..64).filter(|row| row & size == 0) {
+            let swapped = (block[low] >> size ^ block[low + size]) & mask;
+            block[low] ^= swapped << size;
+            block[low + size] ^= swapped;
+        }
+        size /= 2;
+        mask ^= mask << size;
+    }
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -180,8 +272,26 @@ mod tests {
             let inside: Vec<u32> = set.iter().copied().filter(|x| i64::from(*x) >= from && i64::from(*x) <= to).collect();
             prop_assert_eq!(bits.next_set(0, from, to), inside.first().copied());
             prop_assert_eq!(bits.previous_set(0, from, to), inside.last().copied());
+            if from >= 0 && to < 200 && from <= to {
+                prop_assert_eq!(bits.any_set(0, from as u32, to as u32), !inside.is_empty());
+            }
+            prop_assert_eq!(bits.complement(), BitGrid::from_fn(200, 1, |cell| !set.contains(&cell.x)));
             prop_assert_eq!(bits.set_in_row(0, from, to).collect::<Vec<_>>(), inside);
             prop_assert_eq!(bits.count(), set.len() as u64);
+        }
+
+        #[test]
+        fn rows_become_columns(width in 0_u32..150, height in 0_u32..150, seed in any::<u64>()) {
+            let is_set = |x: u32, y: u32| ((u64::from(x) * 0x9E37_79B9) ^ (u64::from(y) * 0xC2B2_AE3D) ^ seed).wrapping_mul(0xD6E8_FEB8_6659_FD93) >> 63 == 1;
+            let turned = BitGrid::from_fn(width, height, |cell| is_set(cell.x, cell.y)).transposed();
+            prop_assert_eq!(turned, BitGrid::from_fn(height, width, |cell| is_set(cell.y, cell.x)));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn flags_are_packed_in_order(word in any::<u64>()) {
+            prop_assert_eq!(pack(&std::array::from_fn(|bit| word >> bit & 1), |bit: u64| bit == 1), word);
         }
     }
 

@@ -1,12 +1,18 @@
 //! Which cells admit the robot, and how far is any point from an obstacle?
 
+use std::ops::Range;
+use std::sync::Arc;
+
 use nalgebra::Point2;
-use thiserror::Error;
-use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, GridSpec, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 
 use super::bits::BitGrid;
-use super::distance::{DistanceField, MAX_REACH, squared_distances};
+use super::distance::{DistanceField, MAX_REACH};
+use super::exact::for_each_row;
+use super::raster::CellMask;
+use super::update::Marks;
+use super::zones::Zones;
 
 /// What cells that nobody has seen mean for a robot. Everything outside the grid counts as unknown too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,11 +26,6 @@ pub enum UnknownPolicy {
     Obstacle,
 }
 
-/// The map has grown or moved: a space of it is to be built anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("the map's grid is not the space's any more")]
-pub struct GridChanged;
-
 /// Distances are known at least this far, m, as far as the field's reach in cells allows.
 const USUAL_REACH: f64 = 1.0;
 
@@ -34,18 +35,23 @@ const USUAL_REACH: f64 = 1.0;
 /// spare that it also fits everywhere on the straight step to each free neighbour, diagonals included: a path from centre
 /// to centre is exactly collision-free for the disc. (The least distance to a convex obstacle on a step of length `l`
 /// between two points at distance `d` is at least `sqrt(d^2 - l^2/4)`.) A point robot asks only for cells that are not occupied.
+///
+/// A copy shares with its original whatever does not differ.
 #[derive(Clone, Debug)]
 pub struct ConfigurationSpace {
     pub(super) spec: GridSpec,
     pub(super) footprint: Footprint,
     pub(super) unknown_policy: UnknownPolicy,
     margin: f64,
-    /// Occupied cells; under [`UnknownPolicy::Obstacle`] unknown ones as well.
-    pub(super) obstacles: BitGrid,
-    /// Under [`UnknownPolicy::Blocked`] the unknown cells, else empty.
-    pub(super) forbidden: BitGrid,
-    field: DistanceField,
-    free: BitGrid,
+    zones: Arc<Zones>,
+    /// What the zones keep the robot out of.
+    pub(super) keep_out: Option<Arc<CellMask>>,
+    /// Occupied cells and those of keep-out zones; under [`UnknownPolicy::Obstacle`] unknown ones as well.
+    pub(super) obstacles: Arc<BitGrid>,
+    /// Under [`UnknownPolicy::Blocked`] the unknown cells, else without any cell.
+    pub(super) forbidden: Arc<BitGrid>,
+    pub(super) field: DistanceField,
+    pub(super) free: Arc<BitGrid>,
     /// Squared half cells that a free cell's distance exceeds.
     threshold: i64,
 }
@@ -56,119 +62,91 @@ impl ConfigurationSpace {
     /// `margin` (m) is kept clear around the footprint's inscribed disc, on top of it; negative or non-finite counts as none.
     #[must_use]
     pub fn new(grid: &OccupancyGrid, footprint: &Footprint, unknown: UnknownPolicy, margin: f64) -> Self {
+        Self::with_zones(grid, footprint, unknown, margin, &Arc::default())
+    }
+
+    /// As [`new`](Self::new), on a map with zones: keep-out zones are obstacles.
+    #[must_use]
+    pub fn with_zones(
+        grid: &OccupancyGrid,
+        footprint: &Footprint,
+        unknown: UnknownPolicy,
+        margin: f64,
+        zones: &Arc<Zones>,
+    ) -> Self {
         let spec = *grid.spec();
+        let keep_out = zones.keep_out_cells(&spec).map(Arc::new);
         let margin = if margin.is_finite() { margin.max(0.0) } else { 0.0 };
         let radius = footprint.inscribed_radius() + margin;
         let reach =
             (radius.max(USUAL_REACH).max(footprint.circumscribed_radius() + margin) / spec.resolution).ceil() + 1.0;
-        let (obstacles, forbidden) = (
-            BitGrid::new(spec.width, spec.height),
-            BitGrid::new(spec.width, spec.height),
-        );
+        let mut obstacles = BitGrid::new(spec.width, spec.height);
+        let mut forbidden = if unknown == UnknownPolicy::Blocked {
+            obstacles.clone()
+        } else {
+            BitGrid::new(0, 0)
+        };
+        for y in 0..spec.height {
+            for word in 0..obstacles.stride() {
+                let marks = Marks::read(grid, unknown, keep_out.as_deref(), y, word);
+                obstacles.row_mut(y)[word] = marks.obstacles;
+                if unknown == UnknownPolicy::Blocked {
+                    forbidden.row_mut(y)[word] = marks.forbidden;
+                }
+            }
+        }
         let mut space = Self {
             spec,
             footprint: footprint.clone(),
             unknown_policy: unknown,
             margin,
+            zones: Arc::clone(zones),
+            keep_out,
             field: DistanceField::new(spec, &obstacles, (reach as u32).clamp(1, MAX_REACH)),
-            free: obstacles.clone(),
-            obstacles,
-            forbidden,
+            free: Arc::new(BitGrid::new(spec.width, spec.height)),
+            obstacles: Arc::new(obstacles),
+            forbidden: Arc::new(forbidden),
             threshold: threshold(radius / spec.resolution),
         };
-        space.read(grid, 0..spec.height, 0..space.obstacles.stride());
-        space.field = DistanceField::new(spec, &space.obstacles, space.field.reach_cells());
         space.admit(0..space.obstacles.stride(), 0..spec.height);
         space
     }
 
-    /// Reads occupancy values of a window of rows and words into the bitmaps; says whether anything changed.
-    fn read(&mut self, grid: &OccupancyGrid, rows: std::ops::Range<u32>, words: std::ops::Range<usize>) -> bool {
-        let width = self.spec.width as usize;
-        let mut changed = false;
-        for y in rows {
-            let values = &grid.values()[y as usize * width..][..width];
-            for word in words.clone() {
-                let cells = &values[word * 64..width.min(word * 64 + 64)];
-                let (mut occupied, mut unknown) = (0_u64, 0_u64);
-                for (bit, value) in cells.iter().enumerate() {
-                    let occupancy = Occupancy::of(*value);
-                    occupied |= u64::from(occupancy == Occupancy::Occupied) << bit;
-                    unknown |= u64::from(occupancy == Occupancy::Unknown) << bit;
-                }
-                let (obstacles, forbidden) = match self.unknown_policy {
-                    UnknownPolicy::Free => (occupied, 0),
-                    UnknownPolicy::Blocked => (occupied, unknown),
-                    UnknownPolicy::Obstacle => (occupied | unknown, 0),
-                };
-                let old_obstacles = std::mem::replace(&mut self.obstacles.row_mut(y)[word], obstacles);
-                let old_forbidden = std::mem::replace(&mut self.forbidden.row_mut(y)[word], forbidden);
-                changed |= old_obstacles != obstacles || old_forbidden != forbidden;
-            }
-        }
-        changed
+    /// Whether the robot is larger than the field reaches: what is free is then told by the whole transform.
+    pub(super) fn is_beyond_the_field(&self) -> bool {
+        self.threshold >= 4 * i64::from(self.field.reach_cells()).pow(2)
     }
 
     /// Decides which cells of a window are free, from their distances.
-    fn admit(&mut self, words: std::ops::Range<usize>, rows: std::ops::Range<u32>) {
-        let width = self.spec.width as usize;
-        // Beyond its reach the field tells nothing apart: a robot that is larger than that needs the whole transform.
-        let reach = i64::from(self.field.reach_cells());
-        let exact = (self.threshold >= 4 * reach * reach).then(|| squared_distances(&self.obstacles));
-        let threshold = i16::try_from(self.threshold).unwrap_or(i16::MAX);
-        let exact_threshold = u32::try_from(self.threshold).unwrap_or(u32::MAX - 1);
-        for y in rows {
-            for word in words.clone() {
-                let columns = word * 64..width.min(word * 64 + 64);
-                let mut bits = 0_u64;
-                match &exact {
-                    None => {
-                        for (bit, squared) in self.field.row(y)[word * 64..][..64].iter().enumerate() {
-                            bits |= u64::from(*squared > threshold) << bit;
-                        }
-                    }
-                    Some(exact) => {
-                        for (bit, squared) in exact[y as usize * width..][columns.clone()].iter().enumerate() {
-                            bits |= u64::from(*squared > exact_threshold) << bit;
-                        }
-                    }
+    pub(super) fn admit(&mut self, words: Range<usize>, rows: Range<u32>) {
+        let (obstacles, forbidden, field) = (&self.obstacles, &self.forbidden, &self.field);
+        let free = Arc::make_mut(&mut self.free);
+        let in_grid = |word: usize| u64::MAX >> (64 - (self.spec.width as usize - 64 * word).min(64));
+        let permitted = |y: u32, word: usize| {
+            in_grid(word)
+                & match self.unknown_policy {
+                    UnknownPolicy::Blocked => !forbidden.row(y)[word],
+                    _ => u64::MAX,
                 }
-                self.free.row_mut(y)[word] = bits & !self.forbidden.row(y)[word] & (u64::MAX >> (64 - columns.len()));
-            }
+        };
+        if self.threshold >= 4 * i64::from(field.reach_cells()).pow(2) {
+            let threshold = u32::try_from(self.threshold).unwrap_or(u32::MAX - 1);
+            for_each_row(obstacles, |y, squared| {
+                let row = squared.chunks(64).zip(free.row_mut(y)).enumerate();
+                for (word, (squared, free)) in row {
+                    let bits = squared
+                        .iter()
+                        .enumerate()
+                        .fold(0, |bits, (bit, squared)| bits | u64::from(*squared > threshold) << bit);
+                    *free = bits & permitted(y, word);
+                }
+            });
+            return;
         }
-    }
-
-    /// Takes over a rectangle of a map that has changed there (columns and rows of cells); the map's grid is still the same.
-    /// The result equals a space that is built anew. Returns whether any obstacle changed.
-    ///
-    /// # Errors
-    /// [`GridChanged`] when the map's grid is another one: build the space anew.
-    pub fn update(
-        &mut self,
-        grid: &OccupancyGrid,
-        columns: std::ops::Range<u32>,
-        rows: std::ops::Range<u32>,
-    ) -> Result<bool, GridChanged> {
-        if *grid.spec() != self.spec {
-            return Err(GridChanged);
-        }
-        let rows = rows.start.min(self.spec.height)..rows.end.min(self.spec.height);
-        let words = columns.start as usize / 64..(columns.end as usize).div_ceil(64).min(self.obstacles.stride());
-        if rows.is_empty() || words.is_empty() || !self.read(grid, rows.clone(), words.clone()) {
-            return Ok(false);
-        }
-        // Whatever lies within reach of a change is told anew; the reach is less than a word.
-        let reach = self.field.reach_cells();
-        let rows = rows.start.saturating_sub(reach)..(rows.end + reach).min(self.spec.height);
-        let words = words.start.saturating_sub(1)..(words.end + 1).min(self.obstacles.stride());
-        self.field
-            .refresh(&self.obstacles, words.clone(), rows.start as usize..rows.end as usize);
-        if self.threshold >= i64::from(4 * reach * reach) {
-            self.admit(0..self.obstacles.stride(), 0..self.spec.height);
-        } else {
-            self.admit(words, rows);
-        }
-        Ok(true)
+        let threshold = u16::try_from(self.threshold).unwrap_or(u16::MAX);
+        field.farther(threshold, words, rows, |y, word, clear| {
+            free.row_mut(y)[word] = clear & permitted(y, word);
+        });
     }
 
     /// The map's grid.
@@ -189,6 +167,12 @@ impl ConfigurationSpace {
         self.unknown_policy
     }
 
+    /// The zones of the map.
+    #[must_use]
+    pub fn zones(&self) -> &Arc<Zones> {
+        &self.zones
+    }
+
     /// Kept clear around the inscribed disc, m.
     #[must_use]
     pub fn margin(&self) -> f64 {
@@ -207,13 +191,13 @@ impl ConfigurationSpace {
         &self.free
     }
 
-    /// Obstacles as they stand in the map, not inflated.
+    /// Obstacles as they stand in the map, and keep-out zones; not inflated.
     #[must_use]
     pub fn obstacles(&self) -> &BitGrid {
         &self.obstacles
     }
 
-    /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`].
+    /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`]; without any cell under the other policies.
     #[must_use]
     pub fn forbidden(&self) -> &BitGrid {
         &self.forbidden
@@ -299,7 +283,7 @@ fn threshold(radius: f64) -> i64 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use proptest::prelude::*;
+    use zenav_protocol::grid::Occupancy;
 
     use super::*;
 
@@ -315,45 +299,6 @@ mod tests {
             grid[Cell::new(x % width, y % height)] = *value;
         }
         grid
-    }
-
-    fn marks() -> impl Strategy<Value = Vec<(u32, u32, i8)>> {
-        proptest::collection::vec(
-            (0_u32..300, 0_u32..150, prop::sample::select(vec![-1_i8, 0, 100])),
-            0..30,
-        )
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(48))]
-
-        #[test]
-        fn an_updated_space_equals_one_that_is_built_anew(width in 1_u32..300, height in 1_u32..150, before in marks(), changes in marks(), radius in prop::sample::select(vec![0.2, 1.5, 9.0])) {
-            for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked, UnknownPolicy::Obstacle] {
-                let footprint = Footprint::Radius(radius);
-                let mut map = grid(width, height, &before);
-                let mut space = ConfigurationSpace::new(&map, &footprint, policy, 0.0);
-                for (x, y, value) in &changes {
-                    let cell = Cell::new(x % width, y % height);
-                    map[cell] = *value;
-                    space.update(&map, cell.x..cell.x + 1, cell.y..cell.y + 1).unwrap();
-                }
-                let anew = ConfigurationSpace::new(&map, &footprint, policy, 0.0);
-                prop_assert_eq!(space.free(), anew.free());
-                prop_assert_eq!(space.field(), anew.field());
-                prop_assert_eq!(space.obstacles(), anew.obstacles());
-            }
-        }
-    }
-
-    #[test]
-    fn a_map_that_has_grown_is_not_updated() {
-        let mut space = ConfigurationSpace::new(&grid(10, 10, &[]), &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
-        assert_eq!(space.update(&grid(11, 10, &[]), 0..1, 0..1), Err(GridChanged));
-        assert_eq!(
-            space.update(&grid(10, 10, &[(5, 5, 100)]), 0..u32::MAX, 0..u32::MAX),
-            Ok(true)
-        );
     }
 
     #[test]

@@ -3,28 +3,44 @@
 //! | file | answers |
 //! |---|---|
 //! | [`bits`] | which cells of a grid have a property, 64 to a word? |
-//! | [`distance`] | how far is each cell's centre from the nearest occupied square? |
+//! | [`distance`] | how far is each cell's centre from the nearest occupied square, up to a reach? |
+//! | `bands` | how are truncated distances found fast? |
+//! | `level` | how is a squared distance written down? |
+//! | [`exact`] | how far is it at any distance? |
 //! | [`configuration`] | which cells admit the robot, and how far is any point from an obstacle? |
+//! | `update` | what of a space changes when tiles of its map change? |
 //! | [`cache`] | which space belongs to a map, a robot and a policy? |
+//! | [`zones`] | where may the robot not be, and where must it be slow? |
+//! | [`raster`] | which cells does a closed polygon touch? |
 //! | `shapes` | how far is a disc, a moved disc, a polygon from the nearest occupied square? |
 //! | [`reach`] | which places can be got to at all? |
 //! | [`sight`] | can one go straight from here to there? |
+//! | `sweep` | which columns of a row does a moved shape meet? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
 //! squares, so nothing depends on a sampling step and a single occupied cell is never missed.
 
+mod bands;
 pub mod bits;
 pub mod cache;
 pub mod configuration;
 pub mod distance;
+pub mod exact;
+mod level;
+pub mod raster;
 pub mod reach;
 mod shapes;
 pub mod sight;
+mod sweep;
+mod update;
 pub mod validity;
+pub mod zones;
 
 pub use bits::BitGrid;
 pub use cache::SpaceCache;
-pub use configuration::{ConfigurationSpace, GridChanged, UnknownPolicy};
+pub use configuration::{ConfigurationSpace, UnknownPolicy};
 pub use distance::DistanceField;
-pub use sight::Sight;
+pub use sight::{PointSight, Sight};
+pub use update::GridChanged;
+pub use zones::Zones;

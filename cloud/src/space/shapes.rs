@@ -52,9 +52,9 @@ pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2
     (least * spec.resolution).min(limit)
 }
 
-/// Least distance from a segment to an obstacle, both in cells, when it is at most `limit`, else something greater. With
-/// `any` the first one found within the limit ends the search. Minus one for a non-finite segment.
-pub(super) fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit: f64, any: bool) -> f64 {
+/// Least distance from a segment to an obstacle, both in cells, when it is at most `limit`, else something greater. Minus one
+/// for a non-finite segment.
+pub(super) fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit: f64) -> f64 {
     let d = b - a;
     if !(d.x.is_finite() && d.y.is_finite() && a.x.is_finite() && a.y.is_finite() && limit.is_finite()) {
         return -1.0;
@@ -84,9 +84,6 @@ pub(super) fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f
         let (from, to) = (column(x0.min(x1) - reach) - 1, column(x0.max(x1) + reach) + 1);
         for x in obstacles.set_in_row(y, from, to) {
             least = least.min(segment_to_square(a, b, x, y));
-            if any && least <= limit {
-                return least;
-            }
         }
     }
     least

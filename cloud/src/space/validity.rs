@@ -9,6 +9,7 @@ use zenav_protocol::robot::Footprint;
 
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
 use super::shapes::{capsule_clearance, disc_clearance, polygon_clearance};
+use super::sweep::disc_touches;
 
 /// Sweeps are bisected until they are certain to within this, m.
 const SWEEP_TOLERANCE: f64 = 1e-3;
@@ -70,28 +71,19 @@ impl ConfigurationSpace {
     /// [`UnknownPolicy::Obstacle`].
     #[must_use]
     pub fn segment_is_free(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
-        let radius = radius.max(0.0) / self.spec.resolution;
-        capsule_clearance(
+        !disc_touches(
             &self.obstacles,
             self.spec.to_cells(a),
             self.spec.to_cells(b),
-            radius,
-            true,
-        ) > radius
+            radius.max(0.0) / self.spec.resolution,
+        )
     }
 
     /// Exact least distance from a segment to an obstacle, m; at most [`reach`](Self::reach).
     #[must_use]
     pub fn segment_clearance(&self, a: Point2<f64>, b: Point2<f64>) -> f64 {
         let limit = self.reach() / self.spec.resolution;
-        capsule_clearance(
-            &self.obstacles,
-            self.spec.to_cells(a),
-            self.spec.to_cells(b),
-            limit,
-            false,
-        )
-        .min(limit)
+        capsule_clearance(&self.obstacles, self.spec.to_cells(a), self.spec.to_cells(b), limit).min(limit)
             * self.spec.resolution
     }
 
@@ -112,7 +104,6 @@ impl ConfigurationSpace {
                     self.spec.to_cells(a.position()),
                     self.spec.to_cells(b.position()),
                     limit,
-                    false,
                 );
                 least = least.min(clearance * self.spec.resolution - radius);
             }

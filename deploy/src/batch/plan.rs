@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use zenav_cloud::planning::{Budget, Planner, Query as Question, Searched, Searcher, Way};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
+use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 
@@ -99,7 +99,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
 
 /// Where a point, or a robot, may be.
 enum Ground {
-    Point(BitGrid),
+    Point { free: BitGrid, sight: PointSight },
     Robot(Box<ConfigurationSpace>),
 }
 
@@ -120,27 +120,27 @@ impl Ground {
             ))));
         }
         let spec = grid.spec();
-        Ok(Self::Point(BitGrid::from_fn(
-            spec.width,
-            spec.height,
-            |cell| match Occupancy::of(grid[cell]) {
-                Occupancy::Free => true,
-                Occupancy::Unknown => unknown_is_free,
-                Occupancy::Occupied => false,
-            },
-        )))
+        let free = BitGrid::from_fn(spec.width, spec.height, |cell| match Occupancy::of(grid[cell]) {
+            Occupancy::Free => true,
+            Occupancy::Unknown => unknown_is_free,
+            Occupancy::Occupied => false,
+        });
+        Ok(Self::Point {
+            sight: PointSight::new(&free),
+            free,
+        })
     }
 
     fn free(&self) -> &BitGrid {
         match self {
-            Self::Point(free) => free,
+            Self::Point { free, .. } => free,
             Self::Robot(space) => space.free(),
         }
     }
 
     fn search(&self, searcher: &mut Searcher, planner: Planner, question: &Question, budget: Budget<'_>) -> Searched {
         match self {
-            Self::Point(free) => searcher.search(planner, free, question, budget),
+            Self::Point { sight, .. } => searcher.search(planner, sight, question, budget),
             Self::Robot(space) => searcher.search(planner, &**space, question, budget),
         }
     }

@@ -7,6 +7,7 @@ use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
 use zenav_cloud::mission::{self, Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
 use zenav_cloud::planning::PlanWorker;
 use zenav_cloud::smoothing::SmoothWorker;
+use zenav_cloud::worker_host::Work as _;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::*;
@@ -263,6 +264,9 @@ struct Workers {
 
 impl Workers {
     fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = PlanWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
         self.planning
             .answer(Some(&self.mirror), request, None)
             .map(Answer::Plan)
@@ -270,6 +274,9 @@ impl Workers {
     }
 
     fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = SmoothWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
         // No clock: times would differ from run to run.
         self.smoothing
             .answer(Some(&self.mirror), request, &mut || 0.0)

@@ -5,6 +5,8 @@
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::{Drive, RobotModel};
 
+use super::profile::{Profile, ProfileLimits};
+
 /// Share of every limit that a plan may use; the rest is for control.
 pub const PLAN_SHARE: f64 = 0.95;
 
@@ -26,6 +28,8 @@ pub struct Limits {
     pub lateral_acceleration: f64,
     /// Yaw rate, rad/s.
     pub yaw_rate: f64,
+    /// Jerk of the base along its way, and of a wheel on the floor when it turns on the spot, m/s³; unlimited without.
+    pub jerk: Option<f64>,
 }
 
 impl Limits {
@@ -45,36 +49,61 @@ impl Limits {
             speed: share * drive.top_speed(),
             lateral_acceleration: share * drive.max_lateral_acceleration,
             yaw_rate: share * drive.top_yaw_rate(),
+            jerk: drive.max_jerk.map(|jerk| share * jerk),
         }
+    }
+
+    /// The same without a limit of the jerk.
+    #[must_use]
+    pub fn without_jerk(&self) -> Self {
+        Self { jerk: None, ..*self }
     }
 
     /// Largest squared speed at a curvature (1/m), m²/s².
     #[must_use]
     pub fn speed_squared(&self, curvature: f64) -> f64 {
         let k = curvature.abs();
+        if k == 0.0 {
+            let base = self.speed.min(self.wheel_speed);
+            return base * base;
+        }
         let wheels = self.wheel_speed / (1.0 + k * self.half_separation);
         let base = self.speed.min(wheels);
-        // Without curvature the last two are infinite.
         (base * base)
             .min(self.lateral_acceleration / k)
             .min((self.yaw_rate / k).powi(2))
     }
 
-    /// Largest yaw rate on the spot, rad/s.
+    /// What a turn on the spot may use, in rad.
     #[must_use]
-    pub fn spin_rate(&self) -> f64 {
-        self.yaw_rate.min(self.wheel_speed / self.half_separation).min(TOP_SPIN)
+    pub fn spin(&self) -> ProfileLimits {
+        ProfileLimits {
+            speed: self.yaw_rate.min(self.wheel_speed / self.half_separation).min(TOP_SPIN),
+            acceleration: self.wheel_acceleration / self.half_separation,
+            jerk: self.jerk.map(|jerk| jerk / self.half_separation),
+        }
     }
 
-    /// Largest yaw acceleration on the spot, rad/s².
+    /// The faster wheel's way to rest, m, with both slowed in proportion, so that the arc is kept.
     #[must_use]
-    pub fn spin_acceleration(&self) -> f64 {
-        self.wheel_acceleration / self.half_separation
+    pub fn braking(&self, twist: Twist2) -> Profile {
+        let limits = ProfileLimits {
+            speed: f64::INFINITY,
+            acceleration: self.wheel_acceleration,
+            jerk: self.jerk,
+        };
+        Profile::to_rest(self.surface_speed(twist), &limits)
     }
 
-    /// Time to come to rest with both wheels slowed evenly, so that the arc is kept, s.
+    /// Speed of the faster wheel on the floor, m/s.
+    #[must_use]
+    pub fn surface_speed(&self, twist: Twist2) -> f64 {
+        twist.v.abs() + twist.w.abs() * self.half_separation
+    }
+
+    /// Time to come to rest, s.
     #[must_use]
     pub fn braking_time(&self, twist: Twist2) -> f64 {
-        (twist.v.abs() + twist.w.abs() * self.half_separation) / self.wheel_acceleration
+        self.braking(twist).duration()
     }
 }

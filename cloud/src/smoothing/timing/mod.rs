@@ -5,16 +5,25 @@
 //! | [`limits`] | how fast may it be, at which curvature? |
 //! | [`path`] | where does the way run, by arc length? |
 //! | [`sweep`] | what is the fastest law along it? |
+//! | [`jerk`] | what is the fastest law whose jerk is limited? |
+//! | [`law`] | how do speed and time run between samples? |
+//! | [`profile`] | how does a robot turn, or come to rest? |
 //! | [`motion`] | where is the robot at a time? |
 //! | [`legs`] | what is always safe: stop, turn, go straight |
 
+pub mod jerk;
+pub mod law;
 pub mod legs;
 pub mod limits;
 pub mod motion;
 pub mod path;
+pub mod profile;
 pub mod sweep;
 
-pub use legs::safe_trajectory;
+#[cfg(test)]
+mod tests;
+
+pub use law::TimeLaw;
 pub use limits::Limits;
-pub use motion::{Motion, State};
-pub use path::{GeometricPath, PathPoint};
+pub use motion::{JerkFigures, Motion, Rates, State};
+pub use path::{GeometricPath, PathPoint, SpeedLimit, UNRESTRICTED};

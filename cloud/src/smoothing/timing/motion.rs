@@ -1,11 +1,17 @@
 //! Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a way.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::TrajectoryPoint;
+use zenav_protocol::messages::{SolverFigures, TrajectoryPoint};
 
+use super::jerk::{self, JerkError};
+use super::law::{Progress, TimeLaw};
 use super::limits::Limits;
 use super::path::GeometricPath;
+use super::profile::Profile;
 use super::sweep::{SweepError, fastest};
+
+/// Where a piece's rates are taken, as shares of its time: at its ends (a hair inside, they belong to two pieces) and between.
+const SHARES: [f64; 3] = [1e-9, 0.5, 1.0 - 1e-9];
 
 /// Pose, velocity and acceleration at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -18,32 +24,54 @@ pub struct State {
     pub alpha: f64,
 }
 
+impl State {
+    fn new(t: f64, pose: Pose2, twist: Twist2, a: f64, alpha: f64) -> Self {
+        let point = TrajectoryPoint {
+            t,
+            x: pose.x,
+            y: pose.y,
+            yaw: pose.yaw,
+            v: twist.v,
+            w: twist.w,
+        };
+        Self { point, a, alpha }
+    }
+}
+
+/// Velocity and acceleration at a time, without the pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rates {
+    /// s.
+    pub t: f64,
+    /// Velocity.
+    pub twist: Twist2,
+    /// Forward acceleration, m/s².
+    pub a: f64,
+    /// Yaw acceleration, rad/s².
+    pub alpha: f64,
+}
+
 /// A motion in time, from time zero on.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
     stretches: Vec<(f64, Stretch)>,
     duration: f64,
     length: f64,
+    lower_bound: f64,
 }
 
 #[derive(Clone, Debug)]
 enum Stretch {
-    /// Both wheels slow down evenly, along the arc that the robot is on.
-    Brake { start: Pose2, twist: Twist2, duration: f64 },
-    /// Turns on the spot: a trapezoid in the yaw rate.
-    Spin {
+    /// Comes to rest along the arc that the robot is on: velocity is `twist` times the profile's, the profile's begins with one.
+    Brake {
         start: Pose2,
-        angle: f64,
-        rate: f64,
-        acceleration: f64,
-        duration: f64,
+        twist: Twist2,
+        profile: Profile,
     },
-    /// Follows a way; squared speeds and times at its samples.
-    Follow {
-        path: GeometricPath,
-        squared: Vec<f64>,
-        times: Vec<f64>,
-    },
+    /// Turns on the spot, `sign` times the profile.
+    Spin { start: Pose2, sign: f64, profile: Profile },
+    /// Follows a way.
+    Follow { path: GeometricPath, law: TimeLaw },
 }
 
 impl Motion {
@@ -65,6 +93,12 @@ impl Motion {
         self.length
     }
 
+    /// Shortest duration of the same turns and ways by the exact sweep, without a limit of the jerk, s.
+    #[must_use]
+    pub fn lower_bound(&self) -> f64 {
+        self.lower_bound
+    }
+
     /// Whether nothing moves.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -73,13 +107,24 @@ impl Motion {
 
     /// Comes to rest from a pose and velocity; returns where.
     pub fn brake(&mut self, start: Pose2, twist: Twist2, limits: &Limits) -> Pose2 {
-        let duration = limits.braking_time(twist);
-        if !(duration.is_finite() && duration > 1e-6) {
+        let surface_speed = limits.surface_speed(twist);
+        if !(surface_speed.is_finite() && surface_speed > 1e-6 * limits.wheel_acceleration) {
             return start;
         }
-        let end = start.advance(twist, 0.5 * duration);
-        self.length += 0.5 * twist.v.abs() * duration;
-        self.push(duration, Stretch::Brake { start, twist, duration });
+        let profile = limits.braking(twist);
+        let unit = Twist2::new(twist.v / surface_speed, twist.w / surface_speed);
+        let end = start.advance(unit, profile.distance());
+        self.length += unit.v.abs() * profile.distance();
+        let least = limits.without_jerk().braking_time(twist);
+        self.push(
+            profile.duration(),
+            least,
+            Stretch::Brake {
+                start,
+                twist: unit,
+                profile,
+            },
+        );
         end
     }
 
@@ -88,41 +133,59 @@ impl Motion {
         if !angle.is_finite() || angle.abs() < 1e-9 {
             return;
         }
-        let acceleration = limits.spin_acceleration();
-        let rate = limits.spin_rate().min((angle.abs() * acceleration).sqrt());
-        let duration = angle.abs() / rate + rate / acceleration;
-        self.push(
-            duration,
-            Stretch::Spin {
-                start,
-                angle,
-                rate,
-                acceleration,
-                duration,
-            },
-        );
+        let profile = Profile::rest_to_rest(angle.abs(), &limits.spin());
+        let sign = angle.signum();
+        let least = Profile::rest_to_rest(angle.abs(), &limits.without_jerk().spin()).duration();
+        self.push(profile.duration(), least, Stretch::Spin { start, sign, profile });
     }
 
-    /// Follows a way as fast as the limits allow, from a speed (m/s) to rest.
+    /// Follows a way as fast as the limits allow but for the jerk, from a speed (m/s) to rest.
     ///
     /// # Errors
     /// As [`fastest`].
     pub fn follow(&mut self, path: GeometricPath, start_speed: f64, limits: &Limits) -> Result<(), SweepError> {
         let squared = fastest(&path, limits, start_speed)?;
-        let mut times = Vec::with_capacity(squared.len());
-        let mut t = 0.0;
-        times.push(t);
-        for (pair, b) in path.points().windows(2).zip(squared.windows(2)) {
-            t += 2.0 * (pair[1].s - pair[0].s) / (b[0].sqrt() + b[1].sqrt()).max(1e-9);
-            times.push(t);
-        }
+        let law = TimeLaw::steady(&path, &squared);
         self.length += path.length();
-        self.push(t, Stretch::Follow { path, squared, times });
+        self.push(law.duration(), law.duration(), Stretch::Follow { path, law });
         Ok(())
     }
 
-    fn push(&mut self, duration: f64, stretch: Stretch) {
+    /// The same motion with the limited jerk that `limits` ask for, and how it came about; a way that has no such law keeps
+    /// the sweep's. Nothing changes, and there is nothing to tell, where they ask for none.
+    #[must_use]
+    pub fn with_limited_jerk(self, limits: &Limits) -> (Self, Option<JerkFigures>) {
+        let Some(jerk) = limits.jerk else {
+            return (self, None);
+        };
+        let mut figures = JerkFigures::default();
+        let mut motion = Self::new();
+        (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
+        for (_, mut stretch) in self.stretches {
+            if let Stretch::Follow { path, law } = &mut stretch {
+                match jerk::limited(path, limits, jerk, &law.squared()) {
+                    Ok(limited) => {
+                        *law = limited.law;
+                        figures.solver.iterations += limited.iterations;
+                        figures.solver.gap = figures.solver.gap.max(limited.gap);
+                        figures.solver.status = limited.status;
+                    }
+                    Err(error) => figures.failed = Some(error),
+                }
+            }
+            let duration = stretch.duration();
+            motion.stretches.push((motion.duration, stretch));
+            motion.duration += duration;
+        }
+        if let Some(error) = &figures.failed {
+            figures.solver.status = error.to_string();
+        }
+        (motion, Some(figures))
+    }
+
+    fn push(&mut self, duration: f64, lower_bound: f64, stretch: Stretch) {
         self.stretches.push((self.duration, stretch));
+        self.lower_bound += lower_bound;
         self.duration += duration;
     }
 
@@ -159,6 +222,16 @@ impl Motion {
             .collect()
     }
 
+    /// Rates at the ends of every piece on which they are smooth, and between; where two pieces meet, of both.
+    #[must_use]
+    pub fn rates(&self) -> Vec<Rates> {
+        let mut rates = Vec::new();
+        for (begin, stretch) in &self.stretches {
+            stretch.rates(*begin, &mut rates);
+        }
+        rates
+    }
+
     /// As [`Self::states`], as it goes over the wire.
     #[must_use]
     pub fn trajectory(&self, period: f64) -> Vec<TrajectoryPoint> {
@@ -166,83 +239,93 @@ impl Motion {
     }
 }
 
+/// How a limited jerk was found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JerkFigures {
+    /// What the solver said.
+    pub solver: SolverFigures,
+    /// Why a way kept the sweep's law, if one did.
+    pub failed: Option<JerkError>,
+}
+
 impl Stretch {
+    fn duration(&self) -> f64 {
+        match self {
+            Self::Brake { profile, .. } | Self::Spin { profile, .. } => profile.duration(),
+            Self::Follow { law, .. } => law.duration(),
+        }
+    }
+
+    /// Appends the rates of every piece: at its ends, and between.
+    fn rates(&self, begin: f64, rates: &mut Vec<Rates>) {
+        let (times, piece): (Vec<f64>, _) = match self {
+            Self::Brake { profile, .. } | Self::Spin { profile, .. } => {
+                (profile.breaks().chain([profile.duration()]).collect(), None)
+            }
+            Self::Follow { path, law } => (law.times().to_vec(), Some((path, law))),
+        };
+        for (index, pair) in times.windows(2).enumerate() {
+            let length = pair[1] - pair[0];
+            for share in SHARES {
+                let into = share * length;
+                let t = begin + pair[0] + into;
+                rates.push(match piece {
+                    Some((path, law)) => {
+                        let Progress { way, v, a, .. } = law.on(index, into);
+                        let slope = path.slope(index);
+                        let k = path.points()[index].k + slope * way;
+                        Rates {
+                            t,
+                            twist: Twist2::new(v, k * v),
+                            a,
+                            alpha: k * a + slope * v * v,
+                        }
+                    }
+                    None => {
+                        let State { point, a, alpha } = self.at(pair[0] + into);
+                        Rates {
+                            t,
+                            twist: point.twist(),
+                            a,
+                            alpha,
+                        }
+                    }
+                });
+            }
+        }
+    }
+
     fn at(&self, t: f64) -> State {
         match self {
-            Self::Brake { start, twist, duration } => {
-                let share = (1.0 - t / duration).max(0.0);
-                let pose = start.advance(*twist, t * 0.5 * (1.0 + share));
-                let point = TrajectoryPoint {
+            Self::Brake { start, twist, profile } => {
+                let (way, speed, a) = profile.at(t);
+                let pose = start.advance(*twist, way);
+                State::new(
                     t,
-                    x: pose.x,
-                    y: pose.y,
-                    yaw: pose.yaw,
-                    v: twist.v * share,
-                    w: twist.w * share,
-                };
-                State {
-                    point,
-                    a: -twist.v / duration,
-                    alpha: -twist.w / duration,
-                }
+                    pose,
+                    Twist2::new(twist.v * speed, twist.w * speed),
+                    twist.v * a,
+                    twist.w * a,
+                )
             }
-            Self::Spin {
-                start,
-                angle,
-                rate,
-                acceleration,
-                duration,
-            } => {
-                let ramp = rate / acceleration;
-                let (turned, w, alpha) = if t < ramp {
-                    (0.5 * acceleration * t * t, acceleration * t, *acceleration)
-                } else if t <= duration - ramp {
-                    (rate * (t - 0.5 * ramp), *rate, 0.0)
-                } else {
-                    let left = (duration - t).max(0.0);
-                    (
-                        angle.abs() - 0.5 * acceleration * left * left,
-                        acceleration * left,
-                        -acceleration,
-                    )
-                };
-                let sign = angle.signum();
-                let point = TrajectoryPoint {
-                    t,
-                    x: start.x,
-                    y: start.y,
+            Self::Spin { start, sign, profile } => {
+                let (turned, w, alpha) = profile.at(t);
+                let pose = Pose2 {
                     yaw: start.yaw + sign * turned,
-                    v: 0.0,
-                    w: sign * w,
+                    ..*start
                 };
-                State {
-                    point,
-                    a: 0.0,
-                    alpha: sign * alpha,
-                }
+                State::new(t, pose, Twist2::new(0.0, sign * w), 0.0, sign * alpha)
             }
-            Self::Follow { path, squared, times } => {
-                let index = times.partition_point(|begin| *begin <= t).clamp(1, times.len() - 1) - 1;
-                let (from, to) = (&path.points()[index], &path.points()[index + 1]);
-                let length = to.s - from.s;
-                let a = (squared[index + 1] - squared[index]) / (2.0 * length);
-                let into = t - times[index];
-                let speed = squared[index].sqrt();
-                let point = path.between(index, into * (speed + 0.5 * a * into));
-                let v = (speed + a * into).max(0.0);
-                let slope = (to.k - from.k) / length;
-                State {
-                    point: TrajectoryPoint {
-                        t,
-                        x: point.x,
-                        y: point.y,
-                        yaw: point.yaw,
-                        v,
-                        w: point.k * v,
-                    },
-                    a,
-                    alpha: point.k * a + slope * v * v,
-                }
+            Self::Follow { path, law } => {
+                let Progress { index, way, v, a } = law.at(t);
+                let point = path.between(index, way);
+                let pose = Pose2 {
+                    x: point.x,
+                    y: point.y,
+                    yaw: point.yaw,
+                };
+                let alpha = point.k * a + path.slope(index) * v * v;
+                State::new(t, pose, Twist2::new(v, point.k * v), a, alpha)
             }
         }
     }

@@ -22,6 +22,9 @@ pub enum SweepError {
     },
 }
 
+/// Squared speed that a robot loses for each metre in a zone that it entered too fast, as a share of the wheels' acceleration (of 2).
+const SLOWING: f64 = 1.0;
+
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
 /// A start speed up to a tenth over what the way allows is taken as an error of control, and cut. Linear in the samples.
@@ -29,22 +32,21 @@ pub enum SweepError {
 /// # Errors
 /// [`SweepError::StartTooFast`].
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
-    let points = path.points();
-    let intervals: Vec<Interval> = points
-        .windows(2)
-        .map(|pair| Interval::new(&pair[0], &pair[1], limits))
-        .collect();
-    let largest = |i: usize| {
-        // Between samples the curvature may be that of either end: both intervals beside the sample count.
-        let around = &points[i.saturating_sub(1)..(i + 2).min(points.len())];
-        limits.speed_squared(around.iter().map(|p| p.k.abs()).fold(0.0, f64::max))
-    };
-    let mut squared: Vec<f64> = (0..points.len()).map(largest).collect();
+    let mut squared = ceilings(path, limits, start_speed);
+    // A sample has the lower one of the intervals beside it.
+    squared.push(squared[squared.len() - 1]);
+    for i in (1..squared.len() - 1).rev() {
+        squared[i] = squared[i].min(squared[i - 1]);
+    }
     if let Some(last) = squared.last_mut() {
         *last = 0.0;
     }
-    for i in (0..intervals.len()).rev() {
-        squared[i] = intervals[i].largest_start(squared[i], squared[i + 1]);
+    let points = path.points();
+    let mut intervals = Vec::with_capacity(points.len());
+    for (i, pair) in points.windows(2).enumerate().rev() {
+        let interval = Interval::new(&pair[0], &pair[1], limits, squared[i].max(squared[i + 1]));
+        squared[i] = interval.largest_start(squared[i], squared[i + 1]);
+        intervals.push(interval);
     }
     let allowed = squared[0].sqrt();
     if start_speed > 1.1 * allowed + 1e-3 {
@@ -54,94 +56,172 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         });
     }
     squared[0] = squared[0].min(start_speed.max(0.0).powi(2));
-    for i in 0..intervals.len() {
-        squared[i + 1] = intervals[i].largest_end(squared[i], squared[i + 1]);
+    for (i, interval) in intervals.iter().rev().enumerate() {
+        squared[i + 1] = interval.largest_end(squared[i], squared[i + 1]);
     }
     Ok(squared)
 }
 
-/// One interval's bounds, each `x * start + y * end <= limit` on the squared speeds at its ends.
+/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones.
+///
+/// A robot that is faster than a zone allows slows down in it, it does not stop.
+#[must_use]
+pub fn ceilings(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Vec<f64> {
+    let begin = path.points()[0].s;
+    let ceiling = |(i, pair): (usize, &[PathPoint])| {
+        let own = limits.speed_squared(pair[0].k.abs().max(pair[1].k.abs()));
+        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (pair[0].s - begin);
+        own.min(path.speed_limit(i).powi(2).max(slowing))
+    };
+    path.points().windows(2).enumerate().map(ceiling).collect()
+}
+
+/// One interval's bounds on the squared speeds at its ends, `|end + slope · start| <= reach`: of the outer wheel at start and end, of the
+/// inner one at start and end.
 struct Interval {
-    bounds: [(f64, f64); 8],
-    limit: f64,
+    slopes: [f64; 4],
+    reaches: [f64; 4],
+    /// Whether the inner wheel can be the first to reach its limit; its bounds repeat the outer one's where it cannot.
+    inner: bool,
 }
 
 impl Interval {
-    fn new(from: &PathPoint, to: &PathPoint, limits: &Limits) -> Self {
+    /// Squared speeds are at most `cap`.
+    fn new(from: &PathPoint, to: &PathPoint, limits: &Limits, cap: f64) -> Self {
         let length = to.s - from.s;
-        let slope = (to.k - from.k) / length;
-        let h = limits.half_separation;
-        // a = (end - start) / (2 length)
-        let per_acceleration = 0.5 / length;
-        let mut bounds = [(0.0, 0.0); 8];
-        for (i, (wheel, at_end)) in [(1.0, false), (-1.0, false), (1.0, true), (-1.0, true)]
-            .into_iter()
-            .enumerate()
-        {
-            let p = (1.0 + wheel * h * if at_end { to.k } else { from.k }) * per_acceleration;
-            let q = wheel * h * slope;
-            let (x, y) = if at_end { (-p, p + q) } else { (q - p, p) };
-            bounds[2 * i] = (x, y);
-            bounds[2 * i + 1] = (-x, -y);
+        // a = (end - start) / (2 length), times 2 length: a wheel's acceleration is `(1 ± h k) (end - start) ± h k' b · 2 length`.
+        let (h, limit) = (limits.half_separation, 2.0 * length * limits.wheel_acceleration);
+        if from.k == 0.0 && to.k == 0.0 {
+            return Self {
+                slopes: [-1.0; 4],
+                reaches: [limit; 4],
+                inner: false,
+            };
         }
+        // Where the arc bends in little, `|k'| b <= A |k|`, the outer wheel's bounds imply the inner one's.
+        let (k0, k1) = (from.k.abs(), to.k.abs());
+        let same_side = from.k * to.k > 0.0 && h * k0.max(k1) < 1.0;
+        let inner = !(same_side && 2.0 * (to.k - from.k).abs() * cap <= limit * k0.min(k1));
+        let outer = if from.k + to.k > 0.0 { h } else { -h };
+        let [(m0, r0), (m1, r1)] = Self::wheel(outer, from.k, to.k, limit);
+        let [(m2, r2), (m3, r3)] = if inner {
+            Self::wheel(-outer, from.k, to.k, limit)
+        } else {
+            [(m0, r0), (m1, r1)]
+        };
         Self {
-            bounds,
-            limit: limits.wheel_acceleration,
+            slopes: [m0, m1, m2, m3],
+            reaches: [r0, r1, r2, r3],
+            inner,
+        }
+    }
+
+    /// Slope and reach of a wheel at start and end.
+    fn wheel(side: f64, k0: f64, k1: f64, limit: f64) -> [(f64, f64); 2] {
+        let (p0, p1, q) = (1.0 + side * k0, 1.0 + side * k1, 2.0 * side * (k1 - k0));
+        [(q - p0, p0), (-p1, p1 + q)].map(|(start, end)| {
+            // A bound that hardly knows the end is one of the start alone.
+            let end = if end.abs() < LEAST { LEAST.copysign(end) } else { end };
+            let inverse = end.recip();
+            (start * inverse, limit * inverse.abs())
+        })
+    }
+
+    /// The line `± reach - slope · start`.
+    fn line(&self, i: usize, sign: f64, start: f64) -> f64 {
+        sign * self.reaches[i] - self.slopes[i] * start
+    }
+
+    /// Largest squared speed at the end from `start`.
+    fn upper(&self, start: f64) -> f64 {
+        let outer = lesser(self.line(0, 1.0, start), self.line(1, 1.0, start));
+        if self.inner {
+            lesser(outer, lesser(self.line(2, 1.0, start), self.line(3, 1.0, start)))
+        } else {
+            outer
+        }
+    }
+
+    /// Least squared speed at the end from `start`.
+    fn lower(&self, start: f64) -> f64 {
+        let outer = greater(self.line(0, -1.0, start), self.line(1, -1.0, start));
+        if self.inner {
+            greater(outer, greater(self.line(2, -1.0, start), self.line(3, -1.0, start)))
+        } else {
+            outer
         }
     }
 
     /// Largest squared speed at the end, at most `cap`, from `start`.
     fn largest_end(&self, start: f64, cap: f64) -> f64 {
-        let upper = |&(x, y): &(f64, f64)| {
-            if y > 0.0 {
-                (self.limit - x * start) / y
+        greater(lesser(cap, self.upper(start)), 0.0)
+    }
+
+    /// Largest squared speed at the start, at most `cap`, from which one at most `end_cap` can be reached.
+    fn largest_start(&self, cap: f64, end_cap: f64) -> f64 {
+        // Mostly a wheel's braking alone decides: `-reach - slope · start <= end_cap`.
+        let braking = |i: usize| {
+            if self.slopes[i] < 0.0 {
+                (end_cap + self.reaches[i]) / -self.slopes[i]
             } else {
                 f64::INFINITY
             }
         };
-        self.bounds.iter().map(upper).fold(cap, f64::min).max(0.0)
+        let mut start = lesser(cap, lesser(braking(0), braking(1)));
+        if self.inner {
+            start = lesser(start, lesser(braking(2), braking(3)));
+        }
+        if self.upper(start) >= greater(self.lower(start), 0.0) {
+            start
+        } else {
+            self.corner(start, end_cap)
+        }
     }
 
-    /// Largest squared speed at the start, at most `cap`, from which one at most `end_cap` can be reached.
-    ///
-    /// The feasible pairs are a convex polygon with (0, 0) in it: Newton's steps from the cap go down to its corner, each to the
-    /// crossing of the two bounds that disagree most.
-    fn largest_start(&self, cap: f64, end_cap: f64) -> f64 {
-        let mut start = cap;
+    /// The feasible pairs are a convex polygon with (0, 0) in it: Newton's steps from above go down to its corner, each to the crossing of
+    /// the two bounds that disagree most.
+    #[cold]
+    fn corner(&self, above: f64, end_cap: f64) -> f64 {
+        let mut start = above;
         for _ in 0..16 {
-            // Of the end's lower and upper bounds (offset, slope over start) the tightest at this start.
-            let (mut low, mut low_line) = (0.0, (0.0, 0.0));
-            let (mut high, mut high_line) = (end_cap, (end_cap, 0.0));
-            let mut beyond = f64::INFINITY;
-            for &(x, y) in &self.bounds {
-                if y > 1e-12 {
-                    let value = (self.limit - x * start) / y;
-                    if value < high {
-                        (high, high_line) = (value, (self.limit / y, -x / y));
-                    }
-                } else if y < -1e-12 {
-                    let value = (self.limit - x * start) / y;
-                    if value > low {
-                        (low, low_line) = (value, (self.limit / y, -x / y));
-                    }
-                } else if x > 0.0 {
-                    beyond = beyond.min(self.limit / x);
+            // Of the end's lower and upper bounds (value at zero, slope) the tightest at this start.
+            let at = |line: (f64, f64)| line.0 + line.1 * start;
+            let (mut low, mut high) = ((0.0, 0.0), (end_cap, 0.0));
+            for (slope, reach) in self.slopes.into_iter().zip(self.reaches) {
+                let (below, above) = ((-reach, -slope), (reach, -slope));
+                if at(below) > at(low) {
+                    low = below;
+                }
+                if at(above) < at(high) {
+                    high = above;
                 }
             }
-            if low <= high && start <= beyond {
+            if at(low) <= at(high) {
                 return start;
             }
-            let crossing = (high_line.0 - low_line.0) / (low_line.1 - high_line.1);
-            let next = if low > high { crossing.min(beyond) } else { beyond };
+            let next = (high.0 - low.0) / (low.1 - high.1);
             // Rounding may leave the corner a hair outside for ever.
             if next.is_nan() || next >= start {
-                return start.min(next).max(0.0) * (1.0 - 1e-12);
+                return start * (1.0 - 1e-12);
             }
             start = next.max(0.0);
         }
         start
     }
 }
+
+/// `f64::min` minds numbers that are not: several times as long, in the middle of the sweep's one chain.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// As [`lesser`].
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// Least factor of the end in a bound.
+const LEAST: f64 = 1e-9;
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
@@ -157,6 +237,7 @@ mod tests {
         speed: 0.6,
         lateral_acceleration: 0.5,
         yaw_rate: 2.5,
+        jerk: None,
     };
 
     fn duration(path: &GeometricPath, squared: &[f64]) -> f64 {
@@ -188,19 +269,33 @@ mod tests {
         ));
     }
 
+    #[test]
+    fn a_zone_is_driven_through_at_its_speed_and_entered_too_fast_it_slows_the_robot_down() {
+        let straight = || GeometricPath::straight(Point2::origin(), Point2::new(6.0, 0.0), 0.02).unwrap();
+        let zone = |p: Point2<f64>| (2.0..4.0).contains(&p.x).then_some(0.2);
+        let path = straight().limited(&zone);
+        let squared = fastest(&path, &LIMITS, 0.0).unwrap();
+        for (p, b) in path.points().iter().zip(&squared) {
+            let inside = p.x > 1.985 && p.x < 4.0;
+            assert!(!inside || b.sqrt() <= 0.2 + 1e-9);
+        }
+        assert!(squared.iter().any(|b| b.sqrt() > 0.55), "outside it is as fast as ever");
+        let everywhere = |_: Point2<f64>| Some(0.2);
+        let squared = fastest(&straight().limited(&everywhere), &LIMITS, 0.5).unwrap();
+        assert_eq!(squared[0], 0.25);
+        assert!(squared[50] <= 0.04 + 1e-9, "slow after a metre");
+    }
+
     proptest! {
         #[test]
         fn every_limit_holds_at_and_between_samples(turns in prop::collection::vec((-6.0..6.0_f64, 2_usize..30), 1..8), start in 0.0..0.6) {
-            let mut points = vec![PathPoint::default()];
+            let mut k = 0.0;
+            let mut links = Vec::new();
             for (target, samples) in turns {
-                let first = points[points.len() - 1].k;
-                for i in 1..=samples {
-                    let last = points[points.len() - 1];
-                    let k = first + (target - first) * i as f64 / samples as f64;
-                    points.push(PathPoint { s: last.s + 0.02, k, ..last });
-                }
+                links.extend((1..=samples).map(|i| (0.02, k + (target - k) * i as f64 / samples as f64)));
+                k = target;
             }
-            let path = GeometricPath::new(points).unwrap();
+            let path = GeometricPath::chain(PathPoint::default(), &links).unwrap();
             let Ok(squared) = fastest(&path, &LIMITS, start) else { return Ok(()) };
             prop_assert_eq!(squared[squared.len() - 1], 0.0);
             for (pair, b) in path.points().windows(2).zip(squared.windows(2)) {
@@ -221,17 +316,17 @@ mod tests {
 
         #[test]
         fn the_start_is_the_corner_of_what_can_be_reached(k0 in -8.0..8.0_f64, k1 in -8.0..8.0_f64, cap in 0.001..0.4, end_cap in 0.0..0.4) {
-            let interval = Interval::new(&PathPoint { k: k0, ..PathPoint::default() }, &PathPoint { s: 0.02, k: k1, ..PathPoint::default() }, &LIMITS);
+            let interval = Interval::new(&PathPoint { k: k0, ..PathPoint::default() }, &PathPoint { s: 0.02, k: k1, ..PathPoint::default() }, &LIMITS, f64::max(cap, end_cap));
             let feasible = |x: f64| (0..=4000).any(|i| {
                 let y = end_cap * f64::from(i) / 4000.0;
-                interval.bounds.iter().all(|(bx, by)| bx * x + by * y <= interval.limit + 1e-9)
+                interval.slopes.iter().zip(interval.reaches).all(|(slope, reach)| f64::abs(slope * x + y) <= reach + 1e-9)
             });
             let found = interval.largest_start(cap, end_cap);
             prop_assert!(found >= 0.0 && found <= cap);
             let scan = (0..=200).map(|i| cap * f64::from(i) / 200.0).filter(|&x| feasible(x)).fold(0.0, f64::max);
             prop_assert!(found >= scan - 1e-9, "{} below {}", found, scan);
             let end = interval.largest_end(found, end_cap);
-            prop_assert!(interval.bounds.iter().all(|(x, y)| x * found + y * end <= interval.limit + 1e-6));
+            prop_assert!(interval.slopes.iter().zip(interval.reaches).all(|(slope, reach)| f64::abs(slope * found + end) <= reach + 1e-9 * (1.0 + reach)));
         }
     }
 }

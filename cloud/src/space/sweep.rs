@@ -1,0 +1,279 @@
+//! Which columns of a row does a moved shape meet? Points, square windows and discs on straight ways, in cells of a grid.
+//!
+//! A convex shape moved straight is convex, so that in each row it meets one span of columns: that span is told in closed form, and 64
+//! cells of it are looked at in one step. Squares are closed: to touch one is to meet it.
+
+use nalgebra::{Point2, Vector2};
+
+use super::bits::BitGrid;
+
+/// Shapes are larger by this all around, cells: rounding (some 1e-11 on the largest grids) never loses a square that is touched.
+pub(super) const HAIR: f64 = 1e-9;
+
+/// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell; what lies
+/// outside the grid is not asked. Numbers that are not finite touch.
+pub(super) fn window_touches(bits: &BitGrid, a: Point2<f64>, b: Point2<f64>, half: f64) -> bool {
+    any_row(bits, a, b, half + HAIR, |left, right| {
+        let strip = Strip::new(a, b, half + HAIR, left, right);
+        move |y| strip.columns(y, y)
+    })
+}
+
+/// Whether a disc, moved from `a` to `b`, touches the square of a set cell; what lies outside the grid is not asked. Numbers that are not
+/// finite touch.
+pub(super) fn disc_touches(bits: &BitGrid, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
+    any_row(bits, a, b, radius + HAIR, |left, right| {
+        let capsule = Capsule::new(a, b, radius + HAIR);
+        move |y| {
+            let (first, last) = capsule.span(f64::from(y));
+            columns(first, last, left, right)
+        }
+    })
+}
+
+/// Whether any row within `reach` has a set cell among the columns that `of(left, right)` tells for it; they lie between `left` and
+/// `right`.
+#[inline]
+fn any_row<F: Fn(u32) -> (u32, u32)>(
+    bits: &BitGrid,
+    a: Point2<f64>,
+    b: Point2<f64>,
+    reach: f64,
+    of: impl FnOnce(f64, f64) -> F,
+) -> bool {
+    let finite = |p: Point2<f64>| p.x.is_finite() && p.y.is_finite();
+    if !(finite(a) && finite(b) && reach.is_finite()) {
+        return true;
+    }
+    // The last column and row whole, none where there is none.
+    let [width, height] = [bits.width(), bits.height()].map(|cells| f64::from(cells).next_down());
+    let (left, right) = ((a.x.min(b.x) - reach).max(0.0), (a.x.max(b.x) + reach).min(width));
+    let (low, high) = ((a.y.min(b.y) - reach).max(0.0), (a.y.max(b.y) + reach).min(height));
+    if !(left <= right && low <= high) {
+        return false;
+    }
+    let columns = of(left, right);
+    (whole(low)..whole(high) + 1).any(|y| {
+        let (first, last) = columns(y);
+        first <= last && bits.any_set(y, first, last)
+    })
+}
+
+/// The columns of a span as far as they lie between `left` and `right`; the first is greater where there are none.
+#[inline(always)]
+fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
+    // What is not a number loses.
+    let (first, last) = (greater(first, left), less(last, right));
+    if first <= last {
+        (whole(first), whole(last))
+    } else {
+        (1, 0)
+    }
+}
+
+/// A square window moved straight over a grid.
+pub(super) struct Strip {
+    from: Point2<f64>,
+    /// Columns a row; infinite or not a number for level ways.
+    slope: f64,
+    /// How far the window reaches beyond where its centre crosses a row's border.
+    beside: f64,
+    left: f64,
+    right: f64,
+}
+
+impl Strip {
+    /// A window that reaches `reach` cells to each side, between two points; columns are told between `left` and `right` only, which are
+    /// not negative.
+    #[inline(always)]
+    pub(super) fn new(a: Point2<f64>, b: Point2<f64>, reach: f64, left: f64, right: f64) -> Self {
+        let slope = (b.x - a.x) / (b.y - a.y);
+        Self {
+            from: a,
+            slope,
+            beside: reach * (1.0 + slope.abs()),
+            left,
+            right,
+        }
+    }
+
+    /// The first and the last column that it meets in rows `low` to `high`; the first is greater where it meets none.
+    #[inline(always)]
+    pub(super) fn columns(&self, low: u32, high: u32) -> (u32, u32) {
+        let at = |y: f64| self.from.x + (y - self.from.y) * self.slope;
+        let (below, above) = (at(f64::from(low)), at(f64::from(high) + 1.0));
+        // A level way's are not numbers: it meets all of its columns.
+        let (near, far) = if self.slope >= 0.0 {
+            (below, above)
+        } else {
+            (above, below)
+        };
+        columns(near - self.beside, far + self.beside, self.left, self.right)
+    }
+}
+
+/// A disc moved straight over a grid. Its borders to the left and to the right are each an arc, a line and an arc.
+struct Capsule {
+    /// The lower end and the upper one.
+    ends: [Point2<f64>; 2],
+    radius: f64,
+    /// From the lower end to the upper one, of length one.
+    way: Vector2<f64>,
+    slope: f64,
+}
+
+impl Capsule {
+    fn new(a: Point2<f64>, b: Point2<f64>, radius: f64) -> Self {
+        let [low, high] = if a.y <= b.y { [a, b] } else { [b, a] };
+        let way = (high - low).try_normalize(0.0).unwrap_or(Vector2::y());
+        Self {
+            ends: [low, high],
+            radius,
+            way,
+            slope: way.x / way.y,
+        }
+    }
+
+    /// From where to where it reaches in row `y`.
+    #[inline]
+    fn span(&self, y: f64) -> (f64, f64) {
+        let [low, high] = self.ends;
+        let (leftmost, rightmost) = if self.way.x >= 0.0 {
+            (low.y, high.y)
+        } else {
+            (high.y, low.y)
+        };
+        (
+            self.border(leftmost.clamp(y, y + 1.0), -1.0),
+            self.border(rightmost.clamp(y, y + 1.0), 1.0),
+        )
+    }
+
+    /// Where its border lies at a height: the right one for `side` 1, the left one for -1.
+    #[inline]
+    fn border(&self, y: f64, side: f64) -> f64 {
+        let [low, high] = self.ends;
+        let touched = side * self.radius * self.way.x;
+        let arc =
+            |end: Point2<f64>| end.x + side * (self.radius * self.radius - (y - end.y) * (y - end.y)).max(0.0).sqrt();
+        if y <= low.y - touched {
+            arc(low)
+        } else if y >= high.y - touched {
+            arc(high)
+        } else {
+            low.x + side * self.radius * self.way.y + (y - low.y + touched) * self.slope
+        }
+    }
+}
+
+/// The lesser; `b` where `a` is not a number.
+#[inline(always)]
+pub(super) fn less(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// The greater; `b` where `a` is not a number.
+#[inline(always)]
+pub(super) fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The column or row of a coordinate that is not negative. (To `i32` the processor converts in one step.)
+#[inline(always)]
+pub(super) fn whole(at: f64) -> u32 {
+    (at as i32).cast_unsigned()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use proptest::prelude::*;
+    use zenav_protocol::grid::Cell;
+
+    use super::super::shapes::capsule_clearance;
+    use super::*;
+
+    /// Whether a window of a whole number of quarter cells, moved along a segment between points on the grid of quarter cells, touches a
+    /// closed square: separating axes in whole numbers.
+    pub(in super::super) fn touches_exactly(a: (i64, i64), b: (i64, i64), half: i64, square: (i64, i64)) -> bool {
+        let (low, high) = (
+            (4 * square.0 - half, 4 * square.1 - half),
+            (4 * square.0 + 4 + half, 4 * square.1 + 4 + half),
+        );
+        let apart = a.0.max(b.0) < low.0 || a.0.min(b.0) > high.0 || a.1.max(b.1) < low.1 || a.1.min(b.1) > high.1;
+        let side = |x: i64, y: i64| ((b.0 - a.0) * (y - a.1) - (b.1 - a.1) * (x - a.0)).signum();
+        let sides = [
+            side(low.0, low.1),
+            side(high.0, low.1),
+            side(high.0, high.1),
+            side(low.0, high.1),
+        ];
+        !(apart || sides.iter().all(|s| *s > 0) || sides.iter().all(|s| *s < 0))
+    }
+
+    pub(in super::super) fn quarters(p: (i64, i64)) -> Point2<f64> {
+        Point2::new(p.0 as f64 / 4.0, p.1 as f64 / 4.0)
+    }
+
+    const SIDE: i64 = 70;
+
+    fn occupied() -> impl Strategy<Value = Vec<(i64, i64)>> {
+        prop::collection::vec((0..SIDE, 0..SIDE), 0..40)
+    }
+
+    fn bits(occupied: &[(i64, i64)]) -> BitGrid {
+        let mut bits = BitGrid::new(SIDE as u32, SIDE as u32);
+        for (x, y) in occupied {
+            bits.set(Cell::new(*x as u32, *y as u32), true);
+        }
+        bits
+    }
+
+    /// Points on quarter cells, in the grid and around it.
+    fn around() -> impl Strategy<Value = (i64, i64)> {
+        (-40..4 * SIDE + 40, -40..4 * SIDE + 40)
+    }
+
+    #[test]
+    fn the_far_half_of_the_last_column_and_row_is_not_missed() {
+        let bits = bits(&[(SIDE - 1, 9), (9, SIDE - 1)]);
+        for x in [69.51, 69.75, 69.99, 70.0] {
+            let (a, b) = (Point2::new(x, 5.0), Point2::new(x, 15.0));
+            assert!(
+                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
+                "{x}"
+            );
+            let (a, b) = (Point2::new(a.y, a.x), Point2::new(b.y, b.x));
+            assert!(
+                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
+                "{x}"
+            );
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+
+        #[test]
+        fn a_moved_window_touches_what_it_sweeps_over(occupied in occupied(), a in around(), b in around(), half in 0_i64..20) {
+            let expected = occupied.iter().any(|square| touches_exactly(a, b, half, *square));
+            prop_assert_eq!(window_touches(&bits(&occupied), quarters(a), quarters(b), half as f64 / 4.0), expected);
+        }
+
+        #[test]
+        fn a_moved_disc_touches_what_its_way_comes_as_close_to(occupied in occupied(), a in around(), b in around(), radius in prop::sample::select(vec![0.0, 0.25, 1.0, 2.3, 5.0, 40.0])) {
+            let (bits, a, b) = (bits(&occupied), quarters(a), quarters(b));
+            let clearance = capsule_clearance(&bits, a, b, radius + 1.0);
+            // Whole numbers touch exactly.
+            prop_assume!(clearance == radius || (clearance - radius).abs() > 1e-8);
+            prop_assert_eq!(disc_touches(&bits, a, b, radius), clearance <= radius);
+        }
+
+        #[test]
+        fn no_numbers_from_outside_do_harm(ax in any::<f64>(), ay in any::<f64>(), bx in any::<f64>(), by in any::<f64>(), reach in any::<f64>()) {
+            let bits = bits(&[(3, 4)]);
+            let (a, b, c) = (Point2::new(ax, ay), Point2::new(bx, by), Point2::new(5.5, 5.5));
+            let _ = (window_touches(&bits, a, b, reach), window_touches(&bits, a, c, reach));
+            let _ = (disc_touches(&bits, a, b, reach), disc_touches(&bits, c, b, reach));
+        }
+    }
+}

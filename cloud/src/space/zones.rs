@@ -1,0 +1,305 @@
+//! Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
+//!
+//! ```toml
+//! [[keep_out]]                 # no part of a robot enters
+//! name = "stairs"              # optional
+//! points = [[1.0, 0.0], [2.0, 0.0], [2.0, 1.5]]
+//! [[speed_limit]]              # while the robot's centre is inside
+//! points = [[4.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0]]
+//! max_speed = 0.3              # m/s
+//! ```
+
+use nalgebra::Point2;
+use serde::Deserialize;
+use thiserror::Error;
+use toml::Spanned;
+use zenav_protocol::grid::GridSpec;
+use zenav_protocol::polygon::{contains, simple};
+
+use super::raster::CellMask;
+
+/// Most zones of a kind.
+const MAX_ZONES: usize = 1000;
+/// Most corners of a zone.
+const MAX_CORNERS: usize = 1000;
+/// Coordinates lie within this, m.
+const MAX_COORDINATE: f64 = 100_000.0;
+
+/// Why a file of zones was refused.
+#[derive(Debug, Error)]
+pub enum ZonesError {
+    /// The TOML does not fit: an unknown, missing or mistyped key.
+    #[error("{file}:{line}: {source}")]
+    Toml {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// What and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A value that no zone has.
+    #[error("{file}:{line}: `{key}`: {problem}")]
+    Value {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// The key.
+        key: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// An area of the map frame.
+#[derive(Clone, Debug, PartialEq)]
+struct Area {
+    /// What it is called, for people.
+    name: Option<String>,
+    /// A simple polygon, m.
+    corners: Vec<Point2<f64>>,
+    low: Point2<f64>,
+    high: Point2<f64>,
+}
+
+impl Area {
+    fn contains(&self, point: Point2<f64>) -> bool {
+        let within = point >= self.low && point <= self.high;
+        within && contains(&self.corners, point)
+    }
+}
+
+/// Keep-out zones and speed zones; none by default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Zones {
+    keep_out: Vec<Area>,
+    speed_limits: Vec<(Area, f64)>,
+}
+
+impl Zones {
+    /// Reads a file of zones; `file` is for errors.
+    ///
+    /// # Errors
+    /// [`ZonesError`] names the file, the line and the key.
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, ZonesError> {
+        let source = Source { text, file };
+        let zones: ZonesFile = toml::from_str(text).map_err(|error| ZonesError::Toml {
+            file: file.to_owned(),
+            line: source.line(error.span().map_or(0, |span| span.start)),
+            source: Box::new(error),
+        })?;
+        for (count, key) in [
+            (zones.keep_out.len(), "keep_out"),
+            (zones.speed_limit.len(), "speed_limit"),
+        ] {
+            if count > MAX_ZONES {
+                return Err(source.fail(0, key, format!("{count} zones: expected at most {MAX_ZONES}")));
+            }
+        }
+        let keep_out = zones
+            .keep_out
+            .into_iter()
+            .map(|zone| source.area(zone.name, &zone.points, "keep_out.points"))
+            .collect::<Result<_, _>>()?;
+        let speed_limits = zones
+            .speed_limit
+            .into_iter()
+            .map(|zone| {
+                let speed = *zone.max_speed.get_ref();
+                if !(speed.is_finite() && speed > 0.0) {
+                    let problem =
+                        format!("{speed}: expected a positive number, m/s; what may not be entered is a [[keep_out]]");
+                    return Err(source.fail(zone.max_speed.span().start, "speed_limit.max_speed", problem));
+                }
+                Ok((source.area(zone.name, &zone.points, "speed_limit.points")?, speed))
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Self { keep_out, speed_limits })
+    }
+
+    /// Whether there is any speed zone.
+    #[must_use]
+    pub fn limit_speed(&self) -> bool {
+        !self.speed_limits.is_empty()
+    }
+
+    /// Largest speed of a robot whose centre is at a point, m/s; `None` outside all speed zones. Where zones overlap, the least.
+    #[must_use]
+    pub fn speed_limit(&self, point: Point2<f64>) -> Option<f64> {
+        let here = self.speed_limits.iter().filter(|(area, _)| area.contains(point));
+        here.map(|(_, speed)| *speed).reduce(f64::min)
+    }
+
+    /// The keep-out zone that a point lies in: its name, or `keep-out zone`.
+    #[must_use]
+    pub fn keep_out(&self, point: Point2<f64>) -> Option<&str> {
+        let here = self.keep_out.iter().find(|area| area.contains(point))?;
+        Some(here.name.as_deref().unwrap_or("keep-out zone"))
+    }
+
+    /// The cells of a grid that a keep-out zone touches; `None` for none.
+    #[must_use]
+    pub fn keep_out_cells(&self, spec: &GridSpec) -> Option<CellMask> {
+        CellMask::of(self.keep_out.iter().map(|area| area.corners.as_slice()), spec)
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ZonesFile {
+    #[serde(default)]
+    keep_out: Vec<KeepOutTable>,
+    #[serde(default)]
+    speed_limit: Vec<SpeedLimitTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KeepOutTable {
+    name: Option<String>,
+    points: Spanned<Vec<[f64; 2]>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SpeedLimitTable {
+    name: Option<String>,
+    points: Spanned<Vec<[f64; 2]>>,
+    max_speed: Spanned<f64>,
+}
+
+/// The text, to turn places in it into lines.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    text: &'a str,
+    file: &'a str,
+}
+
+impl Source<'_> {
+    fn line(self, at: usize) -> usize {
+        1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
+    }
+
+    fn fail(self, at: usize, key: &'static str, problem: String) -> ZonesError {
+        ZonesError::Value {
+            file: self.file.to_owned(),
+            line: self.line(at),
+            key,
+            problem,
+        }
+    }
+
+    fn area(
+        self,
+        name: Option<String>,
+        points: &Spanned<Vec<[f64; 2]>>,
+        key: &'static str,
+    ) -> Result<Area, ZonesError> {
+        let fail = |problem| self.fail(points.span().start, key, problem);
+        let count = points.get_ref().len();
+        if !(3..=MAX_CORNERS).contains(&count) {
+            return Err(fail(format!("{count} points: expected 3 to {MAX_CORNERS}")));
+        }
+        let outside = |value: &&f64| !(value.is_finite() && value.abs() <= MAX_COORDINATE);
+        if let Some(value) = points.get_ref().as_flattened().iter().find(outside) {
+            return Err(fail(format!("{value}: expected a number within {MAX_COORDINATE}, m")));
+        }
+        let corners: Vec<Point2<f64>> = points.get_ref().iter().copied().map(Point2::from).collect();
+        let corners = simple(corners).map_err(|error| fail(error.to_string()))?;
+        let mut area = Area {
+            name,
+            low: corners[0],
+            high: corners[0],
+            corners,
+        };
+        for corner in &area.corners {
+            (area.low, area.high) = (area.low.inf(corner), area.high.sup(corner));
+        }
+        Ok(area)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const ZONES: &str = r#"
+[[keep_out]]
+name = "stairs"
+points = [[1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]]
+[[keep_out]]
+points = [[-1.0, 0.0], [-2.0, 1.0], [-2.0, 0.0]]
+[[speed_limit]]
+points = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
+max_speed = 0.5
+[[speed_limit]]
+name = "door"
+points = [[3.0, 3.0], [5.0, 3.0], [5.0, 5.0], [3.0, 5.0]]
+max_speed = 0.2
+"#;
+
+    #[test]
+    fn a_point_knows_its_zones() {
+        let zones = Zones::from_toml(ZONES, "z.toml").unwrap();
+        let limit = |x, y| zones.speed_limit(Point2::new(x, y));
+        assert_eq!(
+            (limit(1.0, 1.0), limit(3.5, 3.5), limit(4.5, 4.5), limit(4.5, 1.0)),
+            (Some(0.5), Some(0.2), Some(0.2), None)
+        );
+        assert_eq!(limit(f64::NAN, 1.0), None);
+        let out = |x, y| zones.keep_out(Point2::new(x, y));
+        assert_eq!(
+            (out(1.5, 0.5), out(-1.9, 0.5), out(0.0, 0.5)),
+            (Some("stairs"), Some("keep-out zone"), None)
+        );
+        let none = Zones::from_toml("", "z.toml").unwrap();
+        assert_eq!(none, Zones::default());
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_file_line_and_key() {
+        let square = "points = [[0, 0], [1, 0], [1, 1], [0, 1]]";
+        let wrong = [
+            (format!("\n[[keep_out]]\n{square}\nspeed = 1\n"), "z.toml:4:", "speed"),
+            ("[[keep_out]]\n".to_owned(), "z.toml:1:", "points"),
+            (
+                "[[keep_out]]\npoints = [[0, 0], [1, 1]]\n".to_owned(),
+                "z.toml:2:",
+                "`keep_out.points`: 2 points: expected 3",
+            ),
+            (
+                "[[keep_out]]\n\npoints = [[0, 0], [1, 1], [1, 0], [0, 1]]\n".to_owned(),
+                "z.toml:3:",
+                "meets itself",
+            ),
+            (
+                "[[keep_out]]\npoints = [[0, 0], [1, 1], [2, 2]]\n".to_owned(),
+                "z.toml:2:",
+                "turns straight back",
+            ),
+            (
+                "[[keep_out]]\npoints = [[0, 0], [nan, 1], [2, 2]]\n".to_owned(),
+                "z.toml:2:",
+                "NaN",
+            ),
+            (format!("[[speed_limit]]\n{square}\n"), "z.toml:1:", "max_speed"),
+            (
+                format!("[[speed_limit]]\n{square}\nmax_speed = 0\n"),
+                "z.toml:3:",
+                "expected a positive number",
+            ),
+            (
+                format!("[[speed_limit]]\n{square}\nmax_speed = inf\n"),
+                "z.toml:3:",
+                "expected a positive number",
+            ),
+            ("keep_out = 3\n".to_owned(), "z.toml:1:", "keep_out"),
+        ];
+        for (text, place, what) in wrong {
+            let error = Zones::from_toml(&text, "z.toml").unwrap_err().to_string();
+            assert!(error.starts_with(place) && error.contains(what), "{text}: {error}");
+        }
+    }
+}

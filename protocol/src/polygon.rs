@@ -1,0 +1,168 @@
+//! What does a closed outline enclose, and which corners are no outline at all? For obstacles, zones, whatever is drawn in a file.
+
+use nalgebra::{Point2, Vector2};
+use thiserror::Error;
+
+/// Cross product in the plane: positive when `b` points to the left of `a`.
+#[must_use]
+pub fn cross(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
+    a.x * b.y - a.y * b.x
+}
+
+/// A straight piece of an outline, m; what it encloses lies on the left of `a -> b`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// Where it begins.
+    pub a: Point2<f64>,
+    /// Where it ends.
+    pub b: Point2<f64>,
+}
+
+/// The edges of a polygon, the last corner joined to the first.
+pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
+    corners
+        .iter()
+        .zip(corners.iter().cycle().skip(1))
+        .map(|(a, b)| Edge { a: *a, b: *b })
+}
+
+/// Twice the area of a polygon, positive when its corners run counter-clockwise.
+#[must_use]
+pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
+    edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
+}
+
+/// Whether a point lies inside a polygon (crossing number; points on the boundary may count as either).
+#[must_use]
+pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {
+    crossings(edges(corners), point)
+}
+
+/// As [`contains`], by the edges of any number of outlines.
+pub fn crossings(edges: impl Iterator<Item = Edge>, point: Point2<f64>) -> bool {
+    let crossed = edges.filter(|edge| {
+        (edge.a.y > point.y) != (edge.b.y > point.y)
+            && point.x < edge.a.x + (point.y - edge.a.y) / (edge.b.y - edge.a.y) * (edge.b.x - edge.a.x)
+    });
+    crossed.count() % 2 == 1
+}
+
+/// Whether two edges touch or cross.
+#[must_use]
+pub fn touch(p: Edge, q: Edge) -> bool {
+    let side = |edge: Edge, point: Point2<f64>| cross(edge.b - edge.a, point - edge.a);
+    let (pa, pb, qa, qb) = (side(q, p.a), side(q, p.b), side(p, q.a), side(p, q.b));
+    if pa * pb < 0.0 && qa * qb < 0.0 {
+        return true;
+    }
+    let within = |edge: Edge, point: Point2<f64>| (edge.a - point).dot(&(edge.b - point)) <= 0.0;
+    (pa == 0.0 && within(q, p.a))
+        || (pb == 0.0 && within(q, p.b))
+        || (qa == 0.0 && within(p, q.a))
+        || (qb == 0.0 && within(p, q.b))
+}
+
+/// Why corners are no outline.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum OutlineError {
+    /// A corner follows itself.
+    #[error("the corner ({}, {}) stands twice in a row", .0.x, .0.y)]
+    Repeated(Point2<f64>),
+    /// An edge runs back on the one before.
+    #[error("the outline turns straight back at ({}, {})", .0.x, .0.y)]
+    TurnsBack(Point2<f64>),
+    /// An edge touches another one that is not its neighbour.
+    #[error("the outline meets itself between ({}, {}) and ({}, {})", .0.a.x, .0.a.y, .0.b.x, .0.b.y)]
+    MeetsItself(Edge),
+    /// All corners on a line, or fewer than three.
+    #[error("the outline encloses no area")]
+    NoArea,
+}
+
+/// Checks that finite corners are a simple polygon, and brings them into counter-clockwise order. Quadratic in the corners.
+///
+/// # Errors
+/// [`OutlineError`].
+pub fn simple(mut corners: Vec<Point2<f64>>) -> Result<Vec<Point2<f64>>, OutlineError> {
+    let edges: Vec<Edge> = edges(&corners).collect();
+    if let Some(edge) = edges.iter().find(|edge| edge.a == edge.b) {
+        return Err(OutlineError::Repeated(edge.a));
+    }
+    for (i, edge) in edges.iter().enumerate() {
+        // Neighbours share a corner: they may only not turn straight back.
+        let next = edges[(i + 1) % edges.len()];
+        let (along, on) = (edge.b - edge.a, next.b - next.a);
+        if cross(along, on) == 0.0 && along.dot(&on) < 0.0 {
+            return Err(OutlineError::TurnsBack(edge.b));
+        }
+        let others = edges
+            .iter()
+            .enumerate()
+            .skip(i + 2)
+            .filter(|(j, _)| i != 0 || j + 1 != edges.len());
+        for (_, other) in others {
+            if touch(*edge, *other) {
+                return Err(OutlineError::MeetsItself(*edge));
+            }
+        }
+    }
+    let area = doubled_area(&corners);
+    // Written so that what is not a number is no area either.
+    if !(area.abs() > 1e-12) {
+        return Err(OutlineError::NoArea);
+    }
+    if area < 0.0 {
+        corners.reverse();
+    }
+    Ok(corners)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(corners: &[(f64, f64)]) -> Vec<Point2<f64>> {
+        corners.iter().map(|(x, y)| Point2::new(*x, *y)).collect()
+    }
+
+    #[test]
+    fn edges_that_cross_or_meet_touch() {
+        let edge = |ax, ay, bx, by| Edge {
+            a: Point2::new(ax, ay),
+            b: Point2::new(bx, by),
+        };
+        assert!(touch(edge(0.0, 0.0, 2.0, 2.0), edge(0.0, 2.0, 2.0, 0.0)));
+        assert!(touch(edge(0.0, 0.0, 2.0, 0.0), edge(1.0, 0.0, 1.0, 1.0)));
+        assert!(!touch(edge(0.0, 0.0, 1.0, 0.0), edge(2.0, 0.0, 3.0, 0.0)));
+        assert!(!touch(edge(0.0, 0.0, 1.0, 0.0), edge(0.0, 0.1, 1.0, 0.1)));
+    }
+
+    #[test]
+    fn only_an_outline_that_does_not_meet_itself_is_simple() {
+        let square = points(&[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]);
+        let clockwise: Vec<_> = square.iter().rev().copied().collect();
+        assert!(doubled_area(&simple(clockwise).unwrap_or_default()) > 0.0);
+        assert_eq!(simple(square.clone()), Ok(square));
+        let bow = simple(points(&[(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]));
+        assert!(matches!(bow, Err(OutlineError::MeetsItself(_))));
+        let pinched = simple(points(&[
+            (0.0, 0.0),
+            (2.0, 0.0),
+            (1.0, 1.0),
+            (2.0, 2.0),
+            (0.0, 2.0),
+            (1.0, 1.0),
+        ]));
+        assert!(matches!(pinched, Err(OutlineError::MeetsItself(_))));
+        assert!(matches!(
+            simple(points(&[(0.0, 0.0), (1.0, 0.0)])),
+            Err(OutlineError::TurnsBack(_))
+        ));
+        assert!(matches!(
+            simple(points(&[(0.0, 0.0), (0.0, 0.0), (1.0, 1.0)])),
+            Err(OutlineError::Repeated(_))
+        ));
+        assert_eq!(simple(Vec::new()), Err(OutlineError::NoArea));
+        assert!(simple(points(&[(0.0, 0.0), (f64::NAN, 0.0), (1.0, 1.0)])).is_err());
+    }
+}
