@@ -21,7 +21,7 @@ use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_cloud::mapping::carmen::{self, LOG_BEAMS};
-use zenav_cloud::mapping::{BeamOptions, InsertMode};
+use zenav_cloud::mapping::{BeamOptions, InsertMode, build as maps};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
@@ -169,9 +169,9 @@ fn thread_time() -> Duration {
 
 fn insertion(criterion: &mut Criterion) {
     for input in inputs() {
-        let build = |mode| carmen::build_map(&input.scans, RESOLUTION, mode, &input.beams).unwrap();
+        let build = |mode| maps::build_map(&input.scans, RESOLUTION, mode, &input.beams).unwrap();
         let [reference, fast] = [InsertMode::Reference, InsertMode::Fast].map(|mode| build(mode).map.to_occupancy());
-        let agreement = carmen::agreement(&reference, &fast);
+        let agreement = maps::agreement(&reference, &fast);
         println!(
             "{}: {} scans; agreement {:.4} on occupied and {:.4} on free cells",
             input.name,

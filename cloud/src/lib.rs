@@ -6,6 +6,7 @@
 //! | [`planning`] | is there a way? searches |
 //! | [`smoothing`] | how does it drive a way, in time? |
 //! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
+//! | [`worker_host`] | how does a worker that answers questions live on the network? |
 //! | [`mission`] | which goal is driven, and how is none lost? |
 
 pub mod behaviour_tree;
@@ -14,3 +15,4 @@ pub mod mission;
 pub mod planning;
 pub mod smoothing;
 pub mod space;
+pub mod worker_host;

@@ -36,6 +36,9 @@ pub struct Deployment {
     pub mapping: MappingSection,
     /// Planning and smoothing workers.
     pub planning: PlanningSection,
+    /// Zones of the map.
+    #[serde(default)]
+    pub zones: ZonesSection,
     /// The mission orchestrator.
     pub mission: MissionSection,
     /// What is kept on disk.
@@ -108,6 +111,15 @@ pub struct PlanningSection {
     pub workers: usize,
     /// Planner that missions ask for.
     pub planner: String,
+}
+
+/// Zones of the map, in which all robots are: each robot's map frame is the same.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ZonesSection {
+    /// A file of keep-out and speed zones; none without it.
+    #[serde(default)]
+    pub file: Option<PathBuf>,
 }
 
 /// The mission orchestrator.

@@ -1,8 +1,10 @@
 //! Which file is meant? Worlds, robots and maps by path or by the name of a shipped one.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use zenav_cloud::mapping::map_file;
+use zenav_cloud::space::Zones;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::{self, RobotModel};
@@ -32,6 +34,17 @@ pub fn text(path: &Path) -> Result<String, Failure> {
     }
     let bytes = std::fs::read(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?;
     String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
+}
+
+/// Zones of a map, where a file names any.
+///
+/// # Errors
+/// Exit code 3 when there is no such file, 2 when it is bad, with line and key.
+pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
+    let Some(path) = path else { return Ok(Arc::default()) };
+    Zones::from_toml(&text(path)?, &path.display().to_string())
+        .map(Arc::new)
+        .map_err(|error| Failure::usage(error.to_string()))
 }
 
 /// Tells that a name is neither shipped nor a file.

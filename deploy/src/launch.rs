@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
@@ -223,27 +224,29 @@ impl Parts {
     /// Starts planning and smoothing workers.
     ///
     /// # Errors
-    /// A name that no worker may have.
+    /// A name that no worker may have, bad zones.
     pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
+        let zones = files::zones(deployment.zones.file.as_deref())?;
         for number in 1..=deployment.planning.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
-            let name = worker.clone();
+            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
             self.spawn(
                 format!("planning {worker}"),
                 bus("planning"),
                 move |bus, shutdown| async move {
-                    planning::service::run(bus, name, shutdown)
+                    let clock = Clock::follow(&bus)?;
+                    planning::service::run(bus, clock, name, map_zones, shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },
             );
-            let name = worker.clone();
+            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
             self.spawn(
                 format!("smoothing {worker}"),
                 bus("smoothing"),
                 move |bus, shutdown| async move {
-                    smoothing::service::run(bus, name, shutdown)
+                    smoothing::service::run(bus, name, map_zones, shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },
@@ -253,7 +256,10 @@ impl Parts {
     }
 
     /// Starts a robot's mission.
-    pub fn mission(&mut self, deployment: &Deployment, world: &World, id: &Id) {
+    ///
+    /// # Errors
+    /// Bad zones.
+    pub fn mission(&mut self, deployment: &Deployment, world: &World, id: &Id) -> Result<(), Failure> {
         let bus = BusConfig::service(&format!("mission-{id}"), &deployment.bus.connect);
         let mut config = mission::MissionConfig::new(
             id.clone(),
@@ -264,12 +270,14 @@ impl Parts {
         config.planner.clone_from(&deployment.planning.planner);
         config.latency_budget = deployment.mission.latency_budget_secs;
         config.plan_valid = deployment.mission.plan_valid_secs;
+        config.zones = files::zones(deployment.zones.file.as_deref())?;
         self.spawn(format!("mission {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
             mission::service::run(bus, clock, config, shutdown)
                 .await
                 .map_err(|error| Failure::failed(error.to_string()))
         });
+        Ok(())
     }
 
     /// Starts all off-board services of a deployment that run.
@@ -289,7 +297,7 @@ impl Parts {
                 self.mapping(deployment, &id);
             }
             if wanted(CloudPart::Mission) && deployment.mission.enabled {
-                self.mission(deployment, world, &id);
+                self.mission(deployment, world, &id)?;
             }
         }
         if wanted(CloudPart::Planning) {

@@ -1,6 +1,7 @@
 //! How did a scenario go? The report for people and programs, from the simulator's truth.
 
 use serde::Serialize;
+use zenav_protocol::messages::GoalPoint;
 
 /// What became of a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -29,6 +30,8 @@ pub struct DemoReport {
     pub map_found: bool,
     /// Each drive in order.
     pub goals: Vec<GoalReport>,
+    /// Goals that were asked for although nobody can reach them, and refused as they must be.
+    pub refused: Vec<RefusedGoal>,
     /// Contacts.
     pub collisions: u64,
     /// Least distance of the footprint to an obstacle over the whole run, m.
@@ -47,6 +50,21 @@ pub struct DemoReport {
     pub energy_j: f64,
     /// What does not hold at this speed of simulation.
     pub notes: Vec<String>,
+}
+
+/// A goal that was refused.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RefusedGoal {
+    /// Where it lies, in words.
+    pub name: String,
+    /// Map x, m.
+    pub x: f64,
+    /// Map y, m.
+    pub y: f64,
+    /// Why it was refused.
+    pub reason: String,
+    /// The nearest place that the robot can be at, as far as it knows.
+    pub nearest_free: Option<GoalPoint>,
 }
 
 /// One drive. Length, clearance and error are the simulator's truth.
@@ -106,6 +124,12 @@ fn millis(value: Option<f64>) -> String {
 }
 
 impl DemoReport {
+    /// The scenario has failed for a reason beside its drives.
+    pub fn fail(&mut self, why: String) {
+        self.outcome = ScenarioOutcome::Failed;
+        self.reason.get_or_insert(why);
+    }
+
     /// The report for people.
     #[must_use]
     pub fn text(&self) -> String {
@@ -144,6 +168,13 @@ impl DemoReport {
             )
             .to_lowercase(),
         );
+        for goal in &self.refused {
+            let near = goal
+                .nearest_free
+                .map(|near| format!("; nearest free place {:.2}, {:.2}", near.x, near.y))
+                .unwrap_or_default();
+            lines.push(format!("refused: goal {}: {}{near}", goal.name, goal.reason));
+        }
         lines.push(format!(
             "collisions {}, least clearance {:.3} m, energy {:.0} J",
             self.collisions, self.min_clearance_m, self.energy_j

@@ -107,8 +107,7 @@ pub fn simple(mut corners: Vec<Point2<f64>>) -> Result<Vec<Point2<f64>>, Outline
         }
     }
     let area = doubled_area(&corners);
-    // Written so that what is not a number is no area either.
-    if !(area.abs() > 1e-12) {
+    if area.is_nan() || area.abs() <= 1e-12 {
         return Err(OutlineError::NoArea);
     }
     if area < 0.0 {

@@ -83,6 +83,7 @@ fn main() {
 /// One line of the table.
 fn compare(case: &Case) {
     let sight = PointSight::new(&case.free);
+    let sight = PointSight::new(&case.free);
     let began = cpu();
     let mut searcher = Searcher::new(&case.free).unwrap();
     if let Some(query) = case.queries.first() {

@@ -37,6 +37,7 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
         return Vec::new();
     }
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
+    let sight = PointSight::new(free);
     let mut searcher = Searcher::new(free).unwrap();
     let sight = PointSight::new(free);
     let mut found: Vec<(f64, Query)> = Vec::new();

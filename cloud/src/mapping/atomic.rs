@@ -1,7 +1,7 @@
 //! How is a file written so that nobody ever reads a part of it? Beside its place, onto the disk, then renamed.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::map_file::MapFileError;
@@ -11,7 +11,7 @@ use super::map_file::MapFileError;
 /// # Errors
 /// [`MapFileError::Io`].
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), MapFileError> {
-    Prepared::new(path, bytes)?.publish()
+    Prepared::new(path, |file| file.write_all(bytes))?.publish()
 }
 
 /// A file written beside its place and on disk, but not yet in its place.
@@ -21,18 +21,21 @@ pub(super) struct Prepared {
 }
 
 impl Prepared {
-    pub(super) fn new(path: &Path, bytes: &[u8]) -> Result<Self, MapFileError> {
+    pub(super) fn new(
+        path: &Path,
+        write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+    ) -> Result<Self, MapFileError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let prepared = Self {
             path: path.to_owned(),
             temporary: path.with_file_name(format!(".{name}.{}.part", std::process::id())),
         };
-        let write = || {
-            let mut file = File::create(&prepared.temporary)?;
-            file.write_all(bytes)?;
-            file.sync_all()
+        let written = || {
+            let mut file = BufWriter::new(File::create(&prepared.temporary)?);
+            write(&mut file)?;
+            file.into_inner()?.sync_all()
         };
-        write().map_err(|source| MapFileError::Io {
+        written().map_err(|source| MapFileError::Io {
             path: prepared.temporary.clone(),
             source,
         })?;
@@ -71,7 +74,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         write_atomically(&path, b"old").unwrap();
-        drop(Prepared::new(&path, b"half of the n").unwrap());
+        drop(Prepared::new(&path, |file| file.write_all(b"half of the n")).unwrap());
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         write_atomically(&path, b"new").unwrap();

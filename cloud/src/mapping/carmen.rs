@@ -1,4 +1,4 @@
-//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans, and a map.
+//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans.
 //!
 //! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` (a sweep of half a circle; the first pose is
 //! the laser's) and `ROBOTLASER1`, which tells its own field of view. Other lines are passed over.
@@ -9,18 +9,12 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
-use nalgebra::Point2;
-use serde::Serialize;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{MAX_SIDE, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 
-use super::beams::{BeamOptions, BeamReader, CellFrame};
-use super::evidence::SensorModel;
-use super::occupancy::{InsertMode, LogOddsGrid};
-use super::tiles::MAX_CELLS;
+use super::beams::BeamOptions;
 
 /// Longest line that is read, bytes.
 const MAX_LINE: u64 = 1 << 20;
@@ -179,13 +173,15 @@ impl Words<'_> {
 
     /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
     fn time(&mut self) -> Result<f64, String> {
-        let time = self.number("the time")?;
-        match self.words.clone().count() {
-            0..=2 => Ok(time),
-            left => Err(format!(
-                "expected the host and its time at the end of the line, found {left} words: is the number of readings right?"
+        let time = self.number("the time");
+        let left = self.words.clone().count();
+        let time = match time {
+            Ok(_) if left > 2 => Err(format!(
+                "expected the host and its time at the end of the line, found {left} words"
             )),
-        }
+            time => time,
+        };
+        time.map_err(|error| format!("{error}: is the number of readings right?"))
     }
 
     fn front_laser(mut self) -> Result<Scan, String> {
@@ -207,10 +203,14 @@ impl Words<'_> {
         let angle_min = self.number("the start angle")?;
         self.number("the field of view")?;
         let angle_increment = self.number("the angular resolution")?;
-        let range_max = self.number("the maximum range")?;
+        let range_max = self.number("the maximum range")?.min(NOTHING_SEEN);
         self.number("the accuracy")?;
         self.number("the remission mode")?;
-        let ranges = self.ranges()?;
+        let mut ranges = self.ranges()?;
+        // The maximum itself stands for no return.
+        for range in ranges.iter_mut().filter(|range| f64::from(**range) >= range_max) {
+            *range = f32::INFINITY;
+        }
         for _ in 0..self.count("the number of remissions")? {
             self.number("a remission")?;
         }
@@ -226,14 +226,7 @@ impl Words<'_> {
             self.number(what)?;
         }
         let time = self.time()?;
-        Ok(scan(
-            time,
-            laser,
-            angle_min,
-            angle_increment,
-            range_max.min(NOTHING_SEEN),
-            ranges,
-        ))
+        Ok(scan(time, laser, angle_min, angle_increment, range_max, ranges))
     }
 }
 
@@ -258,137 +251,12 @@ pub const LOG_BEAMS: BeamOptions = BeamOptions {
     clear_without_return: false,
 };
 
-/// Why no map was built.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum BuildError {
-    /// The side of a cell is no length.
-    #[error("resolution {0} m: expected a positive number")]
-    Resolution(f64),
-    /// The map would be too large.
-    #[error(
-        "{:.3} m by {:.3} m in cells of {resolution} m: expected at most {MAX_SIDE} cells a side and {MAX_CELLS} in all ({} MiB); the finest resolution for these scans is {finest} m",
-        size[0], size[1], MAX_CELLS >> 20
-    )]
-    TooLarge {
-        /// What the scans saw, along x and y, m.
-        size: [f64; 2],
-        /// Side of a cell that was asked for, m.
-        resolution: f64,
-        /// Side of a cell that the largest map has room for, m.
-        finest: f64,
-    },
-}
-
-/// A map of scans.
-#[derive(Clone, Debug)]
-pub struct Built {
-    /// The map.
-    pub map: LogOddsGrid,
-    /// Beams drawn.
-    pub beams: u64,
-}
-
-/// Builds a map of scans at known poses, in their order; nothing fades.
-///
-/// # Errors
-/// [`BuildError`]; nothing is ever left out of the map.
-pub fn build_map(
-    scans: &[Scan],
-    resolution: f64,
-    mode: InsertMode,
-    options: &BeamOptions,
-) -> Result<Built, BuildError> {
-    if !(resolution.is_finite() && resolution > 0.0) {
-        return Err(BuildError::Resolution(resolution));
-    }
-    let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
-    let mut beams = 0;
-    for scan in scans {
-        match map.insert(scan, options, mode, None) {
-            Some(drawn) if drawn.left_out == 0 => beams += drawn.beams as u64,
-            _ => return Err(too_large(scans, resolution, options)),
-        }
-    }
-    Ok(Built { map, beams })
-}
-
-fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildError {
-    // In metres.
-    let frame = CellFrame {
-        anchor: Point2::origin(),
-        resolution: 1.0,
-    };
-    let mut beams = Vec::new();
-    let mut reader = BeamReader::default();
-    for scan in scans {
-        reader.read(scan, options, &frame, &mut beams);
-    }
-    let ends = beams.iter().map(|beam| beam.end);
-    let points = ends.chain(scans.iter().map(|scan| scan.map_from_laser().position()));
-    let (mut low, mut high) = (Point2::from([f64::INFINITY; 2]), Point2::from([f64::NEG_INFINITY; 2]));
-    for p in points {
-        (low, high) = (low.inf(&p), high.sup(&p));
-    }
-    let size = [high.x - low.x, high.y - low.y];
-    let finest = (size[0].max(size[1]) / f64::from(MAX_SIDE)).max((size[0] * size[1] / MAX_CELLS as f64).sqrt());
-    // Room for whole tiles, and a number that is easy to read.
-    let digit = 10.0_f64.powf((1.02 * finest).log10().floor() - 1.0);
-    BuildError::TooLarge {
-        size,
-        resolution,
-        finest: (1.02 * finest / digit).ceil() * digit,
-    }
-}
-
-/// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Agreement {
-    /// On occupied cells.
-    pub occupied: f64,
-    /// On free cells.
-    pub free: f64,
-}
-
-/// Compares maps cell by cell, in the reference's cells.
-#[must_use]
-pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
-    let share = |class: Occupancy| {
-        let spec = reference.spec();
-        let (mut both, mut in_reference) = (0_u64, 0_u64);
-        for (index, value) in reference
-            .values()
-            .iter()
-            .enumerate()
-            .filter(|(_, value)| Occupancy::of(**value) == class)
-        {
-            in_reference += 1;
-            let theirs = if other.spec() == spec {
-                other.values().get(index)
-            } else {
-                other.at(spec.center(spec.cell(index)))
-            };
-            both += u64::from(theirs.is_some_and(|theirs| Occupancy::of(*theirs) == Occupancy::of(*value)));
-        }
-        let in_other = other
-            .values()
-            .iter()
-            .filter(|value| Occupancy::of(**value) == class)
-            .count() as u64;
-        let most = in_reference.max(in_other);
-        if most == 0 { 1.0 } else { both as f64 / most as f64 }
-    };
-    Agreement {
-        occupied: share(Occupancy::Occupied),
-        free: share(Occupancy::Free),
-    }
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
-    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 2 1.5 2.5 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
+    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 3 1.5 2.5 20 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
 
     #[test]
     fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
@@ -405,8 +273,10 @@ mod tests {
         assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
         assert_eq!(
             (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
-            (-1.5, 0.5, 2)
+            (-1.5, 0.5, 3)
         );
+        // The maximum range stands for no return.
+        assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
     }
 
     #[test]
@@ -435,7 +305,7 @@ mod tests {
         );
         assert_eq!(
             error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
-            "line 1: expected the time, found `host`"
+            "line 1: expected the time, found `host`: is the number of readings right?"
         );
         assert_eq!(
             error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
@@ -461,45 +331,5 @@ mod tests {
         let read = |path| open(path).unwrap().collect::<Result<Vec<Scan>, CarmenError>>();
         assert_eq!(read(&plain).unwrap(), read(&packed).unwrap());
         assert!(matches!(read(&broken), Err(CarmenError::Io { .. })));
-    }
-
-    #[test]
-    fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
-        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
-        let build = |scans: &[Scan]| build_map(scans, 0.05, InsertMode::Reference, &LOG_BEAMS).unwrap();
-        assert_eq!(build(&scans).beams, 4);
-        let map = build(&scans).map.to_occupancy();
-        assert_eq!(
-            agreement(&map, &map),
-            Agreement {
-                occupied: 1.0,
-                free: 1.0
-            }
-        );
-        let empty = build(&[]).map.to_occupancy();
-        assert!(empty.spec().is_empty());
-        assert_eq!(
-            agreement(&map, &empty),
-            Agreement {
-                occupied: 0.0,
-                free: 0.0
-            }
-        );
-    }
-
-    #[test]
-    fn a_map_that_would_be_too_large_is_refused_with_the_finest_resolution_there_is_room_for() {
-        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
-        let build = |resolution| build_map(&scans, resolution, InsertMode::Fast, &LOG_BEAMS).map(|built| built.beams);
-        let refused = build(1e-5).unwrap_err();
-        assert!(refused.to_string().contains("268435456 in all"), "{refused}");
-        let BuildError::TooLarge { finest, .. } = refused else {
-            panic!("{refused}");
-        };
-        assert!(finest > 1e-5 && finest < 1e-3 && refused.to_string().ends_with(&format!("is {finest} m")));
-        assert_eq!(build(finest), Ok(4));
-        for senseless in [0.0, -0.05, f64::NAN, f64::INFINITY] {
-            assert!(matches!(build(senseless), Err(BuildError::Resolution(_))));
-        }
     }
 }

@@ -174,7 +174,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Insertion, Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::{Insertion, Mapper};
     use super::*;
 
     const AFTER: f64 = 10.0;

@@ -84,7 +84,7 @@ impl MapFollower {
 
     /// A robot's map at the wanted revision or a later one; the whole is asked for where the copy is behind.
     /// Without a name any map will do. `None` when nobody has it in time.
-    pub async fn map(&mut self, robot: &str, wanted: &MapRef, deadline: Duration) -> Option<&MapMirror> {
+    pub async fn map(&mut self, robot: &str, wanted: &MapRef, deadline: Duration) -> Option<&mut MapMirror> {
         while let Some(received) = self.patches.try_next() {
             self.take(received.chunks.first(), &received.message);
         }
@@ -110,8 +110,8 @@ impl MapFollower {
             followed.gap &= !followed.mirror.replace(&reply);
         }
         self.robots
-            .get(robot)
-            .map(|known| &known.mirror)
+            .get_mut(robot)
+            .map(|known| &mut known.mirror)
             .filter(|mirror| mirror.has_map())
     }
 }

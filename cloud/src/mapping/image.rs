@@ -71,10 +71,10 @@ pub enum ImageError {
 ///
 /// # Errors
 /// [`ImageError`]; nothing is allocated by a size that the file merely claims beyond the limits.
-pub fn decode(bytes: &[u8]) -> Result<GrayImage, ImageError> {
-    match bytes {
+pub fn decode(bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
+    match bytes.as_slice() {
         [b'P', b'2' | b'5', ..] => decode_pgm(bytes),
-        [0x89, b'P', b'N', b'G', ..] => decode_png(bytes),
+        [0x89, b'P', b'N', b'G', ..] => decode_png(&bytes),
         _ => Err(ImageError::Format),
     }
 }
@@ -138,9 +138,9 @@ fn quote(word: &str) -> String {
     }
 }
 
-fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, ImageError> {
+fn decode_pgm(mut bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
     let mut words = Words {
-        bytes,
+        bytes: &bytes,
         at: 2,
         line: 1,
         comments: Vec::new(),
@@ -162,21 +162,33 @@ fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, ImageError> {
             ((value.min(limit) * 255 + limit / 2) / limit) as u8
         }
     };
-    let gray = if bytes[1] == b'5' {
+    let is_binary = bytes[1] == b'5';
+    let (gray, comments) = if is_binary {
         // Exactly one white space character ends the header.
-        let data = bytes.get(words.at + 1..).unwrap_or_default();
+        let start = words.at + 1;
+        let comments = std::mem::take(&mut words.comments);
+        let data = bytes.get(start..).unwrap_or_default();
         let size = if limit > 255 { 2 } else { 1 };
-        let truncated = ImageError::Truncated {
-            expected: count,
-            found: data.len() / size,
-        };
-        let data = data.get(..count * size).ok_or(truncated)?;
-        match size {
-            2 => data
-                .chunks_exact(2)
-                .map(|pair| scaled(u32::from(pair[0]) << 8 | u32::from(pair[1])))
-                .collect(),
-            _ => data.iter().map(|value| scaled(u32::from(*value))).collect(),
+        if data.len() / size < count {
+            return Err(ImageError::Truncated {
+                expected: count,
+                found: data.len() / size,
+            });
+        }
+        if size == 2 {
+            let pairs = data.as_chunks::<2>().0.iter().take(count);
+            let gray = pairs
+                .map(|[high, low]| scaled(u32::from(*high) << 8 | u32::from(*low)))
+                .collect();
+            (gray, comments)
+        } else {
+            // In place: the largest maps fill a good part of the memory.
+            bytes.drain(..start);
+            bytes.truncate(count);
+            for value in &mut bytes {
+                *value = scaled(u32::from(*value));
+            }
+            (bytes, comments)
         }
     } else {
         let mut gray = Vec::with_capacity(count.min(bytes.len()));
@@ -195,14 +207,14 @@ fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, ImageError> {
                 found: quote(word),
             })?));
         }
-        gray
+        (gray, words.comments)
     };
     Ok(GrayImage {
         width,
         height,
         gray,
         opacity: None,
-        comments: words.comments,
+        comments,
     })
 }
 
@@ -262,16 +274,21 @@ fn decode_png(bytes: &[u8]) -> Result<GrayImage, ImageError> {
     })
 }
 
+/// What stands before the pixels of a binary graymap (P5).
+#[must_use]
+pub fn pgm_header(width: u32, height: u32, comments: &[String]) -> String {
+    let comments: String = comments
+        .iter()
+        .map(|comment| format!("# {}\n", comment.replace('\n', " ")))
+        .collect();
+    format!("P5\n{comments}{width} {height}\n255\n")
+}
+
 /// A binary graymap (P5) with comments; opacity is lost.
 #[must_use]
 pub fn encode_pgm(image: &GrayImage) -> Vec<u8> {
-    let mut bytes = b"P5\n".to_vec();
-    for comment in &image.comments {
-        bytes.extend_from_slice(format!("# {}\n", comment.replace('\n', " ")).as_bytes());
-    }
-    bytes.extend_from_slice(format!("{} {}\n255\n", image.width, image.height).as_bytes());
-    bytes.extend_from_slice(&image.gray);
-    bytes
+    let header = pgm_header(image.width, image.height, &image.comments);
+    [header.as_bytes(), &image.gray].concat()
 }
 
 /// A PNG, with opacity where the picture has it.
@@ -328,10 +345,10 @@ mod tests {
         fn pictures_come_back_as_they_went(width in 1_u32..40, height in 1_u32..40, seed in any::<u8>(), see_through in any::<bool>()) {
             let gray: Vec<u8> = (0..width * height).map(|i| (i as u8).wrapping_mul(seed)).collect();
             let mut picture = image(width, height, gray.clone());
-            prop_assert_eq!(decode(&encode_pgm(&picture)).unwrap(), picture.clone());
+            prop_assert_eq!(decode(encode_pgm(&picture)).unwrap(), picture.clone());
             picture.comments.clear();
             picture.opacity = see_through.then_some(gray);
-            prop_assert_eq!(decode(&encode_png(&picture).unwrap()).unwrap(), picture);
+            prop_assert_eq!(decode(encode_png(&picture).unwrap()).unwrap(), picture);
         }
 
         #[test]
@@ -340,7 +357,7 @@ mod tests {
             let start: &[u8] = [b"P2 ".as_slice(), b"P5\n3 3\n", &good[..8], &good[..33]][kind as usize];
             let mut all = start.to_vec();
             all.append(&mut bytes);
-            let _ = decode(&all);
+            let _ = decode(all);
         }
     }
 
@@ -348,24 +365,24 @@ mod tests {
     fn a_truncated_file_says_how_much_is_missing() {
         let whole = encode_pgm(&image(10, 10, vec![1; 100]));
         assert_eq!(
-            decode(&whole[..whole.len() - 30]),
+            decode(whole[..whole.len() - 30].to_vec()),
             Err(ImageError::Truncated {
                 expected: 100,
                 found: 70
             })
         );
         assert_eq!(
-            decode(b"P2 2 2 255 1 2 3"),
+            decode(b"P2 2 2 255 1 2 3".to_vec()),
             Err(ImageError::Truncated { expected: 4, found: 3 })
         );
         let png = encode_png(&image(10, 10, vec![1; 100])).unwrap();
-        assert!(matches!(decode(&png[..png.len() / 2]), Err(ImageError::Png(_))));
+        assert!(matches!(decode(png[..png.len() / 2].to_vec()), Err(ImageError::Png(_))));
     }
 
     #[test]
     fn text_and_wide_graymaps_are_read() {
         assert_eq!(
-            decode(b"P2\n# made by hand\n2 2\n# another\n10\n0 5\n10 1").unwrap(),
+            decode(b"P2\n# made by hand\n2 2\n# another\n10\n0 5\n10 1".to_vec()).unwrap(),
             GrayImage {
                 width: 2,
                 height: 2,
@@ -374,9 +391,12 @@ mod tests {
                 comments: vec!["made by hand".into(), "another".into()]
             }
         );
-        assert_eq!(decode(b"P5 1 2 65535 \xff\xff\x80\x00").unwrap().gray, vec![255, 128]);
         assert_eq!(
-            decode(b"P2 1 1 255\n\n 300"),
+            decode(b"P5 1 2 65535 \xff\xff\x80\x00".to_vec()).unwrap().gray,
+            vec![255, 128]
+        );
+        assert_eq!(
+            decode(b"P2 1 1 255\n\n 300".to_vec()),
             Err(ImageError::Value {
                 line: 3,
                 limit: 255,
@@ -388,16 +408,16 @@ mod tests {
     #[test]
     fn a_file_that_claims_too_much_is_refused_before_anything_is_allocated() {
         assert!(matches!(
-            decode(b"P5 4000000000 4000000000 255\n"),
+            decode(b"P5 4000000000 4000000000 255\n".to_vec()),
             Err(ImageError::TooLarge { .. })
         ));
         assert!(matches!(
-            decode(b"P5 x 1 255\n"),
+            decode(b"P5 x 1 255\n".to_vec()),
             Err(ImageError::Header {
                 expected: "the width",
                 ..
             })
         ));
-        assert_eq!(decode(b"GIF89a"), Err(ImageError::Format));
+        assert_eq!(decode(b"GIF89a".to_vec()), Err(ImageError::Format));
     }
 }

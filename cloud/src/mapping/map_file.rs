@@ -2,15 +2,16 @@
 //! after Nav2's `map_io`; plain pictures and Moving AI maps are read as well.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Write as _};
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 use thiserror::Error;
-use zenav_protocol::grid::{GridError, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{GridError, GridSpec, OccupancyGrid};
 
 use super::atomic::Prepared;
 use super::image::{self, GrayImage, ImageError};
+use super::map_image::{shade, to_grid, to_yaml};
 use super::map_yaml::{MapMode, MapYaml, MapYamlError};
 use super::moving_ai::{self, MovingAiError};
 use super::tiles::MAX_CELLS;
@@ -82,6 +83,8 @@ pub enum MapFileError {
 /// Reads a map: a `map_server` description (`.yaml`), a plain picture (`.pgm`, `.png`: usual thresholds, origin zero), or a
 /// Moving AI map (`.map`). Files that say nothing of their scale get `resolution` metres a cell.
 ///
+/// Takes a byte a cell: a binary graymap becomes the grid in place. Others are in memory beside their grid for a while.
+///
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
 pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileError> {
@@ -93,7 +96,7 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
     match extension.as_str() {
         "yaml" | "yml" => read_described(path),
         "pgm" | "png" => {
-            to_grid(&read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
+            to_grid(read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
                 MapFileError::Grid {
                     path: path.to_owned(),
                     source,
@@ -131,14 +134,14 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     {
         (yaml.resolution, yaml.origin) = (tag.resolution, tag.origin);
     }
-    to_grid(&image, &yaml).map_err(|source| MapFileError::Grid {
+    to_grid(image, &yaml).map_err(|source| MapFileError::Grid {
         path: path.to_owned(),
         source,
     })
 }
 
 fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
-    image::decode(&read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
+    image::decode(read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
         path: path.to_owned(),
         source,
     })
@@ -160,143 +163,6 @@ pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileErro
         });
     }
     Ok(bytes)
-}
-
-/// A picture as occupancy values, lowest row first.
-///
-/// # Errors
-/// [`GridError`] when the description or the picture is no grid.
-pub fn to_grid(image: &GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
-    let spec = GridSpec {
-        origin: yaml.origin,
-        resolution: yaml.resolution,
-        width: image.width,
-        height: image.height,
-    }
-    .checked()?;
-    if image.gray.len() != spec.len() {
-        return Err(GridError::Length {
-            got: image.gray.len(),
-            expected: spec.len(),
-        });
-    }
-    let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
-    let width = (image.width as usize).max(1);
-    // All values of opaque pixels are told in advance.
-    let mut opaque = [Occupancy::UNKNOWN; 256];
-    for (gray, value) in opaque.iter_mut().enumerate() {
-        *value = occupancy(gray as u8, 255, yaml);
-    }
-    let (rows, sources) = (
-        grid.values_mut().chunks_exact_mut(width).rev(),
-        image.gray.chunks_exact(width),
-    );
-    for (row, (values, grays)) in rows.zip(sources).enumerate() {
-        for (value, gray) in values.iter_mut().zip(grays) {
-            *value = opaque[usize::from(*gray)];
-        }
-        let opacity = image
-            .opacity
-            .as_ref()
-            .and_then(|opacity| opacity.get(row * width..(row + 1) * width));
-        for ((value, gray), opacity) in values.iter_mut().zip(grays).zip(opacity.unwrap_or_default()) {
-            *value = occupancy(*gray, *opacity, yaml);
-        }
-    }
-    Ok(grid)
-}
-
-fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
-    let (gray, opacity) = (f64::from(gray), f64::from(opacity));
-    let shade = match yaml.mode {
-        // As `map_server` always did: opacity counts like one more colour.
-        MapMode::Trinary if opacity < 255.0 => 0.5 * (gray + opacity) / 255.0,
-        _ => gray / 255.0,
-    };
-    let p = if yaml.negate { shade } else { 1.0 - shade };
-    match yaml.mode {
-        MapMode::Raw if gray <= 100.0 => gray as i8,
-        MapMode::Raw => Occupancy::UNKNOWN,
-        MapMode::Scale if opacity < 255.0 => Occupancy::UNKNOWN,
-        _ if p > yaml.occupied_thresh => Occupancy::OCCUPIED,
-        _ if p < yaml.free_thresh => Occupancy::FREE,
-        MapMode::Scale => (100.0 * (p - yaml.free_thresh) / (yaml.occupied_thresh - yaml.free_thresh).max(1e-9))
-            .round()
-            .clamp(0.0, 100.0) as i8,
-        MapMode::Trinary => Occupancy::UNKNOWN,
-    }
-}
-
-/// A map as a picture, highest row first: trinary as `map_saver` writes it (0, 205, 254), scale with see-through unknown
-/// cells (for PNG; a graymap cannot tell them), raw with 255 for unknown.
-#[must_use]
-pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
-    let spec = grid.spec();
-    let rows = || grid.values().chunks_exact((spec.width as usize).max(1)).rev().flatten();
-    let gray = |value: &i8| match (mode, *value) {
-        (MapMode::Trinary, value) => match Occupancy::of(value) {
-            Occupancy::Occupied => 0,
-            Occupancy::Unknown => 205,
-            Occupancy::Free => 254,
-        },
-        (_, value) if !(0..=100).contains(&value) => 255,
-        (MapMode::Scale, value) => (255.0 * (1.0 - f64::from(value) / 100.0)).round() as u8,
-        (MapMode::Raw, value) => value.cast_unsigned(),
-    };
-    let opacity = (mode == MapMode::Scale).then(|| {
-        rows()
-            .map(|value| if (0..=100).contains(value) { 255 } else { 0 })
-            .collect()
-    });
-    GrayImage {
-        width: spec.width,
-        height: spec.height,
-        gray: rows().map(gray).collect(),
-        opacity,
-        comments: Vec::new(),
-    }
-}
-
-/// The description that goes with [`to_image`]: in scale mode thresholds at both ends, so that every percentage comes back.
-#[must_use]
-pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
-    let yaml = MapYaml {
-        mode,
-        ..MapYaml::new(image, grid.spec().resolution, grid.spec().origin)
-    };
-    if mode == MapMode::Scale {
-        MapYaml {
-            occupied_thresh: 1.0,
-            free_thresh: 0.0,
-            ..yaml
-        }
-    } else {
-        yaml
-    }
-}
-
-/// The map as a binary graymap, trinary.
-#[must_use]
-pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
-    image::encode_pgm(&to_image(grid, MapMode::Trinary))
-}
-
-/// The map as a PNG, trinary; a map without cells is one unknown pixel.
-///
-/// # Errors
-/// [`ImageError::Png`] when the encoder fails.
-pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
-    let mut picture = to_image(grid, MapMode::Trinary);
-    if picture.gray.is_empty() {
-        picture = GrayImage {
-            width: 1,
-            height: 1,
-            gray: vec![205],
-            opacity: None,
-            comments: Vec::new(),
-        };
-    }
-    image::encode_png(&picture)
 }
 
 /// Marks our own files; the picture and the description of one write have the same tag.
@@ -348,13 +214,20 @@ pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -
     }
     .text();
     let (image_name, yaml_path) = (format!("{stem}.pgm"), folder.join(format!("{stem}.yaml")));
-    let mut picture = to_image(grid, MapMode::Trinary);
-    picture.comments.push(tag.clone());
-    let image = Prepared::new(&folder.join(&image_name), &image::encode_pgm(&picture))?;
-    let yaml = Prepared::new(
-        &yaml_path,
-        to_yaml(grid, MapMode::Trinary, &image_name).to_text(&[tag]).as_bytes(),
-    )?;
+    let yaml = to_yaml(grid, MapMode::Trinary, &image_name).to_text(std::slice::from_ref(&tag));
+    let GridSpec { width, height, .. } = *grid.spec();
+    let image = Prepared::new(&folder.join(&image_name), |file| {
+        file.write_all(image::pgm_header(width, height, &[tag]).as_bytes())?;
+        // Row by row: the whole picture would double what a large map takes.
+        let mut line = Vec::with_capacity(width as usize);
+        for row in grid.values().chunks_exact((width as usize).max(1)).rev() {
+            line.clear();
+            line.extend(row.iter().map(|value| shade(*value, MapMode::Trinary)));
+            file.write_all(&line)?;
+        }
+        Ok(())
+    })?;
+    let yaml = Prepared::new(&yaml_path, |file| file.write_all(yaml.as_bytes()))?;
     image.publish()?;
     yaml.publish()?;
     Ok(yaml_path)
@@ -363,9 +236,6 @@ pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use proptest::prelude::*;
-    use zenav_protocol::grid::Cell;
-
     use super::*;
 
     fn grid(width: u32, height: u32, values: Vec<i8>) -> OccupancyGrid {
@@ -381,60 +251,14 @@ mod tests {
         .unwrap()
     }
 
-    proptest! {
-        #[test]
-        fn percentages_come_back_from_raw_and_scale_and_classes_from_trinary(values in proptest::collection::vec(-1_i8..=100, 12)) {
-            let map = grid(4, 3, values);
-            for mode in [MapMode::Raw, MapMode::Scale] {
-                prop_assert_eq!(&to_grid(&to_image(&map, mode), &to_yaml(&map, mode, "")).unwrap(), &map);
-            }
-            let back = to_grid(&to_image(&map, MapMode::Trinary), &to_yaml(&map, MapMode::Trinary, "")).unwrap();
-            prop_assert_eq!(back.map(|value| Occupancy::of(*value)), map.map(|value| Occupancy::of(*value)));
+    #[test]
+    fn maps_of_one_cell_and_of_none_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        for map in [grid(1, 1, vec![100]), grid(0, 0, Vec::new()), grid(5, 0, Vec::new())] {
+            let path = write_map(folder.path(), "map", &map, "1").unwrap();
+            assert_eq!(read_map(&path, 1.0).unwrap(), map);
+            assert!(!super::super::map_image::to_png(&map).unwrap().is_empty());
         }
-    }
-
-    #[test]
-    fn the_top_row_of_a_picture_is_the_highest_row_of_the_map() {
-        let image = image::decode(b"P2 2 2 255  0 254  205 254").unwrap();
-        let map = to_grid(&image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
-        let class = |x, y| Occupancy::of(map[Cell::new(x, y)]);
-        assert_eq!(
-            (class(0, 1), class(1, 1), class(0, 0), class(1, 0)),
-            (
-                Occupancy::Occupied,
-                Occupancy::Free,
-                Occupancy::Unknown,
-                Occupancy::Free
-            )
-        );
-    }
-
-    #[test]
-    fn every_mode_reads_brightness_as_map_server_does() {
-        let yaml = MapYaml::new("", 0.1, Point2::origin());
-        let scale = MapYaml {
-            mode: MapMode::Scale,
-            ..yaml.clone()
-        };
-        assert_eq!(
-            [0, 89, 90, 205, 206, 255].map(|gray| occupancy(gray, 255, &yaml)),
-            [100, 100, -1, -1, 0, 0]
-        );
-        assert_eq!(
-            [0, 89, 147, 206].map(|gray| occupancy(gray, 255, &scale)),
-            [100, 100, 50, 0]
-        );
-        assert_eq!(occupancy(147, 10, &scale), -1);
-        let raw = MapYaml {
-            mode: MapMode::Raw,
-            ..yaml.clone()
-        };
-        assert_eq!(
-            [0, 37, 100, 101, 255].map(|gray| occupancy(gray, 255, &raw)),
-            [0, 37, 100, -1, -1]
-        );
-        let negated = MapYaml { negate: true, ..yaml };
-        assert_eq!([0, 255].map(|gray| occupancy(gray, 255, &negated)), [0, 100]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::time::Stamp;
 
+use super::beyond::{Beyond, Outlook, tiles_before};
 use super::tiles::MAX_CELLS;
 
 /// What became of a patch.
@@ -21,11 +22,15 @@ pub enum Mirrored {
     Gap,
 }
 
-/// A copy of a map. A copy of the copy costs nothing until one of them changes.
+/// A copy of a map. It may reach farther than the map, over cells that nobody has seen. A copy of the copy costs nothing until one of
+/// them changes.
 #[derive(Clone, Debug)]
 pub struct MapMirror {
     map: MapRef,
     stamp: Stamp,
+    /// The map's own grid.
+    spec: GridSpec,
+    beyond: Beyond,
     grid: Arc<OccupancyGrid>,
     /// The revision in which each tile was last written, row by row.
     written: Arc<Vec<u64>>,
@@ -50,6 +55,8 @@ impl MapMirror {
         Self {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
+            spec: nothing,
+            beyond: Beyond::default(),
             grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
             written: Arc::default(),
         }
@@ -65,11 +72,16 @@ impl MapMirror {
         if !(from_unknown || same && patch.base_revision == self.map.revision) || !makes_sense(patch) {
             return Mirrored::Gap;
         }
+        if from_unknown {
+            // Another map: places of the one before mean nothing here.
+            self.beyond = Beyond::default();
+        }
+        let reached = self.beyond.around(patch.spec);
         let begun = if from_unknown {
-            Some(OccupancyGrid::filled(patch.spec, Occupancy::UNKNOWN))
-        } else if *self.grid.spec() == patch.spec {
+            Some(OccupancyGrid::filled(reached, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == reached {
             None
-        } else if let Some(grown) = self.regridded(patch.spec) {
+        } else if let Some(grown) = self.regridded(reached) {
             Some(grown)
         } else {
             return Mirrored::Gap;
@@ -77,8 +89,10 @@ impl MapMirror {
         if let Some(grid) = begun {
             self.begin(grid, patch.map.revision);
         }
+        self.spec = patch.spec;
+        let before = tiles_before(&reached, &patch.spec);
         for tile in &patch.tiles {
-            self.write(tile, patch.map.revision);
+            self.write(tile, before, patch.map.revision);
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
@@ -90,10 +104,30 @@ impl MapMirror {
         let Ok(grid) = reply.grid() else {
             return false;
         };
+        if self.map.id != reply.info.map.id {
+            self.beyond = Beyond::default();
+        }
+        self.spec = *grid.spec();
         self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
+        self.reach_out();
         true
+    }
+
+    /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
+    pub fn reach(&mut self, outlook: &Outlook) {
+        self.beyond.include(outlook);
+        self.reach_out();
+    }
+
+    fn reach_out(&mut self) {
+        let reached = self.beyond.around(self.spec);
+        if reached != *self.grid.spec()
+            && let Some(grid) = self.regridded(reached)
+        {
+            self.begin(grid, self.map.revision);
+        }
     }
 
     /// The copy.
@@ -173,16 +207,22 @@ impl MapMirror {
         Some(grid)
     }
 
-    fn write(&mut self, tile: &Tile, revision: u64) {
+    /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
+    fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
         let columns = self.grid.spec().width.div_ceil(TILE) as usize;
-        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(tile.y as usize * columns + tile.x as usize) {
+        let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
+        if let Some(written) = Arc::make_mut(&mut self.written).get_mut(place) {
             *written = revision;
         }
         let grid = Arc::make_mut(&mut self.grid);
         let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
-        let (x, y) = (tile.x as usize * side, tile.y as usize * side);
-        let length = side.min(width.saturating_sub(x));
+        let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
+        // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
+        let length = side
+            .min(width.saturating_sub(x))
+            .min((self.spec.width as usize).saturating_sub(tile.x as usize * side));
+        let height = height.min(before.1 as usize * side + self.spec.height as usize);
         for (row, values) in tile
             .values
             .chunks_exact(side)
@@ -217,7 +257,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::mapper::{Mapper, MapperConfig};
+    use super::super::config::MapperConfig;
+    use super::super::mapper::Mapper;
     use super::*;
 
     fn scan(stamp: u64, x: f64, y: f64) -> Scan {
@@ -311,6 +352,39 @@ mod tests {
                         revision: 2
                     })
             );
+        }
+    }
+
+    #[test]
+    fn a_copy_that_reaches_farther_holds_the_same_map_and_nothing_else() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let (mut far, mut exact) = (MapMirror::new(), MapMirror::new());
+        for (step, x) in [0.0, 4.0, -9.0, 12.0, 12.5].into_iter().enumerate() {
+            mapper.insert(&scan(step as u64 + 1, x, 0.5 * x));
+            while let Some(patch) = mapper.take_patch() {
+                assert_eq!(far.apply(&patch), Mirrored::Applied);
+                assert_eq!(exact.apply(&patch), Mirrored::Applied);
+            }
+            if step == 1 {
+                far.reach(&Outlook {
+                    places: vec![Point2::new(-30.0, 21.0)],
+                    ring: 1.0,
+                });
+            } else if step == 3 {
+                assert!(far.replace(&mapper.reply()));
+            }
+        }
+        assert_eq!(exact.grid().values(), mapper.grid().values());
+        let (large, small) = (far.grid().spec(), exact.grid().spec());
+        assert!(large.cell_at(Point2::new(-30.9, 21.9)).is_some() && small.cell_at(Point2::new(-30.0, 21.0)).is_none());
+        for y in 0..large.height {
+            for x in 0..large.width {
+                let cell = zenav_protocol::grid::Cell::new(x, y);
+                let known = small
+                    .cell_at(large.center(cell))
+                    .and_then(|cell| exact.grid().get(cell));
+                assert_eq!(far.grid().get(cell), known.or(Some(&Occupancy::UNKNOWN)), "{cell:?}");
+            }
         }
     }
 }

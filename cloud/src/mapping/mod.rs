@@ -8,23 +8,27 @@
 //! | `tiles`, `tile` | how does it grow, and what is known of a square of cells? |
 //! | `window` | which cells did one scan look at? |
 //! | `fading` | what went away without being seen to go? |
-//! | [`mapper`] | how do a robot's scans become its map? |
-//! | [`mirror`] | how does another machine keep a copy? |
+//! | [`mapper`], [`config`] | how do a robot's scans become its map? |
+//! | [`mirror`], [`beyond`] | how does another machine keep a copy, and how far does it reach? |
 //! | [`follower`] | how does a service keep up with every robot's map? |
-//! | [`map_file`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
+//! | [`map_file`], [`map_image`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
 //! | [`moving_ai`] | what do the Moving AI benchmarks say? |
 //! | [`store`] | what of a map outlives its service? |
 //! | [`service`] | how does mapping live on the network? |
-//! | [`carmen`] | what did a robot of the CARMEN days see? |
+//! | [`carmen`], [`build`] | what did a robot of the CARMEN days see, and how do recorded scans become a map? |
 
 pub mod atomic;
 pub mod beams;
+pub mod beyond;
+pub mod build;
 pub mod carmen;
+pub mod config;
 pub mod evidence;
 mod fading;
 pub mod follower;
 pub mod image;
 pub mod map_file;
+pub mod map_image;
 pub mod map_yaml;
 pub mod mapper;
 pub mod mirror;
@@ -37,9 +41,11 @@ mod tiles;
 mod window;
 
 pub use beams::BeamOptions;
+pub use beyond::Outlook;
+pub use config::{MapperConfig, MapperConfigError};
 pub use evidence::SensorModel;
 pub use follower::MapFollower;
-pub use mapper::{Insertion, Mapper, MapperConfig, MapperConfigError};
+pub use mapper::{Insertion, Mapper};
 pub use mirror::{MapMirror, Mirrored};
 pub use occupancy::{CellCounts, Drawn, InsertMode, LogOddsGrid};
 pub use service::MappingConfig;

@@ -28,7 +28,7 @@ pub enum InsertMode {
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as long as every cell there is met by a beam, and only what lies
-    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::carmen::agreement) tells how many.
+    /// beyond is drawn beam by beam. Cells beside surfaces may differ: [`agreement`](super::build::agreement) tells how many.
     Fast,
 }
 
@@ -320,11 +320,13 @@ impl LogOddsGrid {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::grid::Cell;
     use zenav_protocol::messages::TILE;
     use zenav_protocol::time::Stamp;
 
+    use super::super::evidence::UNSEEN;
     use super::*;
 
     const OPTIONS: BeamOptions = BeamOptions {
@@ -356,6 +358,37 @@ mod tests {
         map.to_occupancy()
             .at(Point2::new(x, y))
             .map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::test_runner::Config::with_cases(32))]
+
+        #[test]
+        fn the_exact_way_is_a_walk_along_every_beam(looks in proptest::collection::vec((-3.0..3.0, -3.0..3.0, -3.1..3.1, 0.01..0.3, proptest::collection::vec(0.05_f32..7.0, 1..40)), 1..12)) {
+            let (mut map, evidence) = (empty(), Evidence::new(&SensorModel::default()));
+            let whole = GridSpec { origin: Point2::new(-12.8, -12.8), resolution: 0.05, width: 512, height: 512 };
+            let mut bytes = vec![UNSEEN; whole.len()];
+            for (x, y, yaw, step, mut ranges) in looks {
+                ranges.truncate((std::f64::consts::TAU / step) as usize);
+                let scan = scan(Pose2::new(x, y, yaw), step, ranges);
+                proptest::prop_assert!(map.insert(&scan, &OPTIONS, InsertMode::Reference, None).is_some());
+                let (mut seen, mut hit) = (std::collections::BTreeSet::new(), std::collections::BTreeSet::new());
+                for (beam, range) in scan.ranges.iter().enumerate() {
+                    let length = f64::from(*range).min(scan.range_max);
+                    let end = Point2::new(x, y) + Vector2::new((yaw + scan.angle(beam)).cos(), (yaw + scan.angle(beam)).sin()) * length;
+                    seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
+                    hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
+                }
+                for index in seen {
+                    bytes[index] = if hit.contains(&index) { evidence.after_hit(bytes[index]) } else { evidence.after_miss(bytes[index]) };
+                }
+            }
+            let map = map.to_occupancy();
+            for (index, byte) in bytes.iter().enumerate() {
+                let value = map.at(whole.center(whole.cell(index))).copied().unwrap_or(Occupancy::UNKNOWN);
+                proptest::prop_assert_eq!(value, evidence.percent[usize::from(*byte)], "at {}", whole.center(whole.cell(index)));
+            }
+        }
     }
 
     proptest::proptest! {

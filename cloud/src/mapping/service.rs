@@ -15,9 +15,10 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key};
 
-use super::map_file;
+use super::config::{MapperConfig, MapperConfigError};
+use super::map_image;
 use super::map_yaml::MapMode;
-use super::mapper::{Insertion, Mapper, MapperConfig, MapperConfigError};
+use super::mapper::{Insertion, Mapper};
 use super::store::{self, MapRecord, StoredMap};
 
 /// One robot's mapping.
@@ -348,14 +349,14 @@ impl Service {
 /// The map in a form that map tools read, and that form's media type.
 fn picture(grid: &OccupancyGrid, format: &str) -> Result<(Vec<u8>, &'static str), Refusal> {
     match format {
-        "pgm" => Ok((map_file::to_pgm(grid), "image/x-portable-graymap")),
+        "pgm" => Ok((map_image::to_pgm(grid), "image/x-portable-graymap")),
         "yaml" => Ok((
-            map_file::to_yaml(grid, MapMode::Trinary, "map.pgm")
+            map_image::to_yaml(grid, MapMode::Trinary, "map.pgm")
                 .to_text(&[])
                 .into_bytes(),
             "application/yaml",
         )),
-        _ => map_file::to_png(grid)
+        _ => map_image::to_png(grid)
             .map(|bytes| (bytes, "image/png"))
             .map_err(|error| Refusal::Internal {
                 reason: error.to_string(),

@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::GoalPoint;
+
+use crate::space::Zones;
 
 /// Settings of one robot's mission.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +38,8 @@ pub struct MissionConfig {
     pub progress: (f64, f64),
     /// … within this time a drive has failed, s.
     pub progress_secs: f64,
+    /// Zones of the map.
+    pub zones: Arc<Zones>,
     /// The file that keeps goals; used by the service alone.
     pub store: PathBuf,
 }
@@ -57,6 +62,7 @@ impl MissionConfig {
             tolerance: 0.15,
             progress: (0.2, 0.2),
             progress_secs: 10.0,
+            zones: Arc::default(),
             store,
         }
     }

@@ -131,6 +131,7 @@ impl Context {
     /// Knows nothing yet.
     #[must_use]
     pub fn new(config: MissionConfig, incarnation: u64) -> Self {
+        let map = MapBook::new(Arc::clone(&config.zones));
         Self {
             lease: LeaseKeeper::new(&config.holder, incarnation),
             motion: MotionKeeper::new(incarnation),
@@ -138,7 +139,7 @@ impl Context {
             config: Arc::new(config),
             now: Stamp::ZERO,
             robot: RobotView::default(),
-            map: MapBook::default(),
+            map,
             goal: GoalInHand::default(),
             plans: Vec::new(),
             routes: VecDeque::new(),

@@ -7,6 +7,7 @@ use zenav_protocol::messages::*;
 
 use super::context::Context;
 use super::trees;
+use crate::mapping::Outlook;
 use crate::space::reach;
 
 /// Waypoints of a goal.
@@ -147,7 +148,7 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
 /// Whether the robot could be at the target by what the map knows; what it does not know speaks for the goal.
 ///
 /// # Errors
-/// [`Refusal::Rejected`] for a place outside the map or on an obstacle, with the nearest free place.
+/// [`Refusal::Rejected`] for a place outside the map, on an obstacle or closed off, with the nearest place that is not.
 pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let points: Vec<GoalPoint> = match target {
         Target::Pose(point) => vec![*point],
@@ -157,22 +158,27 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let Some(model) = ctx.robot.model().cloned() else {
         return Ok(());
     };
+    let Some(spec) = ctx.map.spec() else { return Ok(()) };
     let explore = ctx.config.explore;
     let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let stands = ctx.robot.pose().map(|pose| pose.position());
-    let Some((space, known)) = ctx.map.space_and_grid(&model.footprint) else {
+    let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
+    let places = points.iter().map(|goal| Point2::new(goal.x, goal.y));
+    let outlook = if ctx.config.unknown_is_free {
+        Outlook::of(&model.footprint, places.filter(near).collect())
+    } else {
+        Outlook::default()
+    };
+    let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &outlook) else {
         return Ok(());
     };
+    let zones = &ctx.config.zones;
     let reached = stands
         .filter(|_| space.spec().len() <= MAX_FLOODED)
         .and_then(|stands| reach::flood(&space, stands));
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
-        let spec = space.spec();
-        let outside = spec.cell_at(point).is_none();
-        if outside && growing && distance(spec, point) <= explore {
-            continue;
-        }
+        let outside = spec.cell_at(point).is_none() && !near(&point);
         let fits = !outside && space.clearance(point) > model.footprint.inscribed_radius();
         let connected = reached
             .as_ref()
@@ -180,15 +186,19 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         if fits && connected {
             continue;
         }
-        let what = if outside {
+        let kept_out = zones.keep_out(point);
+        let what = if let Some(zone) = kept_out {
+            &format!("lies in a zone that is closed to robots: {zone}")
+        } else if outside {
             "lies outside the map"
         } else if fits {
-            "cannot be reached: it is closed off from the robot"
+            "cannot be reached: by the map it is closed off from the robot"
         } else {
             "is occupied: the robot does not fit there"
         };
         let seen_free = |cell| {
             known
+                .grid()
                 .get(cell)
                 .is_some_and(|value| Occupancy::of(*value) == Occupancy::Free)
         };

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::exchange::{Answer, Ask, Ticket};
-use crate::mapping::{MapMirror, Mirrored};
-use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy};
+use crate::mapping::{MapMirror, Mirrored, Outlook};
+use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two asks for the whole map, s.
 const RETRY: f64 = 1.0;
@@ -30,6 +30,15 @@ pub struct MapBook {
 }
 
 impl MapBook {
+    /// Nothing is known yet of a map with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+            ..Self::default()
+        }
+    }
+
     /// Takes in what mapping says.
     pub fn observe(&mut self, now: Stamp, info: Option<MapInfo>, patches: &[MapPatch]) {
         let mut gap = false;
@@ -75,7 +84,7 @@ impl MapBook {
         self.info.as_ref()
     }
 
-    /// Where the copy's grid lies; `None` while there is no copy.
+    /// Where the map itself lies; `None` while there is no copy.
     #[must_use]
     pub fn spec(&self) -> Option<GridSpec> {
         self.mirror.has_map().then(|| *self.mirror.grid().spec())
@@ -87,9 +96,18 @@ impl MapBook {
         self.mirror.has_map().then(|| self.mirror.map().clone())
     }
 
-    /// Where the robot may be, as [`Self::space`], beside what is known of each cell.
-    pub fn space_and_grid(&mut self, footprint: &Footprint) -> Option<(Arc<ConfigurationSpace>, &OccupancyGrid)> {
-        Some((self.space(footprint)?, self.mirror.grid()))
+    /// Where the robot may be as far as an outlook goes, and a copy of the map that reaches there; `None` without a map.
+    pub fn space_reaching(
+        &mut self,
+        footprint: &Footprint,
+        outlook: &Outlook,
+    ) -> Option<(Arc<ConfigurationSpace>, MapMirror)> {
+        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
+            return None;
+        }
+        let mut mirror = self.mirror.clone();
+        mirror.reach(outlook);
+        Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

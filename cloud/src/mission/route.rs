@@ -4,17 +4,19 @@
 //! from where it stands; one that moves otherwise is waited for. Smoothing never fails a plan: without it the way goes
 //! out with a safe time law.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::*;
+use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
 use super::motion::{Course, Standing};
-use crate::smoothing::timing::safe_trajectory;
+use crate::planning::Planner;
+use crate::smoothing::unsmoothed;
+use crate::smoothing::worker::PERIOD;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -42,8 +44,6 @@ const MAP_PATIENCE: f64 = 20.0;
 const REST_PATIENCE: f64 = 10.0;
 /// Less than this left of a motion is driven to its end before the next begins, s.
 const SHORT_REST: f64 = 0.4;
-/// Nearer to the border of the map than this nothing is gained by going on, m.
-const LEAST_STEP: f64 = 0.15;
 /// A way shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
 /// A start that the map has occupied may be left by this much, m.
@@ -62,8 +62,6 @@ pub struct Route {
     pub length: f64,
     /// Where it begins.
     pub begin: Pose2,
-    /// It ends where the map does: the goal lies beyond.
-    pub partial: bool,
     /// What is to be published.
     pub course: Course,
 }
@@ -88,6 +86,19 @@ pub struct NoRoute {
     pub code: i64,
     /// In words.
     pub reason: String,
+}
+
+impl NoRoute {
+    /// Whether neither another place of the robot nor another try on the same map would help.
+    #[must_use]
+    pub fn is_final(&self) -> bool {
+        [
+            error_code::OUTSIDE_MAP,
+            error_code::GOAL_OCCUPIED,
+            error_code::NO_VALID_PATH,
+        ]
+        .contains(&self.code)
+    }
 }
 
 /// How a search stands.
@@ -117,6 +128,57 @@ enum Stage {
     Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, PlanStatistics),
 }
 
+/// Between the disc that fits inside the robot's body and the one around it: shares of the difference that are tried one after the other.
+const SHARES: [f64; 3] = [0.0, 0.5, 1.0];
+
+/// How large a disc stands for the robot. A planner knows it as one; whether its body fits shows when the way is made a motion.
+#[derive(Clone, Debug)]
+struct Room {
+    /// Which of [`SHARES`] is planned for.
+    index: usize,
+    /// A planner whose ways pass obstacles as close as they may begins with the largest disc; one that keeps away by itself with the
+    /// smallest.
+    narrows: bool,
+    /// Why a way was found that cannot be driven, if one was.
+    undrivable: Option<String>,
+}
+
+impl Room {
+    fn new(planner: &str) -> Self {
+        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_away());
+        Self {
+            index: if narrows { SHARES.len() - 1 } else { 0 },
+            narrows,
+            undrivable: None,
+        }
+    }
+
+    /// The robot for the planner.
+    fn disc(&self, footprint: &Footprint) -> Footprint {
+        let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
+        match SHARES.get(self.index) {
+            Some(share) if *share > 0.0 && inner < outer => Footprint::Radius(inner + share * (outer - inner)),
+            _ => footprint.clone(),
+        }
+    }
+
+    /// Goes over to the next disc; `false` after the last one.
+    fn change(&mut self) -> bool {
+        let next = if self.narrows {
+            self.index.checked_sub(1)
+        } else {
+            Some(self.index + 1).filter(|index| *index < SHARES.len())
+        };
+        self.index = next.unwrap_or(self.index);
+        next.is_some()
+    }
+
+    /// Goes over to a smaller disc, where that is the way to go.
+    fn narrow(&mut self) -> bool {
+        self.narrows && self.change()
+    }
+}
+
 /// A search for a route.
 #[derive(Clone, Debug)]
 pub struct Search {
@@ -129,28 +191,26 @@ pub struct Search {
     escape: Option<Point2<f64>>,
     /// Only from where the robot stands.
     from_rest: bool,
-    /// Where the way leads while the goal lies outside the map.
-    aim: Option<Point2<f64>>,
-    /// The aim was occupied; this is the nearest place that is not.
-    near_aim: Option<Point2<f64>>,
+    /// How large a disc stands for the robot.
+    room: Room,
 }
 
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
     pub fn new(ctx: &Context, goal: GoalPoint, planner: Option<String>, from: Stamp) -> Self {
+        let planner = planner
+            .filter(|name| !name.is_empty())
+            .unwrap_or_else(|| ctx.config.planner.clone());
         Self {
             goal,
-            planner: planner
-                .filter(|name| !name.is_empty())
-                .unwrap_or_else(|| ctx.config.planner.clone()),
             unknown_is_free: ctx.config.unknown_is_free,
             stage: Stage::Idle(from),
             begun: from,
             escape: None,
             from_rest: false,
-            aim: None,
-            near_aim: None,
+            room: Room::new(&planner),
+            planner,
         }
     }
 
@@ -199,37 +259,16 @@ impl Search {
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
-        self.aim = match ctx
-            .map
-            .spec()
-            .filter(|spec| spec.cell_at(Point2::new(self.goal.x, self.goal.y)).is_none())
-        {
-            Some(spec) if self.unknown_is_free => {
-                let inset = model.footprint.circumscribed_radius() + 2.0 * spec.resolution;
-                match self.near_aim.or_else(|| {
-                    border(
-                        &spec,
-                        begin.pose.position(),
-                        Point2::new(self.goal.x, self.goal.y),
-                        inset,
-                    )
-                }) {
-                    Some(aim) => Some(aim),
-                    None => return self.failed(error_code::OUTSIDE_MAP, "the goal lies outside the map".to_owned()),
-                }
-            }
-            _ => None,
-        };
-        let aim = self.aim.unwrap_or_else(|| Point2::new(self.goal.x, self.goal.y));
         let start = self
             .escape
             .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
+        let footprint = self.room.disc(&model.footprint);
         let request = PlanRequest {
             robot: ctx.config.robot.to_string(),
-            model,
+            model: RobotModel { footprint, ..model },
             map,
             start,
-            goal: Pose2::new(aim.x, aim.y, self.goal.yaw.unwrap_or(0.0)),
+            goal: Pose2::new(self.goal.x, self.goal.y, self.goal.yaw.unwrap_or(0.0)),
             planner: self.planner.clone(),
             unknown_is_free: self.unknown_is_free,
             budget_ms: ctx.config.search_budget_ms,
@@ -283,32 +322,49 @@ impl Search {
                     path: path.clone(),
                     start: begin.pose,
                     start_velocity: begin.twist,
-                    goal_yaw: self.goal.yaw.filter(|_| self.aim.is_none()),
+                    goal_yaw: self.goal.yaw,
                     unknown_is_free: self.unknown_is_free,
                 };
                 let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
                 self.stage = Stage::Smooth(ticket, begin, reply.map, path, statistics);
                 Searching::Wait("smooths")
             }
-            PlanOutcome::GoalOccupied {
-                nearest_free: Some(free),
-            } if self.aim.is_some() && self.near_aim.is_none() => {
-                self.near_aim = Some(free);
-                self.stage = Stage::Idle(ctx.now);
-                Searching::Wait("plans towards the goal")
-            }
-            PlanOutcome::GoalOccupied { nearest_free } => {
-                let near = nearest_free
-                    .map(|p| format!("; the nearest free place is {:.2}, {:.2}", p.x, p.y))
-                    .unwrap_or_default();
-                self.failed(error_code::GOAL_OCCUPIED, format!("the goal is occupied{near}"))
-            }
             PlanOutcome::StartOccupied {
                 nearest_free: Some(free),
             } if self.escape.is_none() && (free - begin.pose.position()).norm() < ESCAPE => {
+                tracing::info!(
+                    goal = ctx.goal.id,
+                    x = free.x,
+                    y = free.y,
+                    "leaves an obstacle by the nearest free place"
+                );
+                ctx.goal.feedback.recoveries += 1;
                 self.escape = Some(free);
                 self.stage = Stage::Idle(ctx.now);
                 Searching::Wait("plans from the nearest free place")
+            }
+            // Where a large disc has no way, a smaller one may; where the body did not fit through, no other way has more room.
+            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
+                if !is_round(ctx) && self.room.narrow() =>
+            {
+                self.escape = None;
+                self.stage = Stage::Idle(ctx.now);
+                Searching::Wait("plans a narrower way")
+            }
+            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
+                if self.room.undrivable.is_some() =>
+            {
+                self.undrivable()
+            }
+            PlanOutcome::GoalOccupied { nearest_free } => {
+                let near = nearest_free
+                    .map(|p| format!("; the nearest free place is ({:.2}, {:.2})", p.x, p.y))
+                    .unwrap_or_default();
+                let why = format!("by the map of now the robot does not fit there{near}");
+                self.failed(
+                    error_code::GOAL_OCCUPIED,
+                    format!("the goal {} is occupied: {why}", self.place()),
+                )
             }
             PlanOutcome::StartOccupied { .. } => self.failed(
                 error_code::START_OCCUPIED,
@@ -316,11 +372,12 @@ impl Search {
             ),
             PlanOutcome::NoPath => self.failed(
                 error_code::NO_VALID_PATH,
-                "no path: start and goal are not connected".to_owned(),
+                format!("no path: the goal {} is closed off from the robot", self.place()),
             ),
-            PlanOutcome::OutOfMap => {
-                self.failed(error_code::OUTSIDE_MAP, "start or goal lie outside the map".to_owned())
-            }
+            PlanOutcome::OutOfMap => self.failed(
+                error_code::OUTSIDE_MAP,
+                format!("the robot or the goal {} lies outside the map", self.place()),
+            ),
             PlanOutcome::TimedOut => self.failed(error_code::TIMEOUT, "the search took too long".to_owned()),
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < MAP_PATIENCE => {
                 self.again(ctx);
@@ -347,11 +404,13 @@ impl Search {
             // Where there is no way, none can be driven: the goal itself is the one waypoint.
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && length < AT_GOAL => (map, Vec::new(), planned),
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
-                // The way itself is blocked by now.
-                return self.failed(
-                    error_code::NO_VALID_PATH,
-                    format!("the way cannot be driven: {}", reply.statistics.status),
-                );
+                self.room.undrivable = Some(reply.statistics.status);
+                if is_round(ctx) || !self.room.change() {
+                    return self.undrivable();
+                }
+                self.escape = None;
+                self.stage = Stage::Idle(ctx.now);
+                return Searching::Wait("plans another way: the robot does not fit through");
             }
             Ok(Answer::Smooth(reply)) => {
                 let statistics = PlanStatistics {
@@ -369,18 +428,15 @@ impl Search {
                 let Some(model) = ctx.robot.model() else {
                     return Searching::Wait("waits for the robot's description");
                 };
-                let trajectory = safe_trajectory(&path, begin.pose, begin.twist, self.goal.yaw, model);
-                let duration = trajectory.last().map_or(0.0, |point| point.t);
-                (
-                    map,
-                    trajectory,
-                    PlanStatistics {
-                        length,
-                        duration,
-                        status: why.to_owned(),
-                        ..planned
-                    },
-                )
+                let safe = unsmoothed(&path, begin.pose, begin.twist, self.goal.yaw, model);
+                let statistics = PlanStatistics {
+                    planner: planned.planner,
+                    search_ms: planned.search_ms,
+                    length,
+                    status: why.to_owned(),
+                    ..safe.statistics
+                };
+                (map, safe.motion.trajectory(PERIOD), statistics)
             }
         };
         let course = Course {
@@ -396,7 +452,6 @@ impl Search {
             path,
             length,
             begin: begin.pose,
-            partial: self.aim.is_some(),
             course,
         }))
     }
@@ -405,9 +460,26 @@ impl Search {
         self.stage = Stage::Idle(ctx.now.plus_secs(RETRY));
     }
 
+    fn undrivable(&mut self) -> Searching {
+        let status = self.room.undrivable.take().unwrap_or_default();
+        let why = format!("the way to {} cannot be driven: {status}", self.place());
+        self.failed(error_code::UNKNOWN, why)
+    }
+
+    /// The goal, in words.
+    fn place(&self) -> String {
+        format!("({:.2}, {:.2})", self.goal.x, self.goal.y)
+    }
+
     fn failed(&mut self, code: i64, reason: String) -> Searching {
         Searching::Failed(NoRoute { code, reason })
     }
+}
+
+/// Whether all discs that stand for the robot are the same.
+fn is_round(ctx: &Context) -> bool {
+    let footprint = ctx.robot.model().map(|model| &model.footprint);
+    footprint.is_none_or(|footprint| matches!(footprint, Footprint::Radius(_)))
 }
 
 /// The state that the robot will be in when a plan made now comes into force.
@@ -471,45 +543,9 @@ pub fn sample(trajectory: &[TrajectoryPoint], t: f64) -> TrajectoryPoint {
     }
 }
 
-/// The last place on the straight way to a goal outside the grid that lies at least `inset` (m) inside; `None` where the
-/// robot is there already.
-fn border(spec: &GridSpec, from: Point2<f64>, to: Point2<f64>, inset: f64) -> Option<Point2<f64>> {
-    let size = Vector2::new(f64::from(spec.width), f64::from(spec.height)) * spec.resolution;
-    let (low, high) = (
-        spec.origin + Vector2::repeat(inset),
-        spec.origin + size - Vector2::repeat(inset),
-    );
-    let way = to - from;
-    let mut share: f64 = 1.0;
-    for axis in 0..2 {
-        let end = if way[axis] > 0.0 { high[axis] } else { low[axis] };
-        if way[axis] != 0.0 {
-            share = share.min((end - from[axis]) / way[axis]);
-        }
-    }
-    (share.is_finite() && share * way.norm() > LEAST_STEP).then(|| from + way * share)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_goal_beyond_the_map_is_aimed_at_up_to_its_border() {
-        let spec = GridSpec {
-            origin: Point2::new(-2.0, -2.0),
-            resolution: 0.1,
-            width: 40,
-            height: 40,
-        };
-        let aim = border(&spec, Point2::origin(), Point2::new(10.0, 5.0), 0.5);
-        assert!(
-            aim.is_some_and(|aim| (aim - Point2::new(1.5, 0.75)).norm() < 1e-9),
-            "{aim:?}"
-        );
-        assert_eq!(border(&spec, Point2::new(1.45, 0.0), Point2::new(10.0, 0.0), 0.5), None);
-        assert_eq!(border(&spec, Point2::new(1.9, 0.0), Point2::new(10.0, 0.0), 0.5), None);
-    }
 
     #[test]
     fn a_trajectory_is_held_at_both_ends() {

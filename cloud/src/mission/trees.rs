@@ -17,6 +17,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     (NAVIGATE, include_str!("../../trees/navigate.xml")),
     (NAVIGATE_THROUGH, include_str!("../../trees/navigate_through.xml")),
     ("kitchen", include_str!("../../trees/kitchen.xml")),
+    ("online", include_str!("../../trees/online.xml")),
 ];
 
 /// The text of a shipped tree.

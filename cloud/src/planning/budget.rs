@@ -21,10 +21,15 @@ impl Budget<'_> {
         cancel: None,
     };
 
+    /// Whether somebody has set the flag.
+    #[must_use]
+    pub fn is_cancelled(&self) -> bool {
+        self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
+
     /// Whether the search must end after this many expansions.
     #[must_use]
     pub fn is_spent(&self, expansions: u64) -> bool {
-        expansions >= self.max_expansions
-            || (expansions.is_multiple_of(PERIOD) && self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)))
+        expansions >= self.max_expansions || (expansions.is_multiple_of(PERIOD) && self.is_cancelled())
     }
 }

@@ -4,8 +4,10 @@
 //! no search asks where the map ends. Costs are whole numbers, [`STRAIGHT`] and [`DIAGONAL`] a step: 8119/5741 is a convergent of the
 //! square root of two, and two ways whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
 
+use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
+use super::lines::Lines;
 use crate::space::BitGrid;
 
 /// Cost of a step along an axis.
@@ -92,10 +94,84 @@ impl Lattice {
         self.pitch
     }
 
-    /// The bitmap, the border included.
+    /// The bitmap, the border included, and a word more.
     #[must_use]
     pub(super) fn words(&self) -> &[u64] {
         &self.words
+    }
+
+    /// The rows of the bitmap, the border included.
+    #[must_use]
+    pub(super) fn rows(&self) -> Lines {
+        let stride = self.pitch as usize / 64;
+        Lines {
+            words: self.words[..stride * (self.height as usize + 2)].to_vec(),
+            stride,
+        }
+    }
+
+    /// The node of a cell that counts from the border.
+    #[inline]
+    pub(super) fn padded(&self, cell: Cell) -> u32 {
+        cell.y * self.pitch + cell.x
+    }
+
+    /// Whether a diagonal step can be made from a node inside the map.
+    #[inline]
+    pub(super) fn can_step(&self, node: u32, step: Step) -> bool {
+        let beside = node.wrapping_add_signed(step.x);
+        let rows = step.y * self.pitch.cast_signed();
+        self.is_free(beside)
+            && self.is_free(node.wrapping_add_signed(rows))
+            && self.is_free(beside.wrapping_add_signed(rows))
+    }
+
+    /// The node of the cell that holds a point, in cells; `None` outside the map.
+    #[must_use]
+    pub fn node_at(&self, p: Point2<f64>) -> Option<u32> {
+        // Casts saturate, and what is not a number is not positive.
+        (p.x >= 0.0 && p.y >= 0.0)
+            .then(|| Cell::new(p.x as u32, p.y as u32))
+            .and_then(|cell| self.node(cell))
+    }
+
+    /// First and last node of the free cells side by side that a free node belongs to.
+    #[must_use]
+    pub(super) fn run(&self, node: u32) -> [u32; 2] {
+        // Every row begins and ends with a blocked column.
+        let (home, bit) = ((node >> 6) as usize, node & 63);
+        let mut word = home;
+        let mut blocked = !self.words[word] & (u64::MAX >> (63 - bit));
+        while blocked == 0 {
+            word -= 1;
+            blocked = !self.words[word];
+        }
+        let first = ((word as u32) << 6) + 64 - blocked.leading_zeros();
+        word = home;
+        blocked = !self.words[word] & (u64::MAX << bit);
+        while blocked == 0 {
+            word += 1;
+            blocked = !self.words[word];
+        }
+        [first, ((word as u32) << 6) + blocked.trailing_zeros() - 1]
+    }
+
+    /// Of the 64 nodes of a word inside the map, those that are free with the two beside them in the given directions, but not with the one
+    /// between these: where an obstacle has a convex corner.
+    #[must_use]
+    pub(super) fn corners(&self, word: u32, right: bool, up: bool) -> u64 {
+        let stride = (self.pitch >> 6) as usize;
+        let here = word as usize;
+        let there = if up { here + stride } else { here - stride };
+        // Each node's neighbour to the right or left, in its own place.
+        let beside = |word: usize| {
+            if right {
+                self.words[word] >> 1 | self.words[word + 1] << 63
+            } else {
+                self.words[word] << 1 | self.words[word.saturating_sub(1)] >> 63
+            }
+        };
+        self.words[here] & beside(here) & self.words[there] & !beside(there)
     }
 
     /// Whether a node is free.

@@ -66,7 +66,11 @@ impl OpenList {
         let bucket = (open.estimate >> WIDTH_BITS).max(self.now);
         let differs = bucket ^ self.now;
         // The highest digit that differs tells how long it has time.
-        let level = if differs < SLOTS as u32 { 0 } else { (differs.ilog2() / SLOT_BITS) as usize };
+        let level = if differs < SLOTS as u32 {
+            0
+        } else {
+            (differs.ilog2() / SLOT_BITS) as usize
+        };
         let slot = (bucket >> (level as u32 * SLOT_BITS)) as usize % SLOTS;
         self.filled[level] |= 1 << slot;
         self.buckets[level * SLOTS + slot].push(open);

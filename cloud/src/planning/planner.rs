@@ -16,11 +16,36 @@ pub enum Planner {
     Jps,
     /// Lazy Theta*: a short way in any direction, from cell centre to cell centre.
     Theta,
+    /// One random tree from the start: its first way.
+    Rrt,
+    /// Two random trees that meet: their first way.
+    RrtConnect,
+    /// A random tree with costs, whose way becomes shorter for as long as it may.
+    RrtStar,
 }
 
 impl Planner {
     /// Every planner, in the order in which they are listed to users.
-    pub const ALL: &[(&'static str, Self)] = &[("astar", Self::AStar), ("jps", Self::Jps), ("theta", Self::Theta)];
+    pub const ALL: &[(&'static str, Self)] = &[
+        ("astar", Self::AStar),
+        ("jps", Self::Jps),
+        ("theta", Self::Theta),
+        ("rrt", Self::Rrt),
+        ("rrt_connect", Self::RrtConnect),
+        ("rrt_star", Self::RrtStar),
+    ];
+
+    /// Whether it grows trees towards samples.
+    #[must_use]
+    pub const fn grows_trees(self) -> bool {
+        matches!(self, Self::Rrt | Self::RrtConnect | Self::RrtStar)
+    }
+
+    /// Whether its ways keep away from obstacles for the robot's comfort; those of the others may pass as close as the robot fits.
+    #[must_use]
+    pub const fn keeps_away(self) -> bool {
+        matches!(self, Self::AStar)
+    }
 
     /// Its name, as in requests and on the command line.
     #[must_use]

@@ -21,7 +21,10 @@ impl<T: Copy + Default> Records<T> {
     pub(super) fn clear(&mut self, nodes: usize) {
         if self.values.len() != nodes {
             // The old table goes first: two would not always fit.
-            *self = Self { values: Vec::new(), written: Vec::new() };
+            *self = Self {
+                values: Vec::new(),
+                written: Vec::new(),
+            };
             self.values = vec![T::default(); nodes];
             self.written = vec![0; nodes.div_ceil(Self::PER_LINE * 64)];
             return;

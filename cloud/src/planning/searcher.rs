@@ -9,6 +9,7 @@ use super::jps;
 use super::jump_grid::JumpGrid;
 use super::lattice::{GridPath, Lattice, TooManyCells};
 use super::planner::Planner;
+use super::sampling;
 use super::theta;
 use super::way::Way;
 use crate::space::{BitGrid, Sight};
@@ -58,6 +59,9 @@ pub struct Searcher {
     jumps: Option<JumpGrid>,
     jump_memory: jps::Memory,
     theta_memory: theta::Memory,
+    trees: sampling::Memory,
+    /// Parameters of planners that draw samples.
+    pub sampling: sampling::Options,
 }
 
 impl Searcher {
@@ -72,6 +76,8 @@ impl Searcher {
             jumps: None,
             jump_memory: jps::Memory::default(),
             theta_memory: theta::Memory::default(),
+            trees: sampling::Memory::default(),
+            sampling: sampling::Options::default(),
         })
     }
 
@@ -85,6 +91,9 @@ impl Searcher {
             };
         };
         match planner {
+            Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),
+            Planner::RrtConnect => self.grow(sampling::Growth::Connect, sight, query, budget),
+            Planner::RrtStar => self.grow(sampling::Growth::Optimal, sight, query, budget),
             Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
             Planner::Jps => {
                 let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
@@ -92,6 +101,23 @@ impl Searcher {
             }
             Planner::Theta => theta::search(&self.lattice, sight, query, &mut self.theta_memory, budget),
         }
+    }
+
+    /// Edges of the trees of the last search by a sampling planner, in cells, at most `limit` of them.
+    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        self.trees.edges().take(limit)
+    }
+
+    fn grow(&mut self, growth: sampling::Growth, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+        sampling::search(
+            growth,
+            &self.lattice,
+            sight,
+            query,
+            &self.sampling,
+            &mut self.trees,
+            budget,
+        )
     }
 
     /// The cheapest way between two cells.

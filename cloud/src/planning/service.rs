@@ -1,81 +1,121 @@
-//! How does a planning worker live on the network? Requests in, ways out. Thin: [`PlanWorker`] answers.
+//! How does a planning worker live on the network? Requests in, ways out, and what was searched for whoever looks. Thin: [`PlanWorker`]
+//! answers, [`host`] carries.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
-use zenav_protocol::bus::{Bus, BusError, Shutdown};
+use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::Refusal;
-use zenav_protocol::topics::{ALIVE_WORKER, PLAN_SERVICE, alive_key};
+use zenav_protocol::messages::{MapRef, PlanOutcome, PlanReply, PlanRequest, Refusal, SearchTree};
+use zenav_protocol::topics::{Ask, PLAN_SERVICE, TREE};
 
 use super::worker::PlanWorker;
-use crate::mapping::follower::MapFollower;
+use crate::mapping::{MapMirror, Outlook};
+use crate::space::Zones;
+use crate::worker_host::{Work, host};
 
-/// How long the whole map may take to come.
-const MAP_DEADLINE: Duration = Duration::from_millis(1500);
-/// Longest time that a search may take, whatever is asked for.
-const MAX_BUDGET: Duration = Duration::from_secs(60);
+/// Robots whose searches are shown at once; beyond it the first by name goes.
+const MAX_SHOWN: usize = 64;
+/// Most edges of a tree that are shown: the first ones, which reach out farthest.
+const MAX_EDGES: usize = 20_000;
 
-/// Answers plan requests under a worker's name until shutdown, or until the bus is closed.
+impl Work for PlanWorker {
+    type Question = PlanRequest;
+    type Answer = PlanReply;
+    const ASK: Ask<PlanRequest, PlanReply> = PLAN_SERVICE;
+    const SERVICE: &'static str = "plan";
+
+    fn map_of(question: &PlanRequest) -> (&str, &MapRef) {
+        (&question.robot, &question.map)
+    }
+
+    fn outlook(question: &PlanRequest) -> Option<Outlook> {
+        let places = vec![question.start.position(), question.goal.position()];
+        question
+            .unknown_is_free
+            .then(|| Outlook::of(&question.model.footprint, places))
+    }
+
+    fn budget(question: &PlanRequest) -> Duration {
+        Duration::from_millis(question.budget_ms)
+    }
+
+    fn answer(
+        &mut self,
+        map: Option<&MapMirror>,
+        question: &PlanRequest,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &AtomicBool,
+    ) -> Result<PlanReply, Refusal> {
+        let began = clock();
+        let mut reply = Self::answer(self, map, question, Some(cancel))?;
+        reply.search_ms = (clock() - began) * 1e3;
+        Ok(reply)
+    }
+}
+
+/// Answers plan requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusError> {
-    let mut follower = MapFollower::new(&bus)?;
-    let mut server = bus.serve(&PLAN_SERVICE, &[worker.as_str()])?;
-    let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &["plan", worker.as_str()]))?;
-    let mut core = PlanWorker::default();
-    loop {
-        let request = tokio::select! {
-            () = shutdown.wait() => return Ok(()),
-            open = follower.follow() => { debug_assert!(!open); return Ok(()) }
-            request = server.next() => match request {
-                Some(request) => request,
-                None => return Ok(()),
-            },
+pub async fn run(bus: Bus, clock: Clock, worker: Id, zones: Arc<Zones>, shutdown: Shutdown) -> Result<(), BusError> {
+    let mut show = Show {
+        bus: bus.clone(),
+        clock,
+        publishers: BTreeMap::new(),
+    };
+    let begun = || PlanWorker::new(Arc::clone(&zones));
+    host(bus, worker, shutdown, begun, |core: &PlanWorker, question, answer| {
+        show.tell(core, question, answer);
+    })
+    .await
+}
+
+/// Where searches can be looked at.
+struct Show {
+    bus: Bus,
+    clock: Clock,
+    publishers: BTreeMap<String, Publisher<SearchTree>>,
+}
+
+impl Show {
+    fn tell(&mut self, core: &PlanWorker, question: &PlanRequest, answer: &PlanReply) {
+        if !self.is_watched(&question.robot) {
+            return;
+        }
+        let path = match &answer.outcome {
+            PlanOutcome::Found { path, .. } => path.clone(),
+            _ => Vec::new(),
         };
-        let map = follower
-            .map(&request.body.robot, &request.body.map, MAP_DEADLINE)
-            .await
-            .cloned();
-        let cancel = Arc::new(AtomicBool::new(false));
-        let budget = Duration::from_millis(request.body.budget_ms).min(MAX_BUDGET);
-        let (body, flag) = (request.body.clone(), Arc::clone(&cancel));
-        // A search is no work for an async thread; the core comes back with the answer.
-        let search = tokio::task::spawn_blocking(move || {
-            let began = Instant::now();
-            let answer = core.answer(map.as_ref(), &body, Some(&flag)).map(|mut reply| {
-                reply.search_ms = began.elapsed().as_secs_f64() * 1e3;
-                reply
-            });
-            (core, answer)
-        });
-        let guarded = async {
-            tokio::pin!(search);
-            tokio::select! {
-                done = &mut search => done,
-                () = tokio::time::sleep(budget) => {
-                    cancel.store(true, Ordering::Relaxed);
-                    search.await
-                }
-            }
+        let tree = SearchTree {
+            stamp: self.clock.now(),
+            edges: core.tree(MAX_EDGES),
+            path,
         };
-        let answer = match guarded.await {
-            Ok((back, answer)) => {
-                core = back;
-                answer
+        if let Some(publisher) = self.publishers.get(&question.robot) {
+            publisher.put(&tree);
+        }
+    }
+
+    /// Whether somebody may look at this robot's searches. A publisher that is new cannot know yet.
+    fn is_watched(&mut self, robot: &str) -> bool {
+        if let Some(publisher) = self.publishers.get(robot) {
+            return publisher.may_be_heard();
+        }
+        if self.publishers.len() >= MAX_SHOWN {
+            self.publishers.pop_first();
+        }
+        match self.bus.publisher(&TREE, &[robot]) {
+            Ok(publisher) => {
+                self.publishers.insert(robot.to_owned(), publisher);
+                true
             }
             Err(error) => {
-                core = PlanWorker::default();
-                Err(Refusal::Internal {
-                    reason: error.to_string(),
-                })
+                tracing::warn!(robot, %error, "its searches cannot be shown");
+                false
             }
-        };
-        match answer {
-            Ok(reply) => request.reply(&reply),
-            Err(refusal) => request.refuse(&refusal),
         }
     }
 }

@@ -42,6 +42,8 @@ pub struct Curve {
     pub solver: String,
     /// Iterations it took.
     pub iterations: u32,
+    /// Its relative duality gap.
+    pub gap: f64,
 }
 
 /// Why there is no curve.
@@ -137,6 +139,7 @@ pub fn fit(rooms: &[Room], ends: &Ends, turning_length: f64, max_iterations: u32
         pieces,
         solver: format!("{status:?}"),
         iterations: solver.solution.iterations,
+        gap: solver.info.gap_rel,
     })
 }
 

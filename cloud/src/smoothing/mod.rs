@@ -7,6 +7,7 @@
 //! | [`curve`] | which curve through that room bends least? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
+//! | [`unsmoothed`] | what goes out where nobody smooths? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 //! | [`timing`] | when is the robot where? |
@@ -18,10 +19,12 @@ pub mod service;
 pub mod shortcut;
 pub mod smoother;
 pub mod timing;
+pub mod unsmoothed;
 pub mod worker;
 
 #[cfg(test)]
 mod tests;
 
 pub use smoother::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+pub use unsmoothed::unsmoothed;
 pub use worker::SmoothWorker;

@@ -1,76 +1,74 @@
-//! How does a smoothing worker live on the network? Ways in, trajectories out. Thin: [`SmoothWorker`] answers.
+//! How does a smoothing worker live on the network? Ways in, trajectories out. Thin: [`SmoothWorker`] answers, [`host`] carries.
 
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use zenav_protocol::bus::{Bus, BusError, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::Refusal;
-use zenav_protocol::topics::{ALIVE_WORKER, SMOOTH_SERVICE, alive_key};
+use zenav_protocol::messages::{MapRef, Refusal, SmoothReply, SmoothRequest};
+use zenav_protocol::topics::{Ask, SMOOTH_SERVICE};
 
 use super::worker::SmoothWorker;
-use crate::mapping::follower::MapFollower;
+use crate::mapping::{MapMirror, Outlook};
+use crate::space::Zones;
+use crate::worker_host::{Work, host};
 
-/// How long the whole map may take to come.
-const MAP_DEADLINE: Duration = Duration::from_millis(1500);
+/// Nobody waits longer for a trajectory: the unsmoothed way is driven then.
+const BUDGET: Duration = Duration::from_secs(3);
 
-/// Answers smoothing requests under a worker's name until shutdown, or until the bus is closed.
+impl Work for SmoothWorker {
+    type Question = SmoothRequest;
+    type Answer = SmoothReply;
+    const ASK: Ask<SmoothRequest, SmoothReply> = SMOOTH_SERVICE;
+    const SERVICE: &'static str = "smooth";
+
+    fn map_of(question: &SmoothRequest) -> (&str, &MapRef) {
+        (&question.robot, &question.map)
+    }
+
+    fn outlook(question: &SmoothRequest) -> Option<Outlook> {
+        question
+            .unknown_is_free
+            .then(|| Outlook::of(&question.model.footprint, question.path.clone()))
+    }
+
+    fn budget(_question: &SmoothRequest) -> Duration {
+        BUDGET
+    }
+
+    fn answer(
+        &mut self,
+        map: Option<&MapMirror>,
+        question: &SmoothRequest,
+        clock: &mut dyn FnMut() -> f64,
+        _cancel: &AtomicBool,
+    ) -> Result<SmoothReply, Refusal> {
+        // The solver's iterations are bounded by themselves.
+        Self::answer(self, map, question, clock)
+    }
+}
+
+/// Answers smoothing requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, worker: Id, shutdown: Shutdown) -> Result<(), BusError> {
-    let mut follower = MapFollower::new(&bus)?;
-    let mut server = bus.serve(&SMOOTH_SERVICE, &[worker.as_str()])?;
-    let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &["smooth", worker.as_str()]))?;
-    let mut core = SmoothWorker::default();
-    loop {
-        let request = tokio::select! {
-            () = shutdown.wait() => return Ok(()),
-            open = follower.follow() => { debug_assert!(!open); return Ok(()) }
-            request = server.next() => match request {
-                Some(request) => request,
-                None => return Ok(()),
-            },
-        };
-        let map = follower
-            .map(&request.body.robot, &request.body.map, MAP_DEADLINE)
-            .await
-            .cloned();
-        let body = request.body.clone();
-        let done = tokio::task::spawn_blocking(move || {
-            let began = Instant::now();
-            let answer = core.answer(map.as_ref(), &body, &mut || began.elapsed().as_secs_f64());
-            (core, answer)
-        });
-        let answer = match done.await {
-            Ok((back, answer)) => {
-                core = back;
-                answer
-            }
-            Err(error) => {
-                core = SmoothWorker::default();
-                Err(Refusal::Internal {
-                    reason: error.to_string(),
-                })
-            }
-        };
-        match answer {
-            Ok(reply) => request.reply(&reply),
-            Err(refusal) => request.refuse(&refusal),
-        }
-    }
+pub async fn run(bus: Bus, worker: Id, zones: Arc<Zones>, shutdown: Shutdown) -> Result<(), BusError> {
+    let begun = || SmoothWorker::new(Arc::clone(&zones));
+    host(bus, worker, shutdown, begun, |_: &SmoothWorker, _, _| {}).await
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
-    use zenav_protocol::bus::{AskError, BusConfig, Router, RouterConfig};
+    use zenav_protocol::bus::{AskError, BusConfig, Clock, Router, RouterConfig};
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{MapInfo, MapRef, MapReply, PlanOutcome, PlanRequest, SmoothRequest};
     use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
-    use zenav_protocol::topics::{MAP, PLAN_SERVICE};
+    use zenav_protocol::topics::{MAP, PLAN_SERVICE, TREE};
 
     use super::*;
     use crate::planning::service as planning;
@@ -131,10 +129,17 @@ mod tests {
         let services = [
             tokio::spawn(planning::run(
                 open("planning").await.unwrap(),
+                Clock::wall(),
                 worker.clone(),
+                Arc::default(),
                 shutdown.clone(),
             )),
-            tokio::spawn(run(open("smoothing").await.unwrap(), worker, shutdown.clone())),
+            tokio::spawn(run(
+                open("smoothing").await.unwrap(),
+                worker,
+                Arc::default(),
+                shutdown.clone(),
+            )),
         ];
         let client = open("client").await.unwrap();
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
@@ -148,11 +153,22 @@ mod tests {
             unknown_is_free: false,
             budget_ms: 5000,
         };
+        let mut trees = client.subscribe(&TREE, &["tiago"], 8).unwrap();
         let found = client.ask(&PLAN_SERVICE, &["*"], &question, DEADLINE).await.unwrap();
         assert_eq!(found.map, map().info.map);
         let PlanOutcome::Found { path, .. } = found.outcome else {
             panic!("no way")
         };
+        // What is shown first may come before anybody listens; whoever listens sees the next one.
+        let shown = tokio::time::timeout(DEADLINE, async {
+            loop {
+                tokio::select! {
+                    tree = trees.next() => return tree.unwrap().message,
+                    again = client.ask(&PLAN_SERVICE, &["w1"], &question, DEADLINE) => { again.unwrap(); }
+                }
+            }
+        });
+        assert_eq!(shown.await.unwrap().path, path);
 
         let way = SmoothRequest {
             robot: "tiago".to_owned(),

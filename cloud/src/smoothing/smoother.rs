@@ -5,10 +5,10 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{PlanStatistics, TrajectoryPoint};
+use zenav_protocol::messages::{PlanStatistics, SolverFigures, TrajectoryPoint};
 use zenav_protocol::robot::RobotModel;
 
-use super::certificate::{Collision, clearance};
+use super::certificate::{Collision, Evidence, certify, clearance};
 use super::corridor::{RoomSize, corridor};
 use super::curve::{CurveError, EndTangent, Ends, fit};
 use super::shortcut::{is_clear, shortcut};
@@ -115,16 +115,20 @@ pub fn smooth(
         timing: 0.0,
     };
     let mut result = Smoothed::default();
-    let (motion, solver, status, least) = match smoothed_or_safe(space, query, &limits, settings, &mut times) {
-        Ok(curve) => (curve.motion, curve.solver, SMOOTHED.to_owned(), curve.least),
-        Err((reason, Some((motion, least)))) => (motion, String::new(), format!("fallback:{reason}"), least),
-        Err((reason, None)) => (Motion::new(), String::new(), format!("fallback:{reason}"), None),
+    let (motion, evidence, status, least) = match smoothed_or_safe(space, query, &limits, settings, &mut times) {
+        Ok(curve) => (curve.motion, curve.evidence, SMOOTHED.to_owned(), curve.least),
+        Err((reason, Some((motion, least)))) => (motion, Evidence::default(), format!("fallback:{reason}"), least),
+        Err((reason, None)) => (Motion::new(), Evidence::default(), format!("fallback:{reason}"), None),
     };
+    let (motion, jerk) = times.measure(|t| &mut t.timing, || motion.with_limited_jerk(&limits));
+    let solver = evidence.status();
+    let certificate = times.measure(|t| &mut t.timing, || certify(&motion, &model.drive, evidence, jerk));
     let statistics = &mut result.statistics;
     (statistics.corridor_ms, statistics.geometry_ms, statistics.timing_ms) =
         (times.corridor * 1e3, times.geometry * 1e3, times.timing * 1e3);
     (statistics.length, statistics.duration) = (motion.length(), motion.duration());
     (statistics.status, statistics.solver, statistics.min_clearance) = (status, solver, least);
+    statistics.certificate = certificate;
     result.motion = motion;
     result
 }
@@ -150,7 +154,7 @@ impl Times<'_> {
 /// A motion that was checked, and how it came about.
 struct Checked {
     motion: Motion,
-    solver: String,
+    evidence: Evidence,
     least: Option<f64>,
 }
 
@@ -187,13 +191,19 @@ fn smoothed_or_safe(
         |t| &mut t.corridor,
         || corners_from(query.start.position(), &shortcut(space, &way, comfort)),
     );
+    let zones = space.zones();
+    let in_zones = |point: Point2<f64>| zones.speed_limit(point);
     let job = Job {
         space,
         query,
         limits,
         settings: &settings,
         exempt,
-        speed_limit: UNRESTRICTED,
+        speed_limit: if zones.has_speed_limits() {
+            &in_zones
+        } else {
+            UNRESTRICTED
+        },
     };
     let safe = |times: &mut Times<'_>| times.measure(|t| &mut t.timing, || job.safe(&short).or_else(|| job.safe(&way)));
     if short.len() < 2 {
@@ -201,7 +211,7 @@ fn smoothed_or_safe(
         return match safe(times) {
             Some((motion, least)) => Ok(Checked {
                 motion,
-                solver: "none".to_owned(),
+                evidence: Evidence::default(),
                 least,
             }),
             None => Err(("collision".to_owned(), None)),
@@ -245,11 +255,11 @@ enum Beginning {
     Turned,
 }
 
-/// A motion in the making: where it has come to, and what the solver said last.
+/// A motion in the making: where it has come to, and how it came about.
 struct Drive {
     motion: Motion,
     at: Pose2,
-    solver: String,
+    evidence: Evidence,
 }
 
 impl Drive {
@@ -371,7 +381,7 @@ impl Job<'_> {
         let mut drive = Drive {
             motion: Motion::new(),
             at: start,
-            solver: "none".to_owned(),
+            evidence: Evidence::default(),
         };
         let (way, mut enter) = match beginning {
             Beginning::Moving => {
@@ -432,7 +442,7 @@ impl Job<'_> {
         let least = least.map_err(|Collision| "collision".to_owned())?;
         Ok(Checked {
             motion: drive.motion,
-            solver: drive.solver,
+            evidence: drive.evidence,
             least,
         })
     }
@@ -478,7 +488,12 @@ impl Job<'_> {
                     self.settings.max_iterations,
                 )?;
                 let path = curve.sampled(self.settings.step)?;
-                drive.solver = curve.solver;
+                let solver = SolverFigures {
+                    status: curve.solver,
+                    iterations: curve.iterations,
+                    gap: curve.gap,
+                };
+                drive.evidence.add(&rooms, solver);
                 Ok(path)
             },
         );

@@ -1,16 +1,19 @@
 //! Claims about what comes out of the smoother, checked by other means than the smoother's own.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 use proptest::prelude::*;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::polygon::{contains, edges};
 use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::{SmoothQuery, SmoothSettings, Smoothed, smooth};
 use crate::planning::{Budget, PlanOptions, Planner, Searcher, plan};
-use crate::space::{ConfigurationSpace, UnknownPolicy};
+use crate::space::{ConfigurationSpace, UnknownPolicy, Zones};
 
 fn robot(name: &str) -> RobotModel {
     RobotModel::from_toml(shipped(name).unwrap(), name).unwrap()
@@ -132,6 +135,45 @@ fn assert_ends_at(result: &Smoothed, goal: Pose2, goal_yaw: Option<f64>) {
     if let Some(yaw) = goal_yaw {
         assert!(wrap_angle(end.yaw - yaw).abs() < 1e-6);
     }
+}
+
+#[test]
+fn a_motion_stays_out_of_closed_zones_and_is_slow_in_speed_zones() {
+    let model = robot("tiago");
+    let zones = "[[keep_out]]\npoints = [[3.0, 0.5], [5.0, 1.0], [4.0, 4.2]]\n[[speed_limit]]\npoints = [[2.0, 0.0], [6.0, 0.0], [6.0, 6.0], [2.0, 6.0]]\nmax_speed = 0.25\n";
+    let zones = Arc::new(Zones::from_toml(zones, "zones").unwrap());
+    let space = ConfigurationSpace::with_zones(&hall(), &model.footprint, UnknownPolicy::Blocked, 0.0, &zones);
+    let (start, goal) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(7.0, 2.0, 0.0));
+    let way = way(&space, start, goal, &PlanOptions::default()).unwrap();
+    let query = SmoothQuery {
+        way: &way,
+        start,
+        start_velocity: Twist2::ZERO,
+        goal_yaw: None,
+    };
+    let result = smoothed(&space, &query, &model);
+    assert_sound(&result, &space, &model);
+    assert_ends_at(&result, goal, None);
+    let corners = [(3.0, 0.5), (5.0, 1.0), (4.0, 4.2)].map(|(x, y)| Point2::new(x, y));
+    let (mut within, mut fastest) = (0, 0.0_f64);
+    for state in result.motion.states(0.001) {
+        let position = state.point.pose().position();
+        let apart = edges(&corners)
+            .map(|edge| {
+                let along = edge.b - edge.a;
+                let share = ((position - edge.a).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+                (edge.a + along * share - position).norm()
+            })
+            .fold(f64::INFINITY, f64::min);
+        assert!(apart > model.footprint.inscribed_radius() && !contains(&corners, position));
+        fastest = fastest.max(state.point.v);
+        // Where exactly the border is crossed depends on the path's samples.
+        if (2.05..5.95).contains(&position.x) {
+            within += 1;
+            assert!(state.point.v <= 0.25 + 1e-6, "{:?}", state.point);
+        }
+    }
+    assert!(within > 1000 && fastest > 0.4, "{within} {fastest}");
 }
 
 #[test]

@@ -1,13 +1,15 @@
 //! How is one smoothing request answered? On a copy of the map; a way that cannot be smoothed still gets a safe trajectory.
 
+use std::sync::Arc;
+
 use zenav_protocol::messages::{PlanStatistics, Refusal, SmoothReply, SmoothRequest};
 
 use super::{SmoothQuery, SmoothSettings, smooth};
 use crate::mapping::MapMirror;
-use crate::space::{SpaceCache, UnknownPolicy};
+use crate::space::{SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two points of a trajectory, s.
-const PERIOD: f64 = 0.05;
+pub const PERIOD: f64 = 0.05;
 /// Most corner points of a way.
 const MAX_POINTS: usize = 100_000;
 
@@ -18,6 +20,14 @@ pub struct SmoothWorker {
 }
 
 impl SmoothWorker {
+    /// A worker for maps with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+        }
+    }
+
     /// Answers a request on a copy of the robot's map. `clock` (s) tells times for the statistics only.
     ///
     /// # Errors

@@ -4,7 +4,7 @@
 //! told by how many edges they have on their left (an even-odd scan conversion).
 
 use nalgebra::Point2;
-use zenav_protocol::grid::GridSpec;
+use zenav_protocol::grid::{Cell, GridSpec};
 use zenav_protocol::polygon::edges;
 
 /// Cells this near to a polygon count as touched, cells: rounding never loses one.
@@ -55,6 +55,12 @@ impl CellMask {
             (Some(row), Some(word)) => self.words[row * self.stride + word],
             _ => 0,
         }
+    }
+
+    /// Whether a cell is marked.
+    #[must_use]
+    pub fn is_set(&self, cell: Cell) -> bool {
+        self.word(cell.y, cell.x as usize / 64) >> (cell.x % 64) & 1 == 1
     }
 
     fn empty(rows: std::ops::Range<usize>, words: std::ops::Range<usize>) -> Self {

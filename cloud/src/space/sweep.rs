@@ -347,4 +347,21 @@ pub(super) mod tests {
             let _ = (bits.is_touched_by_disc(a, b, reach), bits.is_touched_by_disc(c, b, reach));
         }
     }
+
+    #[test]
+    fn the_far_half_of_the_last_column_and_row_is_not_missed() {
+        let bits = Banded::new(bits(&[(SIDE - 1, 9), (9, SIDE - 1)]));
+        for x in [69.51, 69.75, 69.99, 70.0] {
+            let (a, b) = (Point2::new(x, 5.0), Point2::new(x, 15.0));
+            assert!(
+                bits.is_touched_by_window(a, b, 0.0) && bits.is_touched_by_disc(a, b, 0.0),
+                "{x}"
+            );
+            let (a, b) = (Point2::new(a.y, a.x), Point2::new(b.y, b.x));
+            assert!(
+                bits.is_touched_by_window(a, b, 0.0) && bits.is_touched_by_disc(a, b, 0.0),
+                "{x}"
+            );
+        }
+    }
 }

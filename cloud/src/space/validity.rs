@@ -45,6 +45,16 @@ impl ConfigurationSpace {
         }
     }
 
+    /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`: it touches no square that it stays off.
+    #[must_use]
+    pub fn is_permitted_between(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
+        let on_squares = || {
+            self.forbidden
+                .is_touched_by_window(self.spec.to_cells(a), self.spec.to_cells(b), 0.0)
+        };
+        self.unknown_policy == UnknownPolicy::Free || (self.is_permitted(a) && self.is_permitted(b) && !on_squares())
+    }
+
     /// Exact distance from the true footprint at a pose to the nearest obstacle, m; at most [`reach`](Self::reach), zero in
     /// collision and for a non-finite pose.
     #[must_use]
@@ -61,7 +71,8 @@ impl ConfigurationSpace {
                     .iter()
                     .map(|corner| self.spec.to_cells(pose.transform_point(*corner)))
                     .collect();
-                polygon_clearance(self.obstacles(), &outline, self.reach() / self.spec.resolution) * self.spec.resolution
+                polygon_clearance(self.obstacles(), &outline, self.reach() / self.spec.resolution)
+                    * self.spec.resolution
             }
         }
     }

@@ -120,7 +120,7 @@ impl Zones {
 
     /// Whether there is any speed zone.
     #[must_use]
-    pub fn limit_speed(&self) -> bool {
+    pub fn has_speed_limits(&self) -> bool {
         !self.speed_limits.is_empty()
     }
 

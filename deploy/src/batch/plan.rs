@@ -1,11 +1,12 @@
 //! How fast, how short, how often found? `zenav plan` answers many queries on one map, and times the search alone.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use zenav_cloud::planning::{Budget, Planner, Query as Question, Searched, Searcher, Way};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
+use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy, Zones};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 
@@ -44,6 +45,9 @@ pub struct PlanArgs {
     /// Inflate the map for this robot: a file or shipped name
     #[arg(long, value_name = "R")]
     robot: Option<String>,
+    /// File of keep-out and speed zones, m in the map's frame
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
     /// Give a search up after this time, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
@@ -65,7 +69,8 @@ pub struct PlanArgs {
 pub fn plan(args: &PlanArgs) -> Outcome {
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
-    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free)?;
+    let zones = files::zones(args.zones.as_deref())?;
+    let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
     let spec = *grid.spec();
     drop(grid);
     let mut searcher =
@@ -104,7 +109,12 @@ enum Ground {
 }
 
 impl Ground {
-    fn of(grid: &OccupancyGrid, robot: Option<&str>, unknown_is_free: bool) -> Result<Self, Failure> {
+    fn of(
+        grid: &OccupancyGrid,
+        robot: Option<&str>,
+        unknown_is_free: bool,
+        zones: &Arc<Zones>,
+    ) -> Result<Self, Failure> {
         if let Some(robot) = robot {
             let model = files::robot(robot)?;
             let policy = if unknown_is_free {
@@ -112,15 +122,18 @@ impl Ground {
             } else {
                 UnknownPolicy::default()
             };
-            return Ok(Self::Robot(Box::new(ConfigurationSpace::new(
+            return Ok(Self::Robot(Box::new(ConfigurationSpace::with_zones(
                 grid,
                 &model.footprint,
                 policy,
                 0.0,
+                zones,
             ))));
         }
         let spec = grid.spec();
+        let keep_out = zones.keep_out_cells(spec).unwrap_or_default();
         let free = BitGrid::from_fn(spec.width, spec.height, |cell| match Occupancy::of(grid[cell]) {
+            _ if keep_out.is_set(cell) => false,
             Occupancy::Free => true,
             Occupancy::Unknown => unknown_is_free,
             Occupancy::Occupied => false,
@@ -320,6 +333,26 @@ mod tests {
             std::fs::read_to_string(folder.path().join("paths/0002.txt")).unwrap(),
             ""
         );
+    }
+
+    #[test]
+    fn ways_lead_around_closed_zones_and_bad_zones_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let zones = folder.path().join("z.toml").display().to_string();
+        // The map's cells are 1 m wide, its origin lies below its last row: the lower half of the second column.
+        std::fs::write(&zones, "[[keep_out]]\npoints = [[1.2, 0.2], [1.8, 0.2], [1.5, 1.8]]\n").unwrap();
+        let open = "type octile\nheight 4\nwidth 4\nmap\n....\n....\n....\n....\n";
+        let (outcome, rows, _folder) = run(open, "0 3 2 3\n1 3 0 0\n", &["--zones", &zones]);
+        assert_eq!(outcome.unwrap(), exit_code::OK);
+        assert_eq!((rows[0][1], rows[1][2]), (6.0, 0.0));
+        std::fs::write(&zones, "[[keep_out]]\npoints = [[1.2, 0.2]]\n").unwrap();
+        let failure = run(open, "0 3 2 3\n", &["--zones", &zones]).0.unwrap_err();
+        assert!(
+            failure.code == exit_code::USAGE && failure.message.contains("z.toml:2: `keep_out.points`"),
+            "{failure}"
+        );
+        let failure = run(open, "0 3 2 3\n", &["--zones", "nowhere.toml"]).0.unwrap_err();
+        assert_eq!(failure.code, exit_code::NOT_FOUND);
     }
 
     #[test]

@@ -40,6 +40,9 @@ pub struct SmoothArgs {
     /// Results; `-` prints them
     #[arg(long, value_name = "F", default_value = "-")]
     out: PathBuf,
+    /// File of keep-out and speed zones, m in the map's frame
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
     /// Write each trajectory into a file of this folder (0000.csv, …): `t,x,y,yaw,v,w,a,alpha`, m and s in the map's frame
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
@@ -52,6 +55,9 @@ pub struct SmoothArgs {
     /// Give a search up after this time, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
+    /// Largest jerk along the way, m/s³; the robot's own where it has one, unlimited else
+    #[arg(long, value_name = "J", value_parser = positive)]
+    jerk_limit: Option<f64>,
     /// Unknown cells may be driven through
     #[arg(long)]
     unknown_is_free: bool,
@@ -65,7 +71,8 @@ pub struct SmoothArgs {
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
 pub fn smooth(args: &SmoothArgs) -> Outcome {
-    let model = files::robot(&args.robot)?;
+    let mut model = files::robot(&args.robot)?;
+    model.drive.max_jerk = args.jerk_limit.or(model.drive.max_jerk);
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
     let policy = if args.unknown_is_free {
@@ -73,7 +80,8 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     } else {
         UnknownPolicy::default()
     };
-    let space = ConfigurationSpace::new(&grid, &model.footprint, policy, 0.0);
+    let zones = files::zones(args.zones.as_deref())?;
+    let space = ConfigurationSpace::with_zones(&grid, &model.footprint, policy, 0.0, &zones);
     let searcher =
         Searcher::new(space.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
     let options = if args.shortest {

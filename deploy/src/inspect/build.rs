@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use zenav_cloud::mapping::carmen::{self, LOG_BEAMS};
-use zenav_cloud::mapping::{InsertMode, map_file};
+use zenav_cloud::mapping::{InsertMode, build as maps, map_file};
 use zenav_protocol::messages::{Scan, exit_code};
 
 use crate::connect::positive;
@@ -16,6 +16,9 @@ use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
 /// A map from a log.
+///
+/// The rate is that of inserting all scans in one thread, by that thread's own time; reading, comparing and writing do not
+/// count.
 #[derive(Debug, clap::Args)]
 pub(super) struct BuildArgs {
     /// CARMEN log, compressed by gzip or not
@@ -67,7 +70,7 @@ struct Built {
 pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     let scans = read_log(&args.log)?;
     let build = |mode| {
-        carmen::build_map(&scans, args.resolution, mode, &LOG_BEAMS)
+        maps::build_map(&scans, args.resolution, mode, &LOG_BEAMS)
             .map_err(|error| Failure::usage(format!("{}: {error}", args.log.display())))
     };
     let mode = match args.mode {
@@ -76,17 +79,17 @@ pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     };
     // Only the insertion of all scans is timed: not reading the log, not comparing and writing the map.
     let (wall, thread) = (Instant::now(), thread_time());
-    let carmen::Built { map, beams } = build(mode)?;
+    let maps::Built { map, beams } = build(mode)?;
     let rate = |took: Duration| scans.len() as f64 / took.as_secs_f64().max(1e-9);
     let (wall, thread) = (wall.elapsed(), thread_time().saturating_sub(thread));
     let (counts, grid) = (map.counts(), map.to_occupancy());
     drop(map);
     let agreement = match mode {
-        InsertMode::Reference => carmen::Agreement {
+        InsertMode::Reference => maps::Agreement {
             occupied: 1.0,
             free: 1.0,
         },
-        InsertMode::Fast => carmen::agreement(&build(InsertMode::Reference)?.map.to_occupancy(), &grid),
+        InsertMode::Fast => maps::agreement(&build(InsertMode::Reference)?.map.to_occupancy(), &grid),
     };
     let map = map_file::write_map(&args.out, "map", &grid, "built from a log")
         .map_err(|error| Failure::failed(error.to_string()))?;

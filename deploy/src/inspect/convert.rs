@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use zenav_cloud::mapping::map_yaml::MapMode;
-use zenav_cloud::mapping::{atomic, image, map_file};
+use zenav_cloud::mapping::{atomic, image, map_file, map_image};
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 
@@ -87,7 +87,7 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     };
     let mut written = target.to_owned();
     if let Some(picture) = picture {
-        let pixels = map_file::to_image(&grid, mode);
+        let pixels = map_image::to_image(&grid, mode);
         let bytes = if picture.extension().is_some_and(|ending| ending == "png") {
             image::encode_png(&pixels).map_err(|error| failed(&error))?
         } else {
@@ -100,7 +100,7 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
             target.with_extension("yaml")
         };
         atomic::write_atomically(&picture, &bytes).map_err(|error| failed(&error))?;
-        atomic::write_atomically(&yaml, map_file::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())
+        atomic::write_atomically(&yaml, map_image::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())
             .map_err(|error| failed(&error))?;
         written = yaml;
     }

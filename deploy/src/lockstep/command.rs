@@ -52,6 +52,9 @@ pub struct RunArgs {
     /// Start with the true map
     #[arg(long)]
     known_map: bool,
+    /// File of keep-out and speed zones
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
     /// Mean delay from scan to plan, ms
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
@@ -157,6 +160,7 @@ fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Fai
         Simulation::new(world, vec![spec], args.seed).map_err(|error| Failure::usage(error.to_string()))?;
     let mut mission = MissionConfig::new(id.clone(), "lockstep", PathBuf::new());
     mission.places = places(world);
+    mission.zones = files::zones(args.zones.as_deref())?;
     mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
     let known_map = args.known_map.then(|| true_map(world)).transpose()?;
     let config = StageConfig {

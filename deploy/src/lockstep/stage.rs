@@ -3,10 +3,13 @@
 //! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
 //! links' delay stands for the whole way from scan to plan.
 
+use std::sync::Arc;
+
 use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
 use zenav_cloud::mission::{self, Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
 use zenav_cloud::planning::PlanWorker;
 use zenav_cloud::smoothing::SmoothWorker;
+use zenav_cloud::worker_host::Work as _;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::*;
@@ -89,7 +92,11 @@ impl Stage {
             simulation,
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
             mapper,
-            workers: Workers::default(),
+            workers: Workers {
+                mirror: MapMirror::new(),
+                planning: PlanWorker::new(Arc::clone(&config.mission.zones)),
+                smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
+            },
             mission: Mission::new(config.mission, Restored::fresh()),
             up: Link::new(0.5 * config.cloud_delay, config.seed),
             down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
@@ -254,7 +261,6 @@ fn answer_of(answer: Result<zenav_edge::Answer, Refusal>) -> Result<Answer, NoAn
 }
 
 /// A planning and a smoothing worker with one copy of the map.
-#[derive(Default)]
 struct Workers {
     mirror: MapMirror,
     planning: PlanWorker,
@@ -263,6 +269,9 @@ struct Workers {
 
 impl Workers {
     fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = PlanWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
         self.planning
             .answer(Some(&self.mirror), request, None)
             .map(Answer::Plan)
@@ -270,6 +279,9 @@ impl Workers {
     }
 
     fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = SmoothWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
         // No clock: times would differ from run to run.
         self.smoothing
             .answer(Some(&self.mirror), request, &mut || 0.0)

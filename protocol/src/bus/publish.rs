@@ -132,6 +132,17 @@ impl<T> Publisher<T> {
         &self.key
     }
 
+    /// Whether somebody may be listening, as far as this session knows. What is costly to make need not be made for nobody; a session
+    /// that has just declared the publisher may not know of anybody yet.
+    #[must_use]
+    pub fn may_be_heard(&self) -> bool {
+        let status = match &self.carrier {
+            Carrier::Plain(publisher) => publisher.matching_status().wait(),
+            Carrier::Advanced(publisher) => publisher.matching_status().wait(),
+        };
+        status.map_or(true, |status| status.matching())
+    }
+
     /// Values that could not be sent.
     #[must_use]
     pub fn failures(&self) -> u64 {

@@ -123,6 +123,67 @@ pub struct PlanStatistics {
     pub status: String,
     /// The geometry solver's own status.
     pub solver: String,
+    /// What was checked, and what the solvers said.
+    #[serde(default)]
+    pub certificate: Certificate,
+}
+
+/// Why a trajectory may be trusted: what an independent check of it found, and how its parts came about. Clearance stands beside it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Certificate {
+    /// The free rooms that the curve keeps to; `None` where it was driven along the way's own lines.
+    pub corridor: Option<CorridorFigures>,
+    /// How the curve was found; `None` as above.
+    pub geometry: Option<SolverFigures>,
+    /// The time law: `sweep` (as fast as the limits allow), `jerk_limited`, or `sweep:REASON` where a limited jerk was asked for.
+    pub time_law: String,
+    /// How a limited jerk was found; `None` without.
+    pub timing: Option<SolverFigures>,
+    /// Largest use of each limit, by the trajectory itself.
+    pub largest_use: LimitUse,
+    /// Shortest duration on this geometry, by the exact sweep without a limit of the jerk, s.
+    pub lower_bound: f64,
+    /// Duration over the lower bound.
+    pub over_lower_bound: f64,
+}
+
+/// The corridor around a way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CorridorFigures {
+    /// Convex rooms, each overlapping the next.
+    pub rooms: usize,
+    /// Least width across the way that the robot's centre has, m.
+    pub least_width: f64,
+}
+
+/// How a solver ended.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SolverFigures {
+    /// Its own status; the worst where there was more than one problem.
+    pub status: String,
+    /// Iterations of all problems.
+    pub iterations: u32,
+    /// Relative duality gap, the largest of all problems.
+    pub gap: f64,
+}
+
+/// Shares of a robot's limits: one is the whole limit, plans use at most 0.95.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LimitUse {
+    /// Of the forward speed.
+    pub speed: f64,
+    /// Of the wheels' speed.
+    pub wheel_speed: f64,
+    /// Of the wheels' acceleration.
+    pub wheel_acceleration: f64,
+    /// Of the lateral acceleration.
+    pub lateral_acceleration: f64,
+    /// Of the yaw rate.
+    pub yaw_rate: f64,
+    /// Of the jerk; `None` without such a limit, and where the acceleration jumps.
+    pub jerk: Option<f64>,
 }
 
 /// A question for a way through the robot's current map.
@@ -233,4 +294,33 @@ pub struct SearchTree {
     pub edges: Vec<[Point2<f64>; 2]>,
     /// The best way so far.
     pub path: Vec<Point2<f64>>,
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_without_a_certificate_are_read_and_with_one_come_back() {
+        let old = r#"{"planner":"astar","search_ms":1.0,"corridor_ms":0.0,"geometry_ms":0.0,"timing_ms":0.0,"length":2.0,"duration":4.0,"min_clearance":null,"status":"smoothed","solver":"Solved"}"#;
+        let mut statistics: PlanStatistics = serde_json::from_str(old).unwrap();
+        assert_eq!(statistics.certificate, Certificate::default());
+        statistics.certificate = Certificate {
+            corridor: Some(CorridorFigures {
+                rooms: 3,
+                least_width: 0.7,
+            }),
+            geometry: Some(SolverFigures {
+                status: "Solved".into(),
+                iterations: 12,
+                gap: 1e-9,
+            }),
+            time_law: "sweep".into(),
+            over_lower_bound: 1.0,
+            ..Certificate::default()
+        };
+        let text = serde_json::to_string(&statistics).unwrap();
+        assert_eq!(serde_json::from_str::<PlanStatistics>(&text).unwrap(), statistics);
+    }
 }

@@ -12,6 +12,8 @@ use crate::mission::route::{RouteData, Search, Searching, error_code};
 #[derive(Default)]
 pub struct ComputePath {
     search: Option<Search>,
+    /// Where to, and how often in a row it has been tried without a way.
+    tried: Option<(GoalPoint, u32)>,
 }
 
 impl Leaf<Context> for ComputePath {
@@ -25,6 +27,9 @@ impl Leaf<Context> for ComputePath {
             old.cancel(ctx);
         }
         self.search = Some(Search::new(ctx, goal, planner, ctx.now));
+        if self.tried.is_none_or(|(to, _)| to != goal) {
+            self.tried = Some((goal, 0));
+        }
         self.tick(io, ctx)
     }
 
@@ -49,13 +54,23 @@ impl Leaf<Context> for ComputePath {
                 if let Err(why) = written {
                     return fail(io, ctx, Some(error_code::UNKNOWN), why);
                 }
+                self.tried = None;
                 no_error(io);
                 io.say(format!("{length:.2} m"));
                 Status::Success
             }
             Searching::Failed(no_route) => {
                 self.search = None;
-                fail(io, ctx, Some(no_route.code), no_route.reason)
+                let times = self.tried.as_mut().map_or(1, |(_, times)| {
+                    *times = times.saturating_add(1);
+                    *times
+                });
+                let tries = if times > 1 {
+                    format!(", after {times} tries")
+                } else {
+                    String::new()
+                };
+                fail(io, ctx, Some(no_route.code), format!("{}{tries}", no_route.reason))
             }
         }
     }

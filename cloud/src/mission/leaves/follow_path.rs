@@ -6,7 +6,6 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{GoalPhase, GoalPoint};
 use zenav_protocol::time::Stamp;
 
@@ -33,10 +32,13 @@ const MAX_MISSES: u32 = 3;
 const AFTER_REFUSAL: f64 = 0.3;
 /// A route from rest is good only where the robot still stands, m.
 const BEGIN_DISTANCE: f64 = 0.15;
-/// Time between two looks beyond the border of a growing map, s.
-const LOOK_PERIOD: f64 = 1.0;
 /// Time besides braking and the latency budget at which a robot that drives towards something is brought to rest, s.
 const BRAKE_EARLY: f64 = 0.4;
+
+/// What stands farther ahead than this can wait …
+const FAR_SECS: f64 = 4.0;
+/// … until the motion is so old, s: a map that grows shows one thing after the other.
+const GATHER_SECS: f64 = 2.0;
 
 /// Drives `path`.
 #[derive(Default)]
@@ -49,13 +51,10 @@ pub struct FollowPath {
     rechecked: u64,
     /// A better route than the one being driven, from the tree.
     offered: Option<Arc<Route>>,
-    /// The search goes on beside the drive: nothing is wrong with the motion in force.
-    beside: bool,
-    /// The way in force ends where this grid does.
-    partial: Option<GridSpec>,
-    next_look: Stamp,
     /// Plan time of the motion in force at which something stands on the way, s.
     blocked_at: Option<f64>,
+    /// Until then what stands far ahead can wait.
+    gathered: Stamp,
 }
 
 /// What must not be forgotten over a restart.
@@ -131,7 +130,7 @@ impl Leaf<Context> for FollowPath {
             }
             self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
         }
-        if self.search.is_none() || self.beside {
+        if self.search.is_none() {
             match ctx.motion.standing().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(Standing::Void(why)) => {
@@ -148,7 +147,7 @@ impl Leaf<Context> for FollowPath {
                         ctx.end_leg(GoalPhase::Succeeded, None);
                         return Status::Success;
                     }
-                    self.misses += u32::from(self.partial.is_none());
+                    self.misses += 1;
                     if self.misses > MAX_MISSES {
                         let why = format!(
                             "ended {left:.2} m from the goal, {:.2} m are allowed",
@@ -161,8 +160,7 @@ impl Leaf<Context> for FollowPath {
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(Standing::Sent | Standing::Taken | Standing::Refused(_)) => {
-                    let status = self.supervise(io, ctx, memory);
-                    return self.look_further(io, ctx, memory).unwrap_or(status);
+                    return self.supervise(io, ctx, memory);
                 }
             }
         }
@@ -221,8 +219,7 @@ impl FollowPath {
         self.stop_search(ctx);
         self.blocked_at = None;
         ctx.drive(route.course.clone());
-        self.partial = ctx.map.spec().filter(|_| route.partial);
-        self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
+        self.gathered = ctx.now.plus_secs(GATHER_SECS);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
         step(io, ctx, "drives")
@@ -253,7 +250,9 @@ impl FollowPath {
             match checked {
                 Recheck::Free if due => ctx.renew(),
                 Recheck::Free => {}
+                Recheck::Blocked(ahead) if ahead > FAR_SECS && ctx.now < self.gathered => {}
                 Recheck::Blocked(ahead) => {
+                    tracing::debug!(goal = ctx.goal.id, ahead, "the way is blocked");
                     self.begin_search(ctx, memory.goal, 0.0);
                     self.blocked_at = Some(time + ahead);
                     self.brake_in_time(ctx);
@@ -267,32 +266,6 @@ impl FollowPath {
             "waits until the robot takes the plan"
         };
         step(io, ctx, what)
-    }
-
-    /// While the way in force ends at the border of a map that has grown since, a longer one is looked for.
-    fn look_further(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
-        let aimed_on = self.partial?;
-        match &mut self.search {
-            None if ctx.now >= self.next_look && ctx.map.spec() != Some(aimed_on) => {
-                self.begin_search(ctx, memory.goal, 0.0);
-                self.beside = true;
-                None
-            }
-            Some(search) if self.beside => match search.step(ctx) {
-                Searching::Wait(_) => None,
-                Searching::Found(route) => {
-                    self.search = None;
-                    self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
-                    self.fits(ctx, &route).then(|| self.drive(io, ctx, memory, &route))
-                }
-                Searching::Failed(_) => {
-                    self.search = None;
-                    self.next_look = ctx.now.plus_secs(LOOK_PERIOD);
-                    None
-                }
-            },
-            _ => None,
-        }
     }
 
     fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
@@ -332,12 +305,14 @@ impl FollowPath {
                 self.search = self.search.take().map(Search::from_rest);
                 step(io, ctx, &format!("stops: {}", no_route.reason))
             }
-            Searching::Failed(no_route) => self.end(
-                io,
-                ctx,
-                error_code::NO_VALID_CONTROL,
-                format!("no way on: {}", no_route.reason),
-            ),
+            Searching::Failed(no_route) => {
+                let code = if no_route.is_final() {
+                    error_code::INVALID_PATH
+                } else {
+                    error_code::NO_VALID_CONTROL
+                };
+                self.end(io, ctx, code, format!("no way on: {}", no_route.reason))
+            }
         }
     }
 
@@ -353,7 +328,6 @@ impl FollowPath {
 
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
         self.stop_search(ctx);
-        self.beside = false;
         let from = ctx.now.plus_secs(wait);
         self.search = Some(Search::new(ctx, goal, None, from));
     }

@@ -83,11 +83,7 @@ fn a_way_blocked_for_good_is_not_renewed_and_the_goal_is_given_up_with_the_reaso
     assert!(rig.edge.pose.x < 3.7);
     let goal = rig.goal("a");
     assert_eq!(goal.state, GoalPhase::Aborted);
-    assert!(
-        goal.reason.as_ref().unwrap().contains("not connected"),
-        "{:?}",
-        goal.reason
-    );
+    assert!(goal.reason.as_ref().unwrap().contains("no path"), "{:?}", goal.reason);
 }
 
 #[test]
@@ -339,17 +335,51 @@ fn asks_that_change_something_carry_the_epoch() {
 }
 
 #[test]
-fn towards_a_goal_beyond_a_growing_map_it_drives_as_far_as_the_map_goes() {
+fn a_goal_beyond_a_growing_map_is_driven_to_through_the_unknown() {
     let mut rig = Rig::new();
     rig.map.stored = false;
     rig.run(1.0);
     rig.submit(to(10.0, 0.0, "a")).unwrap();
-    rig.run_until(120.0, |rig| rig.state("a").is_end());
-    assert!((7.0..7.6).contains(&rig.edge.pose.x), "{:?}", rig.edge.pose);
+    assert!(rig.run_until(120.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+    assert_eq!(rig.goal("a").feedback.replans, 0);
+}
+
+#[test]
+fn a_goal_without_a_way_is_given_up_after_some_tries_that_are_counted() {
+    let mut rig = Rig::new();
+    rig.plans_none = true;
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    assert!(rig.run_until(60.0, |rig| rig.state("a").is_end()));
+    let asked = rig.asked.iter().filter(|ask| matches!(ask, Ask::Plan(_))).count();
+    assert_eq!((rig.state("a"), asked), (GoalPhase::Aborted, 4));
+    let reason = rig.goal("a").reason.clone().unwrap();
     assert!(
-        rig.goal("a").reason.as_ref().unwrap().contains("outside the map"),
+        reason.contains("no path: the goal (5.00, 0.00)") && reason.contains("after 4 tries"),
+        "{reason}"
+    );
+    assert!(rig.plans.is_empty());
+}
+
+#[test]
+fn a_robot_that_by_the_map_stands_in_something_leaves_it_by_the_nearest_free_place() {
+    let mut rig = Rig::new();
+    rig.occupy(0.0, 0.0);
+    rig.remap();
+    rig.start_occupied_within = 0.3;
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    assert!(rig.run_until(60.0, |rig| rig.state("a").is_end()));
+    let goal = rig.goal("a");
+    assert_eq!(
+        (goal.state, goal.feedback.recoveries),
+        (GoalPhase::Succeeded, 1),
         "{:?}",
-        rig.goal("a")
+        goal.reason
+    );
+    assert_eq!(
+        rig.plans[0].1.waypoints[0],
+        nalgebra::Point2::new(0.0, 0.55),
+        "the free place comes first"
     );
 }
 

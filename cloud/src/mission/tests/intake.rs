@@ -1,9 +1,12 @@
 //! Claims about which goals are taken.
 
+use std::sync::Arc;
+
 use zenav_protocol::messages::*;
 
 use super::rig::{Rig, to};
 use crate::mission::exchange::{Request, Response};
+use crate::space::Zones;
 
 #[test]
 fn what_is_no_goal_is_answered_with_what_was_expected() {
@@ -130,6 +133,26 @@ fn a_goal_in_a_wall_is_rejected_with_the_nearest_place_that_would_do() {
         })
         .is_ok()
     );
+}
+
+#[test]
+fn a_goal_in_a_closed_zone_is_rejected_with_its_name_and_the_nearest_place_outside() {
+    let mut rig = Rig::new();
+    let zones = "[[keep_out]]\nname = \"stairs\"\npoints = [[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]]";
+    rig.config.zones = Arc::new(Zones::from_toml(zones, "zones").unwrap());
+    rig.start();
+    rig.run(1.0);
+    match rig.submit(to(2.2, 3.0, "closed")) {
+        Err(Refusal::Rejected {
+            reason,
+            nearest_free: Some(free),
+        }) => assert!(
+            reason.contains("stairs") && free.x < 1.8 && free.x > 1.4 && (free.y - 3.0).abs() < 0.2,
+            "{reason} {free:?}"
+        ),
+        other => panic!("{other:?}"),
+    }
+    assert!(rig.submit(to(2.0, 0.0, "open")).is_ok());
 }
 
 #[test]

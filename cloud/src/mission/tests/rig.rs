@@ -17,7 +17,8 @@ use crate::mission::exchange::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Re
 use crate::mission::records::{Record, Restored, StoredGoal};
 use crate::mission::route::sample;
 use crate::mission::{Mission, MissionConfig};
-use crate::smoothing::timing::safe_trajectory;
+use crate::smoothing::unsmoothed;
+use crate::smoothing::worker::PERIOD;
 
 pub const DT: f64 = 0.05;
 
@@ -285,6 +286,10 @@ pub struct Rig {
     pub status: Option<MissionStatus>,
     pub planner_up: bool,
     pub smoother_up: bool,
+    /// The planner finds no way.
+    pub plans_none: bool,
+    /// So near to (0, 0) the planner takes a start for occupied, and (0, 0.55) for the nearest free place, m.
+    pub start_occupied_within: f64,
     /// Time from an ask to its answer, s.
     pub latency: f64,
     waiting: Vec<(Stamp, Ticket, Result<Answer, NoAnswer>)>,
@@ -343,6 +348,8 @@ impl Rig {
             status: None,
             planner_up: true,
             smoother_up: true,
+            plans_none: false,
+            start_occupied_within: 0.0,
             latency: 0.1,
             waiting: Vec::new(),
             requests: Vec::new(),
@@ -556,6 +563,10 @@ impl Rig {
                 let ways = [vec![start, goal], vec![start, side, goal]];
                 let free = |way: &&Vec<Point2<f64>>| way.windows(2).all(|pair| self.is_free(pair[0], pair[1]));
                 let outcome = match ways.iter().find(free) {
+                    _ if start.coords.norm() < self.start_occupied_within => PlanOutcome::StartOccupied {
+                        nearest_free: Some(Point2::new(0.0, 0.55)),
+                    },
+                    _ if self.plans_none => PlanOutcome::NoPath,
                     Some(path) => {
                         let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
                         PlanOutcome::Found {
@@ -574,13 +585,14 @@ impl Rig {
             }
             Ask::Smooth(_) if !self.smoother_up => silent(),
             Ask::Smooth(request) => {
-                let trajectory = safe_trajectory(
+                let safe = unsmoothed(
                     &request.path,
                     request.start,
                     request.start_velocity,
                     request.goal_yaw,
                     &request.model,
                 );
+                let trajectory = safe.trajectory(PERIOD);
                 let statistics = PlanStatistics {
                     status: "smoothed".into(),
                     ..PlanStatistics::default()

@@ -1,10 +1,11 @@
-//! What is the fastest law whose jerk is limited? A few linear programs, each around the last one's law.
+//! What is the fastest law whose jerk is limited? A few quadratic programs, each around the last one's law.
 //!
 //! The squared speed `b(s)` is a quadratic spline on the way's samples, its coefficients the unknowns: the acceleration `a = b'/2` is
 //! continuous and linear between samples, the jerk there `a' √b`. On an interval the wheels' accelerations `a (1 ± k h) ± h k' b` are
 //! quadratic: they are bounded where their three Bernstein coefficients are, which is linear in the unknowns. The jerk's bound
 //! `|a'| <= J / √b` is not, but `1 / √b` is convex and lies above its tangents: with the tangent at the last law's `b` each program's
 //! answer keeps the true limit, and the next one can only be faster. The first tangents are at the sweep's law, which no law exceeds.
+//! What is minimised is the time, `∫ b^(-1/2) ds`, as a parabola around the last law.
 //! From rest, and into it, the jerk is constant on one interval: there `b = 3/2 a s`.
 //!
 //! Sources: Verscheure, Demeulenaere, Swevers, De Schutter and Diehl, "Time-Optimal Path Tracking for Robots: A Convex Optimization
@@ -22,9 +23,12 @@ use super::sweep::ceilings;
 /// Programs solved one after the other, at most.
 const PASSES: usize = 3;
 /// A pass that shortens the law by a smaller share is the last one.
-const GAIN: f64 = 2e-3;
+const GAIN: f64 = 5e-3;
 /// Share of the limits that the programs leave for the solver's own tolerance.
-const MARGIN: f64 = 1e-6;
+const MARGIN: f64 = 1e-5;
+
+/// Squared speeds below this share of the highest weigh no more: next to rest they would drown the others.
+const SLOW: f64 = 1e-3;
 
 /// A law, and how it came about.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,34 +62,44 @@ pub enum JerkError {
 /// [`JerkError`].
 pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]) -> Result<JerkLimited, JerkError> {
     let spline = Spline::new(path, squared[0], jerk).ok_or(JerkError::TooShort)?;
-    let bounds = Bounds { ceilings: ceilings(path, limits, squared[0].sqrt()), sweep: squared, jerk: jerk * (1.0 - MARGIN) };
+    let bounds = Bounds {
+        ceilings: ceilings(path, limits, squared[0].sqrt()),
+        sweep: squared,
+        jerk: jerk * (1.0 - MARGIN),
+    };
     let mut reference = spline.heights(squared);
     let mut best: Option<JerkLimited> = None;
-    let mut iterations = 0;
+    let (mut iterations, mut last) = (0, f64::INFINITY);
     for pass in 1..=PASSES {
         let rows = spline.rows(path, limits, &bounds, &reference);
-        let answer = spline.solve(&rows, &reference);
-        let failed = answer.as_ref().err().cloned();
-        if let Ok(answer) = answer {
-            iterations += answer.iterations;
-            let (squared, accelerations) = spline.law(path, &answer.x);
-            let law = TimeLaw::continuous(path, &squared, &accelerations);
-            reference = spline.heights(&squared);
-            let known = best.as_ref().map_or(f64::INFINITY, |best| best.law.duration());
-            let shorter = law.duration() < known;
-            let done = law.duration() > (1.0 - GAIN) * known;
-            if shorter {
-                best = Some(JerkLimited { law, passes: pass, status: answer.status, iterations, gap: answer.gap });
-            }
-            if done {
-                break;
-            }
+        let answer = match (spline.solve(&rows, &reference), best.is_some()) {
+            (Ok(answer), _) => answer,
+            (Err(error), false) => return Err(error),
+            (Err(_), true) => break,
+        };
+        iterations += answer.iterations;
+        let (squared, accelerations) = spline.law(path, &answer.x);
+        let law = TimeLaw::continuous(path, &squared, &accelerations);
+        let duration = law.duration();
+        if best.as_ref().is_none_or(|best| duration < best.law.duration()) {
+            best = Some(JerkLimited {
+                law,
+                passes: pass,
+                status: answer.status,
+                iterations,
+                gap: answer.gap,
+            });
         }
-        if let Some(error) = failed {
-            return best.ok_or(error);
+        // Another reference changes the tangents, and nothing where none of them binds.
+        let tangents = &rows[..4 * spline.lengths.len()];
+        let binds = tangents.iter().any(|row| row.at(&answer.x) > 0.99);
+        if !binds || duration > (1.0 - GAIN) * last {
+            break;
         }
+        last = duration;
+        reference = spline.heights(&squared);
     }
-    best.ok_or(JerkError::Solver("none".to_owned()))
+    best.ok_or(JerkError::TooShort)
 }
 
 /// `factors · x[first..] + constant`.
@@ -99,11 +113,18 @@ struct Form {
 impl Form {
     /// One unknown.
     fn unknown(index: usize) -> Self {
-        Self { first: index, factors: [1.0, 0.0, 0.0], constant: 0.0 }
+        Self {
+            first: index,
+            factors: [1.0, 0.0, 0.0],
+            constant: 0.0,
+        }
     }
 
     fn constant(constant: f64) -> Self {
-        Self { constant, ..Self::default() }
+        Self {
+            constant,
+            ..Self::default()
+        }
     }
 
     fn scaled(self, factor: f64) -> Self {
@@ -127,7 +148,12 @@ impl Form {
         sum.constant += high.constant;
         if !high.is_constant() {
             let shift = high.first - low.first;
-            for (i, factor) in high.factors.into_iter().enumerate().filter(|(_, factor)| *factor != 0.0) {
+            for (i, factor) in high
+                .factors
+                .into_iter()
+                .enumerate()
+                .filter(|(_, factor)| *factor != 0.0)
+            {
                 sum.factors[i + shift] += factor;
             }
         }
@@ -175,11 +201,17 @@ impl Spline {
                 } else {
                     Form::constant(start)
                 };
-                return (height, Form::unknown(0).plus(height.scaled(-1.0)).scaled(1.0 / first_length));
+                return (
+                    height,
+                    Form::unknown(0).plus(height.scaled(-1.0)).scaled(1.0 / first_length),
+                );
             }
             if j == end_knot {
                 let height = Form::unknown(j - 1).scaled(rest(*last, last_length));
-                return (height, height.plus(Form::unknown(j - 1).scaled(-1.0)).scaled(1.0 / last_length));
+                return (
+                    height,
+                    height.plus(Form::unknown(j - 1).scaled(-1.0)).scaled(1.0 / last_length),
+                );
             }
             let both = inner[j - 1] + inner[j];
             let (before, after) = (Form::unknown(j - 1), Form::unknown(j));
@@ -282,7 +314,9 @@ impl Spline {
                 let beside = [before, here];
                 let slopes = beside.iter().flatten().map(|(slope, _)| *slope);
                 let bulge = beside.iter().flatten().map(|(_, bulge)| *bulge).fold(0.0, f64::max);
-                let (low, high) = slopes.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), slope| (low.min(slope), high.max(slope)));
+                let (low, high) = slopes.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), slope| {
+                    (low.min(slope), high.max(slope))
+                });
                 if low <= high {
                     rows.at_most(a.scaled(factor).plus(b.scaled(high)), most - bulge);
                     rows.at_most(a.scaled(-factor).plus(b.scaled(-low)), most - bulge);
@@ -292,7 +326,10 @@ impl Spline {
         }
         // Where the jerk is constant the bound is linear but for a factor that is at most one.
         let last = points.len() - 1;
-        let rests = [(self.begin == 1).then_some((0, 0, 0, 1)), Some((count, last - 1, last, last - 1))];
+        let rests = [
+            (self.begin == 1).then_some((0, 0, 0, 1)),
+            Some((count, last - 1, last, last - 1)),
+        ];
         for (j, interval, at_rest, at_knot) in rests.into_iter().flatten() {
             let (a, b) = (self.accelerations[j], self.squared[j]);
             for wheel in [limits.half_separation, -limits.half_separation] {
@@ -325,53 +362,49 @@ impl Spline {
 
     /// Highest squared speed on each interval.
     fn heights(&self, squared: &[f64]) -> Vec<f64> {
-        squared[self.begin..].windows(2).map(|pair| pair[0].max(pair[1]).max(1e-6)).take(self.lengths.len()).collect()
+        squared[self.begin..]
+            .windows(2)
+            .map(|pair| pair[0].max(pair[1]).max(1e-6))
+            .take(self.lengths.len())
+            .collect()
     }
 
     /// One program: as fast as possible within the rows.
     fn solve(&self, rows: &[Form], reference: &[f64]) -> Result<Answer, JerkError> {
         let unknowns = self.lengths.len();
-        let (matrix, bounds) = columns(rows, unknowns);
+        // Time as a parabola around the reference: `b^(-1/2)`, its slope and its curvature there.
         let highest = reference.iter().copied().fold(0.0, f64::max);
-        let weights: Vec<f64> = self
-            .lengths
-            .iter()
-            .zip(reference)
-            .map(|(length, b)| -length * (highest / b.max(0.03 * highest)).powf(1.5))
-            .collect();
-        let settings = DefaultSettingsBuilder::default()
-            .verbose(false)
-            .max_iter(50)
-            .presolve_enable(false)
-            .equilibrate_enable(std::env::var("EQ").is_ok())
-            .iterative_refinement_enable(std::env::var("REF").is_ok())
-            .direct_solve_method(std::env::var("DSM").unwrap_or("auto".into()))
-            .tol_gap_rel(1e-5)
-            .tol_gap_abs(1e-6)
-            .tol_feas(1e-7)
-            .build()
-            .map_err(|error| JerkError::Solver(error.to_string()))?;
-        let cost = CscMatrix::zeros((unknowns, unknowns));
-        let cones = [NonnegativeConeT(rows.len())];
-        let mut solver = DefaultSolver::new(&cost, &weights, &matrix, &bounds, &cones, settings)
-            .map_err(|error| JerkError::Solver(error.to_string()))?;
-        solver.solve();
-        let status = solver.solution.status;
-        let x = &solver.solution.x;
-        if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
-            return Err(JerkError::Solver(format!("{status:?}")));
+        let time = |(length, b): (&f64, &f64)| {
+            let (r, length) = (b.max(SLOW * highest) / highest, length / self.lengths[0]);
+            (0.75 * length * r.powf(-2.5) / highest, -1.25 * length * r.powf(-1.5))
+        };
+        let cost: Vec<(f64, f64)> = self.lengths.iter().zip(reference).map(time).collect();
+        // Rows are scaled and the answer is checked: mostly neither scaling nor refinement pays, nor rows that keep off standstill.
+        match solve_within(&cost, rows, false).and_then(|answer| self.moving(answer)) {
+            Err(_) => {
+                let above_zero = (0..unknowns).map(|j| Form {
+                    constant: 1.0,
+                    ..Form::unknown(j).scaled(-1.0 / reference[j])
+                });
+                let rows: Vec<Form> = rows.iter().copied().chain(above_zero).collect();
+                solve_within(&cost, &rows, true).and_then(|answer| self.moving(answer))
+            }
+            answer => answer,
         }
-        // The solver's word is not taken for it.
-        let over = rows.iter().map(|row| row.at(x)).fold(0.0, f64::max);
-        if over > 1.0 + 0.5 * MARGIN || x.iter().any(|b| b.is_nan() || *b <= 0.0) {
-            return Err(JerkError::Solver(format!("{status:?} over a limit")));
+    }
+
+    /// An answer that nowhere stands still on the way.
+    fn moving(&self, answer: Answer) -> Result<Answer, JerkError> {
+        let moves = |j: usize| {
+            let (begin, end) = (self.squared[j].at(&answer.x), self.squared[j + 1].at(&answer.x));
+            // Half as much again as a parabola's coefficient needs to stay above zero.
+            begin > 1e-9 && end > 1e-9 && answer.x[j] > -0.5 * (begin * end).sqrt()
+        };
+        if (0..answer.x.len()).all(|j| moves(j) || (j == 0 && self.begin == 0 && answer.x[0] > 0.0)) {
+            Ok(answer)
+        } else {
+            Err(JerkError::Solver("standstill".to_owned()))
         }
-        Ok(Answer {
-            x: x.clone(),
-            status: format!("{status:?}"),
-            iterations: solver.solution.iterations,
-            gap: solver.info.gap_rel,
-        })
     }
 
     /// Squared speed and acceleration at every sample of the way.
@@ -417,12 +450,56 @@ struct Answer {
     gap: f64,
 }
 
+/// Minimises the sum of `bend x² / 2 + slope x` within the rows.
+fn solve_within(cost: &[(f64, f64)], rows: &[Form], precise: bool) -> Result<Answer, JerkError> {
+    let (matrix, bounds) = columns(rows, cost.len());
+    let mut settings = DefaultSettingsBuilder::default();
+    settings.verbose(false).max_iter(60).presolve_enable(false);
+    settings
+        .equilibrate_enable(precise)
+        .iterative_refinement_enable(precise);
+    if !precise {
+        settings.tol_gap_rel(1e-5).tol_gap_abs(1e-6).tol_feas(1e-6);
+    }
+    let settings = settings.build().map_err(|error| JerkError::Solver(error.to_string()))?;
+    let unknowns = cost.len();
+    let (bends, slopes): (Vec<f64>, Vec<f64>) = cost.iter().copied().unzip();
+    let bends = CscMatrix::new(
+        unknowns,
+        unknowns,
+        (0..=unknowns).collect(),
+        (0..unknowns).collect(),
+        bends,
+    );
+    let cones = [NonnegativeConeT(bounds.len())];
+    let mut solver = DefaultSolver::new(&bends, &slopes, &matrix, &bounds, &cones, settings)
+        .map_err(|error| JerkError::Solver(error.to_string()))?;
+    solver.solve();
+    let status = solver.solution.status;
+    let x = &solver.solution.x;
+    if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
+        return Err(JerkError::Solver(format!("{status:?}")));
+    }
+    // Its word is not taken for it.
+    if !rows.iter().all(|row| row.at(x) <= 1.0 + 0.9 * MARGIN) {
+        return Err(JerkError::Solver(format!("{status:?}_over_a_limit")));
+    }
+    Ok(Answer {
+        x: x.clone(),
+        status: format!("{status:?}"),
+        iterations: solver.solution.iterations,
+        gap: solver.info.gap_rel,
+    })
+}
+
 /// `row <= 1` for all rows.
 fn columns(rows: &[Form], unknowns: usize) -> (CscMatrix<f64>, Vec<f64>) {
     let entries = |row: &Form| {
         let first = row.first;
         let factors = row.factors.into_iter().enumerate();
-        factors.filter(|(_, factor)| *factor != 0.0).map(move |(i, factor)| (first + i, factor))
+        factors
+            .filter(|(_, factor)| *factor != 0.0)
+            .map(move |(i, factor)| (first + i, factor))
     };
     let mut starts = vec![0; unknowns + 1];
     for (unknown, _) in rows.iter().flat_map(entries) {

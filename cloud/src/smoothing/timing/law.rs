@@ -77,10 +77,12 @@ impl TimeLaw {
         &self.times
     }
 
-    /// Speed at the beginning, m/s.
+    /// Squared speeds at the samples, m²/s².
     #[must_use]
-    pub fn start_speed(&self) -> f64 {
-        self.intervals.first().map_or(0.0, |interval| interval.speeds[0])
+    pub fn squared(&self) -> Vec<f64> {
+        let first = self.intervals.iter().take(1).map(|interval| interval.speeds[0]);
+        let rest = self.intervals.iter().map(|interval| interval.speeds[1]);
+        first.chain(rest).map(|v| v * v).collect()
     }
 
     /// Where a time (s) falls. Logarithmic in the samples.

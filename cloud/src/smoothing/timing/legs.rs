@@ -5,37 +5,22 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::TrajectoryPoint;
-use zenav_protocol::robot::RobotModel;
 
 use super::limits::Limits;
 use super::motion::Motion;
-use super::path::{GeometricPath, SpeedLimit, UNRESTRICTED};
+use super::path::{GeometricPath, SpeedLimit};
 
 /// Points of a way nearer than this are one, m.
 const SAME_PLACE: f64 = 1e-3;
 /// Distance between samples on a straight line, m.
 const STEP: f64 = 0.02;
-/// Times between the points of a trajectory, s.
-pub const PERIOD: f64 = 0.05;
 /// A leg whose direction differs by less from the heading is begun at speed, rad.
 const ALIGNED: f64 = 0.02;
 
-/// The unsmoothed way (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end.
+/// The unsmoothed way (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end, within the speed
+/// limits of the map's zones.
 ///
 /// Points that are not finite are left out. Empty only when there is nothing to drive or to turn.
-#[must_use]
-pub fn safe_trajectory(
-    path: &[Point2<f64>],
-    start: Pose2,
-    velocity: Twist2,
-    goal_yaw: Option<f64>,
-    model: &RobotModel,
-) -> Vec<TrajectoryPoint> {
-    safe_motion(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).trajectory(PERIOD)
-}
-
-/// As [`safe_trajectory`], as a motion that keeps the speed limits of the map's zones.
 #[must_use]
 pub fn safe_motion(
     path: &[Point2<f64>],
@@ -123,9 +108,23 @@ pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use super::super::UNRESTRICTED;
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::robot::shipped;
+    use zenav_protocol::messages::TrajectoryPoint;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    const PERIOD: f64 = 0.05;
+
+    fn safe_trajectory(
+        path: &[Point2<f64>],
+        start: Pose2,
+        velocity: Twist2,
+        goal_yaw: Option<f64>,
+        model: &RobotModel,
+    ) -> Vec<TrajectoryPoint> {
+        safe_motion(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).trajectory(PERIOD)
+    }
 
     fn tiago() -> RobotModel {
         RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()

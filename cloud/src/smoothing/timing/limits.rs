@@ -53,13 +53,22 @@ impl Limits {
         }
     }
 
+    /// The same without a limit of the jerk.
+    #[must_use]
+    pub fn without_jerk(&self) -> Self {
+        Self { jerk: None, ..*self }
+    }
+
     /// Largest squared speed at a curvature (1/m), m²/s².
     #[must_use]
     pub fn speed_squared(&self, curvature: f64) -> f64 {
         let k = curvature.abs();
+        if k == 0.0 {
+            let base = self.speed.min(self.wheel_speed);
+            return base * base;
+        }
         let wheels = self.wheel_speed / (1.0 + k * self.half_separation);
         let base = self.speed.min(wheels);
-        // Without curvature the last two are infinite.
         (base * base)
             .min(self.lateral_acceleration / k)
             .min((self.yaw_rate / k).powi(2))

@@ -20,8 +20,10 @@ pub mod path;
 pub mod profile;
 pub mod sweep;
 
+#[cfg(test)]
+mod tests;
+
 pub use law::TimeLaw;
-pub use legs::safe_trajectory;
 pub use limits::Limits;
-pub use motion::{Motion, State};
+pub use motion::{JerkFigures, Motion, Rates, State};
 pub use path::{GeometricPath, PathPoint, SpeedLimit, UNRESTRICTED};

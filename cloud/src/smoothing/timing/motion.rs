@@ -1,13 +1,17 @@
 //! Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a way.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::TrajectoryPoint;
+use zenav_protocol::messages::{SolverFigures, TrajectoryPoint};
 
+use super::jerk::{self, JerkError};
 use super::law::{Progress, TimeLaw};
 use super::limits::Limits;
 use super::path::GeometricPath;
 use super::profile::Profile;
 use super::sweep::{SweepError, fastest};
+
+/// Where a piece's rates are taken, as shares of its time: at its ends (a hair inside, they belong to two pieces) and between.
+const SHARES: [f64; 3] = [1e-9, 0.5, 1.0 - 1e-9];
 
 /// Pose, velocity and acceleration at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,12 +38,26 @@ impl State {
     }
 }
 
+/// Velocity and acceleration at a time, without the pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rates {
+    /// s.
+    pub t: f64,
+    /// Velocity.
+    pub twist: Twist2,
+    /// Forward acceleration, m/s².
+    pub a: f64,
+    /// Yaw acceleration, rad/s².
+    pub alpha: f64,
+}
+
 /// A motion in time, from time zero on.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
     stretches: Vec<(f64, Stretch)>,
     duration: f64,
     length: f64,
+    lower_bound: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -75,6 +93,12 @@ impl Motion {
         self.length
     }
 
+    /// Shortest duration of the same turns and ways by the exact sweep, without a limit of the jerk, s.
+    #[must_use]
+    pub fn lower_bound(&self) -> f64 {
+        self.lower_bound
+    }
+
     /// Whether nothing moves.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -91,9 +115,10 @@ impl Motion {
         let unit = Twist2::new(twist.v / surface_speed, twist.w / surface_speed);
         let end = start.advance(unit, profile.distance());
         self.length += unit.v.abs() * profile.distance();
-        let duration = profile.duration();
+        let least = limits.without_jerk().braking_time(twist);
         self.push(
-            duration,
+            profile.duration(),
+            least,
             Stretch::Brake {
                 start,
                 twist: unit,
@@ -110,7 +135,8 @@ impl Motion {
         }
         let profile = Profile::rest_to_rest(angle.abs(), &limits.spin());
         let sign = angle.signum();
-        self.push(profile.duration(), Stretch::Spin { start, sign, profile });
+        let least = Profile::rest_to_rest(angle.abs(), &limits.without_jerk().spin()).duration();
+        self.push(profile.duration(), least, Stretch::Spin { start, sign, profile });
     }
 
     /// Follows a way as fast as the limits allow but for the jerk, from a speed (m/s) to rest.
@@ -121,12 +147,45 @@ impl Motion {
         let squared = fastest(&path, limits, start_speed)?;
         let law = TimeLaw::steady(&path, &squared);
         self.length += path.length();
-        self.push(law.duration(), Stretch::Follow { path, law });
+        self.push(law.duration(), law.duration(), Stretch::Follow { path, law });
         Ok(())
     }
 
-    fn push(&mut self, duration: f64, stretch: Stretch) {
+    /// The same motion with the limited jerk that `limits` ask for, and how it came about; a way that has no such law keeps
+    /// the sweep's. Nothing changes, and there is nothing to tell, where they ask for none.
+    #[must_use]
+    pub fn with_limited_jerk(self, limits: &Limits) -> (Self, Option<JerkFigures>) {
+        let Some(jerk) = limits.jerk else {
+            return (self, None);
+        };
+        let mut figures = JerkFigures::default();
+        let mut motion = Self::new();
+        (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
+        for (_, mut stretch) in self.stretches {
+            if let Stretch::Follow { path, law } = &mut stretch {
+                match jerk::limited(path, limits, jerk, &law.squared()) {
+                    Ok(limited) => {
+                        *law = limited.law;
+                        figures.solver.iterations += limited.iterations;
+                        figures.solver.gap = figures.solver.gap.max(limited.gap);
+                        figures.solver.status = limited.status;
+                    }
+                    Err(error) => figures.failed = Some(error),
+                }
+            }
+            let duration = stretch.duration();
+            motion.stretches.push((motion.duration, stretch));
+            motion.duration += duration;
+        }
+        if let Some(error) = &figures.failed {
+            figures.solver.status = error.to_string();
+        }
+        (motion, Some(figures))
+    }
+
+    fn push(&mut self, duration: f64, lower_bound: f64, stretch: Stretch) {
         self.stretches.push((self.duration, stretch));
+        self.lower_bound += lower_bound;
         self.duration += duration;
     }
 
@@ -163,6 +222,16 @@ impl Motion {
             .collect()
     }
 
+    /// Rates at the ends of every piece on which they are smooth, and between; where two pieces meet, of both.
+    #[must_use]
+    pub fn rates(&self) -> Vec<Rates> {
+        let mut rates = Vec::new();
+        for (begin, stretch) in &self.stretches {
+            stretch.rates(*begin, &mut rates);
+        }
+        rates
+    }
+
     /// As [`Self::states`], as it goes over the wire.
     #[must_use]
     pub fn trajectory(&self, period: f64) -> Vec<TrajectoryPoint> {
@@ -170,7 +239,62 @@ impl Motion {
     }
 }
 
+/// How a limited jerk was found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JerkFigures {
+    /// What the solver said.
+    pub solver: SolverFigures,
+    /// Why a way kept the sweep's law, if one did.
+    pub failed: Option<JerkError>,
+}
+
 impl Stretch {
+    fn duration(&self) -> f64 {
+        match self {
+            Self::Brake { profile, .. } | Self::Spin { profile, .. } => profile.duration(),
+            Self::Follow { law, .. } => law.duration(),
+        }
+    }
+
+    /// Appends the rates of every piece: at its ends, and between.
+    fn rates(&self, begin: f64, rates: &mut Vec<Rates>) {
+        let (times, piece): (Vec<f64>, _) = match self {
+            Self::Brake { profile, .. } | Self::Spin { profile, .. } => {
+                (profile.breaks().chain([profile.duration()]).collect(), None)
+            }
+            Self::Follow { path, law } => (law.times().to_vec(), Some((path, law))),
+        };
+        for (index, pair) in times.windows(2).enumerate() {
+            let length = pair[1] - pair[0];
+            for share in SHARES {
+                let into = share * length;
+                let t = begin + pair[0] + into;
+                rates.push(match piece {
+                    Some((path, law)) => {
+                        let Progress { way, v, a, .. } = law.on(index, into);
+                        let slope = path.slope(index);
+                        let k = path.points()[index].k + slope * way;
+                        Rates {
+                            t,
+                            twist: Twist2::new(v, k * v),
+                            a,
+                            alpha: k * a + slope * v * v,
+                        }
+                    }
+                    None => {
+                        let State { point, a, alpha } = self.at(pair[0] + into);
+                        Rates {
+                            t,
+                            twist: point.twist(),
+                            a,
+                            alpha,
+                        }
+                    }
+                });
+            }
+        }
+    }
+
     fn at(&self, t: f64) -> State {
         match self {
             Self::Brake { start, twist, profile } => {

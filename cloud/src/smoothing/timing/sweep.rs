@@ -32,11 +32,6 @@ const SLOWING: f64 = 1.0;
 /// # Errors
 /// [`SweepError::StartTooFast`].
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
-    let points = path.points();
-    let intervals: Vec<Interval> = points
-        .windows(2)
-        .map(|pair| Interval::new(&pair[0], &pair[1], limits))
-        .collect();
     let mut squared = ceilings(path, limits, start_speed);
     // A sample has the lower one of the intervals beside it.
     squared.push(squared[squared.len() - 1]);
@@ -46,8 +41,12 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
     if let Some(last) = squared.last_mut() {
         *last = 0.0;
     }
-    for i in (0..intervals.len()).rev() {
-        squared[i] = intervals[i].largest_start(squared[i], squared[i + 1]);
+    let points = path.points();
+    let mut intervals = Vec::with_capacity(points.len());
+    for (i, pair) in points.windows(2).enumerate().rev() {
+        let interval = Interval::new(&pair[0], &pair[1], limits, squared[i].max(squared[i + 1]));
+        squared[i] = interval.largest_start(squared[i], squared[i + 1]);
+        intervals.push(interval);
     }
     let allowed = squared[0].sqrt();
     if start_speed > 1.1 * allowed + 1e-3 {
@@ -57,8 +56,8 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
         });
     }
     squared[0] = squared[0].min(start_speed.max(0.0).powi(2));
-    for i in 0..intervals.len() {
-        squared[i + 1] = intervals[i].largest_end(squared[i], squared[i + 1]);
+    for (i, interval) in intervals.iter().rev().enumerate() {
+        squared[i + 1] = interval.largest_end(squared[i], squared[i + 1]);
     }
     Ok(squared)
 }
@@ -77,88 +76,155 @@ pub fn ceilings(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Vec<
     path.points().windows(2).enumerate().map(ceiling).collect()
 }
 
-/// One interval's bounds, each `x * start + y * end <= limit` on the squared speeds at its ends.
+/// One interval's bounds on the squared speeds at its ends, `|end + slope · start| <= reach`: of the outer wheel at start and end, of the
+/// inner one at start and end.
 struct Interval {
-    bounds: [(f64, f64); 8],
-    limit: f64,
+    slopes: [f64; 4],
+    reaches: [f64; 4],
+    /// Whether the inner wheel can be the first to reach its limit; its bounds repeat the outer one's where it cannot.
+    inner: bool,
 }
 
 impl Interval {
-    fn new(from: &PathPoint, to: &PathPoint, limits: &Limits) -> Self {
+    /// Squared speeds are at most `cap`.
+    fn new(from: &PathPoint, to: &PathPoint, limits: &Limits, cap: f64) -> Self {
         let length = to.s - from.s;
-        let slope = (to.k - from.k) / length;
-        let h = limits.half_separation;
-        // a = (end - start) / (2 length)
-        let per_acceleration = 0.5 / length;
-        let mut bounds = [(0.0, 0.0); 8];
-        for (i, (wheel, at_end)) in [(1.0, false), (-1.0, false), (1.0, true), (-1.0, true)]
-            .into_iter()
-            .enumerate()
-        {
-            let p = (1.0 + wheel * h * if at_end { to.k } else { from.k }) * per_acceleration;
-            let q = wheel * h * slope;
-            let (x, y) = if at_end { (-p, p + q) } else { (q - p, p) };
-            bounds[2 * i] = (x, y);
-            bounds[2 * i + 1] = (-x, -y);
+        // a = (end - start) / (2 length), times 2 length: a wheel's acceleration is `(1 ± h k) (end - start) ± h k' b · 2 length`.
+        let (h, limit) = (limits.half_separation, 2.0 * length * limits.wheel_acceleration);
+        if from.k == 0.0 && to.k == 0.0 {
+            return Self {
+                slopes: [-1.0; 4],
+                reaches: [limit; 4],
+                inner: false,
+            };
         }
+        // Where the arc bends in little, `|k'| b <= A |k|`, the outer wheel's bounds imply the inner one's.
+        let (k0, k1) = (from.k.abs(), to.k.abs());
+        let same_side = from.k * to.k > 0.0 && h * k0.max(k1) < 1.0;
+        let inner = !(same_side && 2.0 * (to.k - from.k).abs() * cap <= limit * k0.min(k1));
+        let outer = if from.k + to.k > 0.0 { h } else { -h };
+        let [(m0, r0), (m1, r1)] = Self::wheel(outer, from.k, to.k, limit);
+        let [(m2, r2), (m3, r3)] = if inner {
+            Self::wheel(-outer, from.k, to.k, limit)
+        } else {
+            [(m0, r0), (m1, r1)]
+        };
         Self {
-            bounds,
-            limit: limits.wheel_acceleration,
+            slopes: [m0, m1, m2, m3],
+            reaches: [r0, r1, r2, r3],
+            inner,
+        }
+    }
+
+    /// Slope and reach of a wheel at start and end.
+    fn wheel(side: f64, k0: f64, k1: f64, limit: f64) -> [(f64, f64); 2] {
+        let (p0, p1, q) = (1.0 + side * k0, 1.0 + side * k1, 2.0 * side * (k1 - k0));
+        [bound(q - p0, p0, limit), bound(-p1, p1 + q, limit)]
+    }
+
+    /// The line `± reach - slope · start`.
+    fn line(&self, i: usize, sign: f64, start: f64) -> f64 {
+        sign * self.reaches[i] - self.slopes[i] * start
+    }
+
+    /// Largest squared speed at the end from `start`.
+    fn upper(&self, start: f64) -> f64 {
+        let outer = lesser(self.line(0, 1.0, start), self.line(1, 1.0, start));
+        if self.inner {
+            lesser(outer, lesser(self.line(2, 1.0, start), self.line(3, 1.0, start)))
+        } else {
+            outer
+        }
+    }
+
+    /// Least squared speed at the end from `start`.
+    fn lower(&self, start: f64) -> f64 {
+        let outer = greater(self.line(0, -1.0, start), self.line(1, -1.0, start));
+        if self.inner {
+            greater(outer, greater(self.line(2, -1.0, start), self.line(3, -1.0, start)))
+        } else {
+            outer
         }
     }
 
     /// Largest squared speed at the end, at most `cap`, from `start`.
     fn largest_end(&self, start: f64, cap: f64) -> f64 {
-        let upper = |&(x, y): &(f64, f64)| {
-            if y > 0.0 {
-                (self.limit - x * start) / y
+        greater(lesser(cap, self.upper(start)), 0.0)
+    }
+
+    /// Largest squared speed at the start, at most `cap`, from which one at most `end_cap` can be reached.
+    fn largest_start(&self, cap: f64, end_cap: f64) -> f64 {
+        // Mostly a wheel's braking alone decides: `-reach - slope · start <= end_cap`.
+        let braking = |i: usize| {
+            if self.slopes[i] < 0.0 {
+                (end_cap + self.reaches[i]) / -self.slopes[i]
             } else {
                 f64::INFINITY
             }
         };
-        self.bounds.iter().map(upper).fold(cap, f64::min).max(0.0)
+        let mut start = lesser(cap, lesser(braking(0), braking(1)));
+        if self.inner {
+            start = lesser(start, lesser(braking(2), braking(3)));
+        }
+        if self.upper(start) >= greater(self.lower(start), 0.0) {
+            start
+        } else {
+            self.corner(start, end_cap)
+        }
     }
 
-    /// Largest squared speed at the start, at most `cap`, from which one at most `end_cap` can be reached.
-    ///
-    /// The feasible pairs are a convex polygon with (0, 0) in it: Newton's steps from the cap go down to its corner, each to the
-    /// crossing of the two bounds that disagree most.
-    fn largest_start(&self, cap: f64, end_cap: f64) -> f64 {
-        let mut start = cap;
+    /// The feasible pairs are a convex polygon with (0, 0) in it: Newton's steps from above go down to its corner, each to the crossing of
+    /// the two bounds that disagree most.
+    #[cold]
+    fn corner(&self, above: f64, end_cap: f64) -> f64 {
+        let mut start = above;
         for _ in 0..16 {
-            // Of the end's lower and upper bounds (offset, slope over start) the tightest at this start.
-            let (mut low, mut low_line) = (0.0, (0.0, 0.0));
-            let (mut high, mut high_line) = (end_cap, (end_cap, 0.0));
-            let mut beyond = f64::INFINITY;
-            for &(x, y) in &self.bounds {
-                if y > 1e-12 {
-                    let value = (self.limit - x * start) / y;
-                    if value < high {
-                        (high, high_line) = (value, (self.limit / y, -x / y));
-                    }
-                } else if y < -1e-12 {
-                    let value = (self.limit - x * start) / y;
-                    if value > low {
-                        (low, low_line) = (value, (self.limit / y, -x / y));
-                    }
-                } else if x > 0.0 {
-                    beyond = beyond.min(self.limit / x);
+            // Of the end's lower and upper bounds (value at zero, slope) the tightest at this start.
+            let at = |line: (f64, f64)| line.0 + line.1 * start;
+            let (mut low, mut high) = ((0.0, 0.0), (end_cap, 0.0));
+            for (slope, reach) in self.slopes.into_iter().zip(self.reaches) {
+                let (below, above) = ((-reach, -slope), (reach, -slope));
+                if at(below) > at(low) {
+                    low = below;
+                }
+                if at(above) < at(high) {
+                    high = above;
                 }
             }
-            if low <= high && start <= beyond {
+            if at(low) <= at(high) {
                 return start;
             }
-            let crossing = (high_line.0 - low_line.0) / (low_line.1 - high_line.1);
-            let next = if low > high { crossing.min(beyond) } else { beyond };
+            let next = (high.0 - low.0) / (low.1 - high.1);
             // Rounding may leave the corner a hair outside for ever.
             if next.is_nan() || next >= start {
-                return start.min(next).max(0.0) * (1.0 - 1e-12);
+                return start * (1.0 - 1e-12);
             }
             start = next.max(0.0);
         }
         start
     }
 }
+
+/// `|start · x + end · y| <= limit` as slope and reach.
+fn bound(start: f64, end: f64, limit: f64) -> (f64, f64) {
+    // A bound that hardly knows the end is one of the start alone.
+    let end = if end.abs() < LEAST { LEAST.copysign(end) } else { end };
+    let inverse = end.recip();
+    (start * inverse, limit * inverse.abs())
+}
+
+/// `f64::min` minds numbers that are not: several times as long, in the middle of the sweep's one chain.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// As [`lesser`].
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// Least factor of the end in a bound.
+const LEAST: f64 = 1e-9;
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
@@ -253,17 +319,17 @@ mod tests {
 
         #[test]
         fn the_start_is_the_corner_of_what_can_be_reached(k0 in -8.0..8.0_f64, k1 in -8.0..8.0_f64, cap in 0.001..0.4, end_cap in 0.0..0.4) {
-            let interval = Interval::new(&PathPoint { k: k0, ..PathPoint::default() }, &PathPoint { s: 0.02, k: k1, ..PathPoint::default() }, &LIMITS);
+            let interval = Interval::new(&PathPoint { k: k0, ..PathPoint::default() }, &PathPoint { s: 0.02, k: k1, ..PathPoint::default() }, &LIMITS, f64::max(cap, end_cap));
             let feasible = |x: f64| (0..=4000).any(|i| {
                 let y = end_cap * f64::from(i) / 4000.0;
-                interval.bounds.iter().all(|(bx, by)| bx * x + by * y <= interval.limit + 1e-9)
+                interval.slopes.iter().zip(interval.reaches).all(|(slope, reach)| f64::abs(slope * x + y) <= reach + 1e-9)
             });
             let found = interval.largest_start(cap, end_cap);
             prop_assert!(found >= 0.0 && found <= cap);
             let scan = (0..=200).map(|i| cap * f64::from(i) / 200.0).filter(|&x| feasible(x)).fold(0.0, f64::max);
             prop_assert!(found >= scan - 1e-9, "{} below {}", found, scan);
             let end = interval.largest_end(found, end_cap);
-            prop_assert!(interval.bounds.iter().all(|(x, y)| x * found + y * end <= interval.limit + 1e-6));
+            prop_assert!(interval.slopes.iter().zip(interval.reaches).all(|(slope, reach)| f64::abs(slope * found + end) <= reach + 1e-9 * (1.0 + reach)));
         }
     }
 }

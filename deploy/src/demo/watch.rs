@@ -1,33 +1,22 @@
-//! Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
-//!
-//! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
-//! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.
+//! How did it go? What any client sees of a run, and the referee's truth, gathered into the report.
 
-use std::io::IsTerminal as _;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
+use nalgebra::Point2;
 use zenav_edge::Referee;
-use zenav_protocol::bus::{Bus, BusConfig, Latest, Router, RouterConfig, Subscription};
+use zenav_protocol::bus::{Bus, Latest, Subscription};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::{Truth, World};
 
-use crate::config::{self, Deployment};
-use crate::failure::{Failure, Outcome};
-use crate::files;
-use crate::launch::{CloudPart, Parts, interrupted, runtime};
-use crate::output::{Format, value};
+use super::album::Album;
+use super::{DemoArgs, Script};
+use crate::failure::Failure;
 use crate::report::{DemoReport, GoalReport, Latency, Percentiles, ScenarioOutcome};
 
-/// The robot of every scenario.
-const ROBOT: &str = "tiago";
-/// Time for the parts to come up, wall.
-const START_UP: Duration = Duration::from_secs(20);
 /// How often truth is sampled, wall.
 const SAMPLE: Duration = Duration::from_millis(10);
 /// How often a plain log tells how it goes, wall.
@@ -36,197 +25,8 @@ const LOG_EVERY: Duration = Duration::from_secs(5);
 const MOVING: f64 = 0.02;
 /// At this speed and above wall-clock effects show.
 const FAST: f64 = 4.0;
-
-/// Scenarios.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Scenario {
-    /// Map a kitchen, then drive to its corner and to the sink
-    Kitchen,
-}
-
-impl Scenario {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Kitchen => "kitchen",
-        }
-    }
-
-    /// Simulated time after which the scenario has failed, s.
-    const fn time_limit(self) -> f64 {
-        match self {
-            Self::Kitchen => 300.0,
-        }
-    }
-}
-
-/// Arguments of `zenav demo`.
-#[derive(Debug, Args)]
-pub struct DemoArgs {
-    /// Which scenario
-    #[arg(value_enum, default_value = "kitchen")]
-    scenario: Scenario,
-    /// Simulated seconds a second of wall time
-    #[arg(long, default_value_t = 1.0)]
-    speed: f64,
-    /// Seed of all noise
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Folder for `report.json`, `map.pgm` and `map.yaml`; a map that is there already is used
-    #[arg(long, default_value = "zenav-out")]
-    out: PathBuf,
-    /// Plain log lines instead of a live display
-    #[arg(long)]
-    no_ui: bool,
-    /// Form of the report on stdout
-    #[arg(short, long, value_enum, default_value_t)]
-    output: Format,
-}
-
-/// `zenav demo`.
-///
-/// # Errors
-/// Bad arguments, or a part that failed.
-pub fn run(args: &DemoArgs) -> Outcome {
-    if !(args.speed.is_finite() && args.speed > 0.0) {
-        return Err(Failure::usage("--speed: expected a positive number"));
-    }
-    crate::receivers::ensure_enough();
-    std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
-    let report = runtime()?.block_on(scenario(args))?;
-    let text = serde_json::to_string_pretty(&report).map_err(|error| Failure::failed(error.to_string()))?;
-    let file = args.out.join("report.json");
-    std::fs::write(&file, text + "\n").map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
-    value(args.output, &report, DemoReport::text)?;
-    Ok(if report.outcome == ScenarioOutcome::Succeeded {
-        exit_code::OK
-    } else {
-        exit_code::FAILED
-    })
-}
-
-/// The shipped deployment on free ports, with its files in a folder of the run.
-fn deployment(args: &DemoArgs, endpoint: &str, state: &Path) -> Result<Deployment, Failure> {
-    let mut deployment = config::load(None)?;
-    deployment.bus.connect = endpoint.to_owned();
-    deployment.simulation = config::SimulationSection {
-        world: args.scenario.name().to_owned(),
-        seed: args.seed,
-        speed: args.speed,
-    };
-    deployment.data.dir = state.to_path_buf();
-    for section in deployment.robots.values_mut() {
-        section.listen = "tcp/127.0.0.1:0".to_owned();
-    }
-    Ok(deployment)
-}
-
-/// The files of a stored map.
-const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
-
-fn copy_map(from: &Path, to: &Path) -> Result<bool, Failure> {
-    std::fs::create_dir_all(to).map_err(|error| Failure::failed(format!("{}: {error}", to.display())))?;
-    let mut found = false;
-    for name in MAP_FILES {
-        if from.join(name).is_file() {
-            std::fs::copy(from.join(name), to.join(name))
-                .map_err(|error| Failure::failed(format!("{}: {error}", to.join(name).display())))?;
-            found |= name == "map.yaml";
-        }
-    }
-    Ok(found)
-}
-
-async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
-    let began = Instant::now();
-    // Goals and epochs of a demo are its own; the map alone outlives it.
-    let state = args.out.join(format!(".run-{}", std::process::id()));
-    let robot_dir = state.join(ROBOT);
-    let map_found = copy_map(&args.out, &robot_dir)?;
-    let result = async {
-        let router = Router::open(&RouterConfig {
-            listen: vec!["tcp/127.0.0.1:0".to_owned()],
-            ..RouterConfig::default()
-        })
-        .await?;
-        let endpoint = router
-            .endpoints()
-            .await
-            .into_iter()
-            .next()
-            .ok_or_else(|| Failure::failed("the router has no endpoint"))?;
-        let deployment = deployment(args, &endpoint, &state)?;
-        let world = files::world(&deployment.simulation.world)?;
-        let mut parts = Parts::default();
-        let played = play(args, &deployment, &world, &mut parts, &endpoint).await;
-        parts.end().await;
-        router.close().await;
-        played
-    }
-    .await;
-    let kept = copy_map(&robot_dir, &args.out);
-    let _ = std::fs::remove_dir_all(&state);
-    let mut report = result?;
-    kept?;
-    report.map_found = map_found;
-    report.wall_time_s = began.elapsed().as_secs_f64();
-    Ok(report)
-}
-
-async fn play(
-    args: &DemoArgs,
-    deployment: &Deployment,
-    world: &World,
-    parts: &mut Parts,
-    endpoint: &str,
-) -> Result<DemoReport, Failure> {
-    let robots = deployment.robot_ids()?;
-    let (id, section) = robots
-        .first()
-        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
-    let referee = parts.edge(deployment, world, id, section)?;
-    parts.cloud(deployment, world, CloudPart::All, "demo")?;
-    let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
-    let mut watch = Watch::new(&bus, id, referee)?;
-    let request = GoalRequest {
-        id: Some(format!("{}-{}", args.scenario.name(), args.seed)),
-        tree: Some(args.scenario.name().to_owned()),
-        ..GoalRequest::default()
-    };
-    watch.narrate("waiting for the parts");
-    let robot = [id.as_str()];
-    let reply = tokio::select! {
-        reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
-        ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
-    };
-    if !args.no_ui && std::io::stderr().is_terminal() {
-        watch.bar = Some(progress_bar());
-    }
-    watch.narrate(&format!("goal {} accepted", reply.id));
-    let end = tokio::select! {
-        end = watch.until_end(&reply.id, args.scenario.time_limit()) => end,
-        ended = parts.first_end() => { ended?; None }
-        () = interrupted() => {
-            if let Some(bar) = &watch.bar {
-                bar.finish_and_clear();
-            }
-            return Err(Failure::new(exit_code::INTERRUPTED, "interrupted"));
-        }
-    };
-    if let Some(bar) = &watch.bar {
-        bar.finish_and_clear();
-    }
-    bus.close().await;
-    Ok(watch.report(args, end))
-}
-
-fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(120));
-    bar
-}
+/// A goal this near to a place has its name, m.
+const SAME_PLACE: f64 = 0.01;
 
 /// Truth at a moment.
 #[derive(Clone, Copy)]
@@ -236,7 +36,7 @@ struct Sample {
 }
 
 /// What the demo sees, as any client would, and the referee's truth.
-struct Watch {
+pub(super) struct Watch {
     referee: Referee,
     scans: Latest<Scan>,
     poses: Latest<PoseEstimate>,
@@ -258,11 +58,18 @@ struct Watch {
     state: Option<EdgeState>,
     told: String,
     last_log: Instant,
-    bar: Option<ProgressBar>,
+    /// Drives that have ended.
+    ended: usize,
+    /// The motion in force.
+    planned: Vec<Point2<f64>>,
+    /// A live display, where there is one.
+    pub bar: Option<ProgressBar>,
+    /// Pictures, where they are wanted.
+    pub album: Option<Album>,
 }
 
 impl Watch {
-    fn new(bus: &Bus, id: &Id, referee: Referee) -> Result<Self, Failure> {
+    pub fn new(bus: &Bus, id: &Id, referee: Referee) -> Result<Self, Failure> {
         let robot = &[id.as_str()];
         Ok(Self {
             referee,
@@ -284,12 +91,15 @@ impl Watch {
             state: None,
             told: String::new(),
             last_log: Instant::now(),
+            ended: 0,
+            planned: Vec::new(),
             bar: None,
+            album: None,
         })
     }
 
     /// Watches until the goal ends or the limit of simulated time has passed; `None` for the latter.
-    async fn until_end(&mut self, goal_id: &str, limit_secs: f64) -> Option<GoalState> {
+    pub async fn until_end(&mut self, goal_id: &str, limit_secs: f64) -> Option<GoalState> {
         let mut sampling = tokio::time::interval(SAMPLE);
         sampling.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
         loop {
@@ -300,6 +110,7 @@ impl Watch {
                     let goal = goal?.message;
                     if goal.id == goal_id {
                         self.see_goal(&goal);
+                        self.see_ends(&goal);
                         if goal.state.is_end() {
                             self.sample();
                             return Some(goal);
@@ -317,6 +128,7 @@ impl Watch {
                         self.revisions.drain(..excess);
                     }
                 }
+                open = trees(&mut self.album) => { open.then_some(())?; if let Some(album) = &mut self.album { album.see(); } }
                 _ = sampling.tick() => {
                     self.sample();
                     if self.referee.now().as_secs() > limit_secs {
@@ -351,6 +163,14 @@ impl Watch {
         }
         self.seen_motion = Some(plan.trajectory_id);
         self.motions += 1;
+        self.planned = if plan.trajectory.is_empty() {
+            plan.waypoints.clone()
+        } else {
+            plan.trajectory
+                .iter()
+                .map(|point| Point2::new(point.x, point.y))
+                .collect()
+        };
         // The newest scan in the map it was checked on; where the map is not growing, the pose it starts from.
         let scan = self
             .revisions
@@ -376,6 +196,20 @@ impl Watch {
             self.waiting_for_motion = Some(Instant::now());
         }
         self.goal = Some(goal.clone());
+    }
+
+    /// A drive that has ended gets its picture.
+    fn see_ends(&mut self, goal: &GoalState) {
+        let ended = goal.legs.iter().filter(|leg| leg.ended.is_some()).count();
+        let more = ended > self.ended;
+        self.ended = ended;
+        if more
+            && let Some(album) = &mut self.album
+            && let Some(leg) = goal.legs.iter().rfind(|leg| leg.ended.is_some())
+        {
+            let driven = self.samples.iter().map(|sample| sample.truth.map_from_base.position());
+            album.page(&leg.name, leg.goal, self.planned.clone(), driven.collect());
+        }
     }
 
     fn see_state(&mut self) {
@@ -413,18 +247,19 @@ impl Watch {
         }
     }
 
-    fn narrate(&self, text: &str) {
+    pub fn narrate(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.set_message(text.to_owned()),
             None => tracing::info!("{text}"),
         }
     }
 
-    fn report(&self, args: &DemoArgs, end: Option<GoalState>) -> DemoReport {
+    /// The report: `end` is the mission's goal as it ended, `None` when it did not in time.
+    pub fn report(&self, script: &Script, args: &DemoArgs, world: &World, end: Option<GoalState>) -> DemoReport {
         let truth = self.referee.truth();
         let goal = end.clone().or_else(|| self.goal.clone());
         let legs = goal.as_ref().map(|goal| goal.legs.clone()).unwrap_or_default();
-        let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg)).collect();
+        let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg, world)).collect();
         let reason = match &end {
             None => Some("it did not come to an end in time".to_owned()),
             Some(goal) if goal.state != GoalPhase::Succeeded => {
@@ -439,7 +274,7 @@ impl Watch {
             notes.push("at speed 4 and above a delay on the wall clock counts as so many times more simulated time: a plan that comes later than its lead is refused and made anew".to_owned());
         }
         DemoReport {
-            scenario: args.scenario.name().to_owned(),
+            scenario: script.name.to_owned(),
             seed: args.seed,
             speed: args.speed,
             outcome: if reason.is_none() {
@@ -450,6 +285,7 @@ impl Watch {
             reason,
             map_found: false,
             goals,
+            refused: Vec::new(),
             collisions: truth.collisions.into(),
             min_clearance_m: truth.min_clearance,
             sim_time_s: self.referee.now().as_secs(),
@@ -465,7 +301,7 @@ impl Watch {
         }
     }
 
-    fn leg_report(&self, leg: &Leg) -> GoalReport {
+    fn leg_report(&self, leg: &Leg, world: &World) -> GoalReport {
         let end = leg.ended.unwrap_or(Stamp(u64::MAX));
         let during: Vec<&Sample> = self
             .samples
@@ -482,7 +318,7 @@ impl Watch {
             .zip(last)
             .map(|(goal, pose)| (goal.x - pose.x).hypot(goal.y - pose.y));
         GoalReport {
-            name: leg.name.clone(),
+            name: place_of(leg, world).unwrap_or_else(|| leg.name.clone()),
             outcome: if leg.state == GoalPhase::Succeeded {
                 "reached".to_owned()
             } else {
@@ -499,5 +335,21 @@ impl Watch {
                 .fold(f64::INFINITY, f64::min),
             final_error_m: error,
         }
+    }
+}
+
+/// The name of the place that a drive went to by a node that has no name of its own.
+fn place_of(leg: &Leg, world: &World) -> Option<String> {
+    let goal = leg.goal.filter(|_| leg.name == "FollowPath")?;
+    let near = |x: f64, y: f64| (x - goal.x).hypot(y - goal.y) < SAME_PLACE;
+    let place = world.places().iter().find(|place| near(place.x, place.y))?;
+    Some(place.name.to_string())
+}
+
+/// Waits for a tree to look at; for ever where nobody looks.
+async fn trees(album: &mut Option<Album>) -> bool {
+    match album {
+        Some(album) => album.trees.changed().await,
+        None => std::future::pending().await,
     }
 }

@@ -1,0 +1,272 @@
+//! What does the brightness of a map's picture say? Occupancy values from pixels and back, as in Nav2's `map_io`.
+
+use zenav_protocol::grid::{GridError, GridSpec, Occupancy, OccupancyGrid};
+
+use super::image::{self, GrayImage, ImageError};
+use super::map_yaml::{MapMode, MapYaml};
+
+/// A picture as occupancy values, lowest row first.
+///
+/// # Errors
+/// [`GridError`] when the description or the picture is no grid.
+pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
+    let spec = GridSpec {
+        origin: yaml.origin,
+        resolution: yaml.resolution,
+        width: image.width,
+        height: image.height,
+    }
+    .checked()?;
+    // All values of opaque pixels are told in advance.
+    let mut opaque = [Occupancy::UNKNOWN; 256];
+    for (gray, value) in opaque.iter_mut().enumerate() {
+        *value = occupancy(gray as u8, 255, yaml);
+    }
+    let values: Vec<i8> = match image.opacity {
+        // In the same memory: a grid of the largest size is there only once.
+        None => image.gray.into_iter().map(|gray| opaque[usize::from(gray)]).collect(),
+        Some(opacity) => {
+            let pixels = image.gray.iter().zip(&opacity);
+            pixels.map(|(gray, opacity)| occupancy(*gray, *opacity, yaml)).collect()
+        }
+    };
+    let mut grid = OccupancyGrid::from_values(spec, values)?;
+    // The first row of a picture is the highest.
+    let width = (image.width as usize).max(1);
+    let (low, high) = grid.values_mut().split_at_mut(image.height as usize / 2 * width);
+    for (low, high) in low.chunks_exact_mut(width).zip(high.rchunks_exact_mut(width)) {
+        low.swap_with_slice(high);
+    }
+    Ok(grid)
+}
+
+fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
+    let (gray, opacity) = (f64::from(gray), f64::from(opacity));
+    let shade = match yaml.mode {
+        // As `map_server` always did: opacity counts like one more colour.
+        MapMode::Trinary if opacity < 255.0 => 0.5 * (gray + opacity) / 255.0,
+        _ => gray / 255.0,
+    };
+    let p = if yaml.negate { shade } else { 1.0 - shade };
+    match yaml.mode {
+        MapMode::Raw if gray <= 100.0 => gray as i8,
+        MapMode::Raw => Occupancy::UNKNOWN,
+        MapMode::Scale if opacity < 255.0 => Occupancy::UNKNOWN,
+        _ if p > yaml.occupied_thresh => Occupancy::OCCUPIED,
+        _ if p < yaml.free_thresh => Occupancy::FREE,
+        MapMode::Scale => (100.0 * (p - yaml.free_thresh) / (yaml.occupied_thresh - yaml.free_thresh).max(1e-9))
+            .round()
+            .clamp(0.0, 100.0) as i8,
+        MapMode::Trinary => Occupancy::UNKNOWN,
+    }
+}
+
+/// A map as a picture, highest row first: trinary as `map_saver` writes it (0, 205, 254), scale with see-through unknown
+/// cells (for PNG; a graymap cannot tell them), raw with 255 for unknown.
+#[must_use]
+pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
+    let spec = grid.spec();
+    let rows = || grid.values().chunks_exact((spec.width as usize).max(1)).rev();
+    let mut gray = Vec::with_capacity(spec.len());
+    for row in rows() {
+        gray.extend(row.iter().map(|value| shade(*value, mode)));
+    }
+    let opacity = (mode == MapMode::Scale).then(|| {
+        rows()
+            .flatten()
+            .map(|value| if (0..=100).contains(value) { 255 } else { 0 })
+            .collect()
+    });
+    GrayImage {
+        width: spec.width,
+        height: spec.height,
+        gray,
+        opacity,
+        comments: Vec::new(),
+    }
+}
+
+/// Brightness of a cell in a picture of a mode.
+pub(super) fn shade(value: i8, mode: MapMode) -> u8 {
+    match mode {
+        MapMode::Trinary => match Occupancy::of(value) {
+            Occupancy::Occupied => 0,
+            Occupancy::Unknown => 205,
+            Occupancy::Free => 254,
+        },
+        _ if !(0..=100).contains(&value) => 255,
+        MapMode::Scale => (255.0 * (1.0 - f64::from(value) / 100.0)).round() as u8,
+        MapMode::Raw => value.cast_unsigned(),
+    }
+}
+
+/// The description that goes with [`to_image`]: in scale mode thresholds at both ends, so that every percentage comes back.
+#[must_use]
+pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
+    let yaml = MapYaml {
+        mode,
+        ..MapYaml::new(image, grid.spec().resolution, grid.spec().origin)
+    };
+    if mode == MapMode::Scale {
+        MapYaml {
+            occupied_thresh: 1.0,
+            free_thresh: 0.0,
+            ..yaml
+        }
+    } else {
+        yaml
+    }
+}
+
+/// The map as a binary graymap, trinary.
+#[must_use]
+pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
+    image::encode_pgm(&to_image(grid, MapMode::Trinary))
+}
+
+/// The map as a PNG, trinary; a map without cells is one unknown pixel.
+///
+/// # Errors
+/// [`ImageError::Png`] when the encoder fails.
+pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
+    let mut picture = to_image(grid, MapMode::Trinary);
+    if picture.gray.is_empty() {
+        picture = GrayImage {
+            width: 1,
+            height: 1,
+            gray: vec![205],
+            opacity: None,
+            comments: Vec::new(),
+        };
+    }
+    image::encode_png(&picture)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use zenav_protocol::grid::Cell;
+
+    use super::*;
+
+    fn grid(width: u32, height: u32, values: Vec<i8>) -> OccupancyGrid {
+        OccupancyGrid::from_values(
+            GridSpec {
+                origin: Point2::new(-1.25, 3.1),
+                resolution: 0.05,
+                width,
+                height,
+            },
+            values,
+        )
+        .unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn percentages_come_back_from_raw_and_scale_and_classes_from_trinary(values in proptest::collection::vec(-1_i8..=100, 12)) {
+            let map = grid(4, 3, values);
+            for mode in [MapMode::Raw, MapMode::Scale] {
+                prop_assert_eq!(&to_grid(to_image(&map, mode), &to_yaml(&map, mode, "")).unwrap(), &map);
+            }
+            let back = to_grid(to_image(&map, MapMode::Trinary), &to_yaml(&map, MapMode::Trinary, "")).unwrap();
+            prop_assert_eq!(back.map(|value| Occupancy::of(*value)), map.map(|value| Occupancy::of(*value)));
+        }
+    }
+
+    #[test]
+    fn a_picture_that_is_not_as_large_as_it_says_is_no_grid() {
+        let picture = |gray, opacity| GrayImage {
+            width: 3,
+            height: 2,
+            gray,
+            opacity,
+            comments: Vec::new(),
+        };
+        let yaml = MapYaml::new("", 0.1, Point2::origin());
+        for broken in [
+            picture(vec![0; 5], None),
+            picture(vec![0; 7], None),
+            picture(vec![0; 6], Some(vec![255; 2])),
+        ] {
+            assert!(matches!(
+                to_grid(broken, &yaml),
+                Err(GridError::Length { expected: 6, .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn a_negative_with_negate_says_the_same() {
+        for mode in [MapMode::Trinary, MapMode::Scale] {
+            let yaml = MapYaml {
+                mode,
+                ..MapYaml::new("", 0.1, Point2::origin())
+            };
+            let negative = MapYaml {
+                negate: true,
+                ..yaml.clone()
+            };
+            for gray in 0..=255 {
+                assert_eq!(
+                    occupancy(255 - gray, 255, &negative),
+                    occupancy(gray, 255, &yaml),
+                    "{mode:?} {gray}"
+                );
+            }
+        }
+        // Raw values are percentages, whatever is bright.
+        let raw = MapYaml {
+            mode: MapMode::Raw,
+            negate: true,
+            ..MapYaml::new("", 0.1, Point2::origin())
+        };
+        assert_eq!([0, 100, 101].map(|gray| occupancy(gray, 255, &raw)), [0, 100, -1]);
+    }
+
+    #[test]
+    fn the_top_row_of_a_picture_is_the_highest_row_of_the_map() {
+        let image = image::decode(b"P2 2 2 255  0 254  205 254".to_vec()).unwrap();
+        let map = to_grid(image, &MapYaml::new("", 0.1, Point2::origin())).unwrap();
+        let class = |x, y| Occupancy::of(map[Cell::new(x, y)]);
+        assert_eq!(
+            (class(0, 1), class(1, 1), class(0, 0), class(1, 0)),
+            (
+                Occupancy::Occupied,
+                Occupancy::Free,
+                Occupancy::Unknown,
+                Occupancy::Free
+            )
+        );
+    }
+
+    #[test]
+    fn every_mode_reads_brightness_as_map_server_does() {
+        let yaml = MapYaml::new("", 0.1, Point2::origin());
+        let scale = MapYaml {
+            mode: MapMode::Scale,
+            ..yaml.clone()
+        };
+        assert_eq!(
+            [0, 89, 90, 205, 206, 255].map(|gray| occupancy(gray, 255, &yaml)),
+            [100, 100, -1, -1, 0, 0]
+        );
+        assert_eq!(
+            [0, 89, 147, 206].map(|gray| occupancy(gray, 255, &scale)),
+            [100, 100, 50, 0]
+        );
+        assert_eq!(occupancy(147, 10, &scale), -1);
+        let raw = MapYaml {
+            mode: MapMode::Raw,
+            ..yaml.clone()
+        };
+        assert_eq!(
+            [0, 37, 100, 101, 255].map(|gray| occupancy(gray, 255, &raw)),
+            [0, 37, 100, -1, -1]
+        );
+        let negated = MapYaml { negate: true, ..yaml };
+        assert_eq!([0, 255].map(|gray| occupancy(gray, 255, &negated)), [0, 100]);
+    }
+}

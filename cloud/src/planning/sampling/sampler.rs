@@ -1,0 +1,190 @@
+//! Where are samples drawn? Uniformly from the free cells, once a way is known only where a shorter one can lead.
+//!
+//! Points are drawn from the bitmap's box, or from the ellipse of all points over which a way can be shorter than the best one, whichever is
+//! smaller, and rejected where the cell is not free: uniform over the free cells of both. Source: Gammell, Srinivasa and Barfoot,
+//! "Informed RRT*", 2014.
+
+use nalgebra::{Matrix2, Point2, Vector2};
+use rand::Rng;
+use rand_pcg::Pcg64Mcg;
+
+use super::super::lattice::Lattice;
+
+/// Draws before a sampler gives up for this time.
+const TRIES: u32 = 64;
+/// Samples keep this far from the border of their cell: no square is touched by accident.
+const INSET: f64 = 1.0 / 64.0;
+
+/// The points over which a way between two foci can be shorter than a length.
+#[derive(Clone, Copy, Debug)]
+pub struct Ellipse {
+    foci: [Point2<f64>; 2],
+    /// Length of the way to beat.
+    length: f64,
+    center: Point2<f64>,
+    /// From the unit disc.
+    shape: Matrix2<f64>,
+}
+
+impl Ellipse {
+    /// The ellipse of ways between two points.
+    #[must_use]
+    pub fn new(foci: [Point2<f64>; 2], length: f64) -> Self {
+        let across = foci[1] - foci[0];
+        let distance = across.norm();
+        let along = if distance > 0.0 {
+            across / distance
+        } else {
+            Vector2::x()
+        };
+        let half = [
+            0.5 * length,
+            0.5 * (length * length - distance * distance).max(0.0).sqrt(),
+        ];
+        Self {
+            foci,
+            length,
+            center: nalgebra::center(&foci[0], &foci[1]),
+            shape: Matrix2::new(
+                along.x * half[0],
+                -along.y * half[1],
+                along.y * half[0],
+                along.x * half[1],
+            ),
+        }
+    }
+
+    /// Its area, square cells.
+    #[must_use]
+    pub fn area(&self) -> f64 {
+        std::f64::consts::PI * self.shape.determinant().abs()
+    }
+
+    /// Whether a way over a point can be shorter.
+    #[must_use]
+    pub fn contains(&self, p: Point2<f64>) -> bool {
+        (p - self.foci[0]).norm() + (self.foci[1] - p).norm() < self.length
+    }
+}
+
+/// Draws points.
+#[derive(Clone, Debug)]
+pub struct Sampler {
+    rng: Pcg64Mcg,
+    low: Point2<f64>,
+    side: Vector2<f64>,
+    ellipse: Option<Ellipse>,
+    tries: u64,
+    hits: u64,
+}
+
+impl Sampler {
+    /// Draws from a box (low and high corner, cells), always the same points for the same seed.
+    #[must_use]
+    pub fn new(seed: u64, domain: [Point2<f64>; 2]) -> Self {
+        Self {
+            rng: Pcg64Mcg::new(0xCAFE_F00D_D15E_A5E5 ^ (u128::from(seed) << 64 | u128::from(seed))),
+            low: domain[0],
+            side: domain[1] - domain[0],
+            ellipse: None,
+            tries: 0,
+            hits: 0,
+        }
+    }
+
+    /// From now on only where a way can be shorter.
+    pub fn narrow(&mut self, ellipse: Ellipse) {
+        self.ellipse = Some(ellipse);
+        (self.tries, self.hits) = (0, 0);
+    }
+
+    /// A number in `[0, 1)`.
+    pub fn unit(&mut self) -> f64 {
+        (self.rng.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+    }
+
+    /// A whole number below `bound`.
+    pub fn below(&mut self, bound: usize) -> usize {
+        ((u128::from(self.rng.next_u64()) * bound as u128) >> 64) as usize
+    }
+
+    /// A point in a free cell; `None` where none was met by chance.
+    pub fn free(&mut self, lattice: &Lattice) -> Option<Point2<f64>> {
+        for _ in 0..TRIES {
+            self.tries += 1;
+            let p = self.point();
+            let [x, y] = [p.x, p.y].map(f64::floor);
+            let inset = |value: f64, cell: f64| cell + (value - cell).clamp(INSET, 1.0 - INSET);
+            if lattice.node_at(p).is_some_and(|node| lattice.is_free(node)) {
+                self.hits += 1;
+                return Some(Point2::new(inset(p.x, x), inset(p.y, y)));
+            }
+        }
+        None
+    }
+
+    /// A point beside the convex corner of an obstacle; `None` where none was met by chance.
+    pub fn corner(&mut self, lattice: &Lattice) -> Option<Point2<f64>> {
+        for _ in 0..TRIES {
+            let p = self.point();
+            let Some(node) = lattice.node_at(p) else { continue };
+            let [x, y] = [self.next() & 1 == 0, self.next() & 1 == 0];
+            let corners = lattice.corners(node >> 6, x, y);
+            if corners != 0 {
+                // Any of the word's.
+                let turn = self.below(64) as u32;
+                let bit = (corners.rotate_right(turn).trailing_zeros() + turn) & 63;
+                let cell = lattice.cell((node & !63) | bit);
+                let beside = |cell: u32, up: bool| f64::from(cell) + if up { 1.0 - INSET } else { INSET };
+                let p = Point2::new(beside(cell.x, x), beside(cell.y, y));
+                if self.ellipse.is_none_or(|ellipse| ellipse.contains(p)) {
+                    return Some(p);
+                }
+            }
+        }
+        None
+    }
+
+    fn next(&mut self) -> u64 {
+        self.rng.next_u64() >> 32
+    }
+
+    /// Free cells that samples are drawn from, about, by the share of points that were free.
+    #[must_use]
+    pub fn free_area(&self) -> f64 {
+        let from = match &self.ellipse {
+            Some(ellipse) if ellipse.area() < self.area() => ellipse.area(),
+            _ => self.area(),
+        };
+        from * (self.hits + 1) as f64 / (self.tries + 1) as f64
+    }
+
+    fn area(&self) -> f64 {
+        self.side.x * self.side.y
+    }
+
+    fn point(&mut self) -> Point2<f64> {
+        let area = self.area();
+        match self.ellipse {
+            Some(ellipse) if ellipse.area() < area => {
+                let (angle, radius) = (std::f64::consts::TAU * self.unit(), self.unit().sqrt());
+                let p = ellipse.center + ellipse.shape * Vector2::new(radius * angle.cos(), radius * angle.sin());
+                let inside = p - self.low;
+                let on = |value: f64, side: f64| value >= 0.0 && value < side;
+                if on(inside.x, self.side.x) && on(inside.y, self.side.y) {
+                    p
+                } else {
+                    Point2::new(-1.0, -1.0)
+                }
+            }
+            ellipse => {
+                let p = self.low + Vector2::new(self.unit() * self.side.x, self.unit() * self.side.y);
+                if ellipse.is_none_or(|ellipse| ellipse.contains(p)) {
+                    p
+                } else {
+                    Point2::new(-1.0, -1.0)
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! What goes out where nobody smooths? The way itself as stop, turn and go, certified like any other trajectory.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::PlanStatistics;
+use zenav_protocol::robot::RobotModel;
+
+use super::certificate::{Evidence, certify};
+use super::smoother::Smoothed;
+use super::timing::legs::safe_motion;
+use super::timing::{Limits, UNRESTRICTED};
+
+/// The unsmoothed way (corner points, map frame, the start included or not) from a pose and velocity, to rest at a heading.
+///
+/// It needs neither map nor solver; `status` is the caller's to tell.
+#[must_use]
+pub fn unsmoothed(
+    way: &[Point2<f64>],
+    start: Pose2,
+    velocity: Twist2,
+    goal_yaw: Option<f64>,
+    model: &RobotModel,
+) -> Smoothed {
+    let limits = Limits::of(model);
+    let motion = safe_motion(way, start, velocity, goal_yaw, &limits, UNRESTRICTED);
+    let (motion, jerk) = motion.with_limited_jerk(&limits);
+    let statistics = PlanStatistics {
+        length: motion.length(),
+        duration: motion.duration(),
+        certificate: certify(&motion, &model.drive, Evidence::default(), jerk),
+        ..PlanStatistics::default()
+    };
+    Smoothed { motion, statistics }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::robot::shipped;
+
+    #[test]
+    fn it_is_certified_with_and_without_a_limited_jerk() {
+        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let way = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
+        let run = |model: &RobotModel| unsmoothed(&way, Pose2::IDENTITY, Twist2::ZERO, Some(0.0), model).statistics;
+        let sweep = run(&model);
+        assert_eq!(
+            (sweep.certificate.time_law.as_str(), sweep.certificate.over_lower_bound),
+            ("sweep", 1.0)
+        );
+        assert!(sweep.certificate.corridor.is_none() && sweep.certificate.largest_use.jerk.is_none());
+        model.drive.max_jerk = Some(2.0);
+        let limited = run(&model);
+        assert_eq!(limited.certificate.time_law, "jerk_limited");
+        assert!(limited.duration > sweep.duration && limited.certificate.lower_bound == sweep.duration);
+        assert!((0.5..=0.951).contains(&limited.certificate.largest_use.jerk.unwrap()));
+    }
+}

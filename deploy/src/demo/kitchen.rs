@@ -1,0 +1,14 @@
+//! The kitchen: map it while driving twice around its table, store the map, drive to the corner and to the sink.
+
+use super::Script;
+
+pub(super) const SCRIPT: Script = Script {
+    name: "kitchen",
+    world: "kitchen",
+    robot: ("tiago", "tiago"),
+    planner: None,
+    time_limit: 300.0,
+    uses_stored_map: true,
+    impossible: &[],
+    drawn: false,
+};

@@ -1,0 +1,284 @@
+//! Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
+//!
+//! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
+//! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `kitchen`, `online` | what is each scenario made of? (a new one is a [`Script`] beside them) |
+//! | `watch` | how did it go, as a client and the referee saw it? |
+//! | `refusals` | is a goal that nobody can reach refused, and with which words? |
+//! | `album`, `picture` | what did the robot know, look for and drive? pictures |
+
+mod album;
+mod kitchen;
+mod online;
+mod picture;
+mod refusals;
+mod watch;
+
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use zenav_cloud::planning::Planner;
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
+use zenav_protocol::messages::{GoalRequest, LostPolicy, exit_code};
+use zenav_protocol::topics;
+use zenav_sim::World;
+
+use crate::config::{self, Deployment, RobotSection};
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::launch::{CloudPart, Parts, interrupted, runtime};
+use crate::output::{Format, value};
+use crate::report::{DemoReport, ScenarioOutcome};
+use album::Album;
+use refusals::Impossible;
+use watch::Watch;
+
+/// Time for the parts to come up, wall.
+const START_UP: Duration = Duration::from_secs(20);
+
+/// What a scenario is made of.
+#[derive(Clone, Copy, Debug)]
+struct Script {
+    /// Its name, and that of its tree.
+    name: &'static str,
+    /// A shipped world.
+    world: &'static str,
+    /// Name of the robot, and a shipped model.
+    robot: (&'static str, &'static str),
+    /// Planner; `None` for the deployment's own.
+    planner: Option<&'static str>,
+    /// Simulated time after which it has failed, s.
+    time_limit: f64,
+    /// A map from an earlier run is used.
+    uses_stored_map: bool,
+    /// Goals that must be refused once driving has begun.
+    impossible: &'static [Impossible],
+    /// Pictures are drawn at the end of every drive.
+    drawn: bool,
+}
+
+/// Scenarios.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Scenario {
+    /// Map a kitchen, then drive to its corner and to the sink
+    Kitchen,
+    /// Drive to four rooms of an unknown house, planning while the map grows
+    Online,
+}
+
+impl Scenario {
+    const fn script(self) -> Script {
+        match self {
+            Self::Kitchen => kitchen::SCRIPT,
+            Self::Online => online::SCRIPT,
+        }
+    }
+}
+
+/// Arguments of `zenav demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Which scenario
+    #[arg(value_enum, default_value = "kitchen")]
+    scenario: Scenario,
+    /// Simulated seconds a second of wall time
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// Seed of all noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Planner, instead of the scenario's
+    #[arg(long)]
+    planner: Option<Planner>,
+    /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already
+    #[arg(long, default_value = "zenav-out")]
+    out: PathBuf,
+    /// Plain log lines instead of a live display
+    #[arg(long)]
+    no_ui: bool,
+    /// Form of the report on stdout
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// `zenav demo`.
+///
+/// # Errors
+/// Bad arguments, or a part that failed.
+pub fn run(args: &DemoArgs) -> Outcome {
+    if !(args.speed.is_finite() && args.speed > 0.0) {
+        return Err(Failure::usage("--speed: expected a positive number"));
+    }
+    crate::receivers::ensure_enough();
+    std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
+    let report = runtime()?.block_on(scenario(args))?;
+    let text = serde_json::to_string_pretty(&report).map_err(|error| Failure::failed(error.to_string()))?;
+    let file = args.out.join("report.json");
+    std::fs::write(&file, text + "\n").map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
+    value(args.output, &report, DemoReport::text)?;
+    Ok(if report.outcome == ScenarioOutcome::Succeeded {
+        exit_code::OK
+    } else {
+        exit_code::FAILED
+    })
+}
+
+/// The shipped deployment on free ports with the script's robot, its files in a folder of the run.
+fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) -> Result<Deployment, Failure> {
+    let mut deployment = config::load(None)?;
+    deployment.bus.connect = endpoint.to_owned();
+    deployment.simulation = config::SimulationSection {
+        world: script.world.to_owned(),
+        seed: args.seed,
+        speed: args.speed,
+    };
+    deployment.data.dir = state.to_path_buf();
+    let (id, model) = script.robot;
+    let robot = RobotSection {
+        model: model.to_owned(),
+        listen: "tcp/127.0.0.1:0".to_owned(),
+        on_lost: LostPolicy::default(),
+        start: None,
+    };
+    deployment.robots = [(id.to_owned(), robot)].into();
+    if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
+        planner.clone_into(&mut deployment.planning.planner);
+    }
+    Ok(deployment)
+}
+
+/// The files of a stored map.
+const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
+
+fn copy_map(from: &Path, to: &Path) -> Result<bool, Failure> {
+    std::fs::create_dir_all(to).map_err(|error| Failure::failed(format!("{}: {error}", to.display())))?;
+    let mut found = false;
+    for name in MAP_FILES {
+        if from.join(name).is_file() {
+            std::fs::copy(from.join(name), to.join(name))
+                .map_err(|error| Failure::failed(format!("{}: {error}", to.join(name).display())))?;
+            found |= name == "map.yaml";
+        }
+    }
+    Ok(found)
+}
+
+async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
+    let began = Instant::now();
+    let script = args.scenario.script();
+    // Goals and epochs of a demo are its own; the map alone outlives it.
+    let state = args.out.join(format!(".run-{}", std::process::id()));
+    let robot_dir = state.join(script.robot.0);
+    let map_found = script.uses_stored_map && copy_map(&args.out, &robot_dir)?;
+    let result = async {
+        let router = Router::open(&RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            ..RouterConfig::default()
+        })
+        .await?;
+        let endpoint = router
+            .endpoints()
+            .await
+            .into_iter()
+            .next()
+            .ok_or_else(|| Failure::failed("the router has no endpoint"))?;
+        let deployment = deployment(args, &script, &endpoint, &state)?;
+        let world = files::world(&deployment.simulation.world)?;
+        let mut parts = Parts::default();
+        let played = play(args, &script, &deployment, &world, &mut parts, &endpoint).await;
+        parts.end().await;
+        router.close().await;
+        played
+    }
+    .await;
+    let kept = copy_map(&robot_dir, &args.out);
+    let _ = std::fs::remove_dir_all(&state);
+    let mut report = result?;
+    kept?;
+    report.map_found = map_found;
+    report.wall_time_s = began.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+async fn play(
+    args: &DemoArgs,
+    script: &Script,
+    deployment: &Deployment,
+    world: &World,
+    parts: &mut Parts,
+    endpoint: &str,
+) -> Result<DemoReport, Failure> {
+    let robots = deployment.robot_ids()?;
+    let (id, section) = robots
+        .first()
+        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
+    let referee = parts.edge(deployment, world, id, section)?;
+    parts.cloud(deployment, world, CloudPart::All, "demo")?;
+    let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
+    let mut watch = Watch::new(&bus, id, referee)?;
+    if script.drawn {
+        watch.album = Some(Album::new(&bus, id, &args.out)?);
+    }
+    let request = GoalRequest {
+        id: Some(format!("{}-{}", script.name, args.seed)),
+        tree: Some(script.name.to_owned()),
+        ..GoalRequest::default()
+    };
+    watch.narrate("waiting for the parts");
+    let robot = [id.as_str()];
+    let reply = tokio::select! {
+        reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
+        ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
+    };
+    if !args.no_ui && std::io::stderr().is_terminal() {
+        watch.bar = Some(progress_bar());
+    }
+    watch.narrate(&format!("goal {} accepted", reply.id));
+    let asking = tokio::spawn(refusals::ask(
+        bus.clone(),
+        id.clone(),
+        reply.id.clone(),
+        script.impossible,
+    ));
+    let end = tokio::select! {
+        end = watch.until_end(&reply.id, script.time_limit) => end,
+        ended = parts.first_end() => { ended?; None }
+        () = interrupted() => {
+            if let Some(bar) = &watch.bar {
+                bar.finish_and_clear();
+            }
+            return Err(Failure::new(exit_code::INTERRUPTED, "interrupted"));
+        }
+    };
+    if let Some(bar) = &watch.bar {
+        bar.finish_and_clear();
+    }
+    if let Some(album) = watch.album.take() {
+        album.finish().await?;
+    }
+    let refusals = if end.is_some() { Some(asking.await) } else { None };
+    bus.close().await;
+    let mut report = watch.report(script, args, world, end);
+    match refusals {
+        Some(Ok(Ok(refused))) => report.refused = refused,
+        Some(Ok(Err(why))) => report.fail(why),
+        Some(Err(error)) => report.fail(error.to_string()),
+        None => {}
+    }
+    Ok(report)
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(120));
+    bar
+}

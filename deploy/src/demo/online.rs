@@ -1,0 +1,27 @@
+//! Online planning: a small robot in a house that it has never seen drives to one room after the other, while the map grows and what
+//! has not been seen counts as free; meanwhile goals that nobody can reach are refused.
+
+use super::Script;
+use super::refusals::Impossible;
+
+pub(super) const SCRIPT: Script = Script {
+    name: "online",
+    world: "house",
+    robot: ("waffle", "turtlebot3_waffle"),
+    planner: Some("rrt_star"),
+    time_limit: 900.0,
+    uses_stored_map: false,
+    impossible: &[
+        Impossible {
+            name: "in the wall of the hall",
+            x: 6.4,
+            y: 3.1,
+        },
+        Impossible {
+            name: "far outside the house",
+            x: 5.5,
+            y: -40.0,
+        },
+    ],
+    drawn: true,
+};
