@@ -128,7 +128,7 @@ fn expand(
             if known <= cost.saturating_add(step.cost) {
                 continue;
             }
-            let to = step.from(cell);
+            let to = step.after(cell);
             let better = cost.saturating_add(weighted(step.cost, here, costs.extra(to)));
             let estimate = better.saturating_add(octile(to, goal));
             if better < known && estimate < UNREACHED {
@@ -181,7 +181,7 @@ pub(super) fn costs_along(lattice: &Lattice, costs: &impl CellCost, cells: &[Cel
     let mut sum = 0_u32;
     for pair in cells.windows(2) {
         let (node, [from, to]) = (lattice.node(pair[0])?, [pair[0], pair[1]]);
-        let i = STEPS.iter().position(|step| step.from(from) == to)?;
+        let i = STEPS.iter().position(|step| step.after(from) == to)?;
         if lattice.steps(node) >> i & 1 == 0 {
             return None;
         }
@@ -208,7 +208,7 @@ fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, memory
             if known == UNREACHED {
                 continue;
             }
-            let extra = costs.extra(STEPS[i].from(cell));
+            let extra = costs.extra(STEPS[i].after(cell));
             let total = known.saturating_add(weighted(STEPS[i].cost, here, extra));
             // Among equals, straight on: fewer corners.
             if total < best.0 || (total == best.0 && i == last_step && !best.2) {

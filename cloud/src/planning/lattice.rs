@@ -237,7 +237,7 @@ impl Step {
     /// The cell that it leads to.
     #[inline]
     #[must_use]
-    pub const fn from(self, cell: Cell) -> Cell {
+    pub const fn after(self, cell: Cell) -> Cell {
         Cell::new(cell.x.wrapping_add_signed(self.x), cell.y.wrapping_add_signed(self.y))
     }
 }

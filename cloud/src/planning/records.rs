@@ -61,7 +61,7 @@ impl<T: Copy + Default> Records<T> {
 }
 
 /// Which lines of a table had been written.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Written {
     lines: Vec<u64>,
     per_line: usize,
