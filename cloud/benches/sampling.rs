@@ -365,7 +365,7 @@ fn caves() -> BitGrid {
     let mut free = BitGrid::from_fn(600, 400, |_| rng.next_u64() % 100 < 56);
     for _ in 0..5 {
         let around = |cell: Cell| {
-            (0..9).filter(|i| {
+            (0..9).filter(move |i| {
                 free.get(Cell::new(
                     (cell.x + i % 3).wrapping_sub(1),
                     (cell.y + i / 3).wrapping_sub(1),
