@@ -12,6 +12,7 @@ use zenav_protocol::grid::Cell;
 use super::budget::Budget;
 use super::lattice::{DIAGONAL, GridPath, Lattice, STEPS, UNREACHED, octile};
 use super::searcher::Searched;
+use crate::space::DistanceCost;
 
 /// Costs beyond the way's length.
 pub trait CellCost {
@@ -29,6 +30,13 @@ pub struct Uniform;
 impl CellCost for Uniform {
     fn extra(&self, _cell: Cell) -> u8 {
         0
+    }
+}
+
+/// Nearness to obstacles.
+impl CellCost for DistanceCost<'_> {
+    fn extra(&self, cell: Cell) -> u8 {
+        self.at(cell)
     }
 }
 

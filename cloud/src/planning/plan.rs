@@ -5,11 +5,11 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::PlanOutcome;
 
-use super::astar::{CellCost, NotFound, PARTS};
+use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
 use super::planner::{PlanOptions, Planner};
 use super::searcher::{Query, Searcher};
-use crate::space::ConfigurationSpace;
+use crate::space::{ConfigurationSpace, DistanceCost};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ fn outcome(
         };
     }
     let searched = if options.comfort_weight > 0.0 && options.comfort > 0.0 && options.planner == Planner::AStar {
-        searcher.search_with(&Comfort::new(space, options), first, last, budget)
+        searcher.search_with(&comfort(space, options), first, last, budget)
     } else {
         {
             let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
@@ -152,36 +152,13 @@ fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64
         .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
 }
 
-/// What it costs to be near obstacles, by the distance of a cell's centre.
-struct Comfort<'a> {
-    space: &'a ConfigurationSpace,
-    /// Extra cost by squared distance in half cells.
-    by_distance: Vec<u8>,
-}
-
-impl<'a> Comfort<'a> {
-    fn new(space: &'a ConfigurationSpace, options: &PlanOptions) -> Self {
-        let reach = space.field().reach_cells() as usize;
-        let resolution = space.spec().resolution;
-        let extra = |squared: usize| {
-            let clearance = 0.5 * (squared as f64).sqrt() * resolution - space.radius();
-            let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
-            (options.comfort_weight * f64::from(PARTS) * share * share) as u8
-        };
-        let mut by_distance: Vec<u8> = (0..4 * reach * reach).map(extra).collect();
-        // The last entry stands for everything farther away than the field tells apart.
-        by_distance.push(0);
-        Self { space, by_distance }
-    }
-}
-
-impl CellCost for Comfort<'_> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.by_distance
-            .get(usize::from(self.space.field().squared(cell)))
-            .copied()
-            .unwrap_or(0)
-    }
+/// What it costs to be near obstacles: a share that falls with the square of the room that is wanted.
+fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> DistanceCost<'a> {
+    DistanceCost::new(space.field(), |distance| {
+        let clearance = distance - space.radius();
+        let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
+        (options.comfort_weight * f64::from(PARTS) * share * share) as u8
+    })
 }
 
 #[cfg(test)]

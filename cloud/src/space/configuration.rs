@@ -209,6 +209,14 @@ impl ConfigurationSpace {
         &self.field
     }
 
+    /// Memory of the bitmaps and distances, bytes, with those that copies of the space share.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let bitmaps = [&self.obstacles, &self.forbidden, &self.free];
+        let words: usize = bitmaps.iter().map(|bits| size_of_val(bits.words())).sum();
+        words + self.field.bytes()
+    }
+
     /// Whether the robot fits at a cell's centre; `false` outside the grid.
     #[must_use]
     pub fn is_free(&self, cell: Cell) -> bool {
