@@ -224,3 +224,102 @@ pub fn largest_use(motion: &Motion, drive: &Drive) -> LimitUse {
         .filter(|use_of| use_of.is_finite());
     most
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::super::timing::{GeometricPath, PathPoint};
+    use super::*;
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    fn tiago(jerk: Option<f64>) -> RobotModel {
+        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        model.drive.max_jerk = jerk;
+        model
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn the_largest_use_is_what_fine_sampling_finds(
+            turns in prop::collection::vec((-5.0..5.0_f64, 5_usize..30), 1..6), angle in -3.0..3.0_f64, jerk in prop::option::of(0.5..5.0_f64),
+        ) {
+            let model = tiago(jerk);
+            let (drive, limits) = (&model.drive, Limits::of(&model));
+            let mut k = 0.0;
+            let mut links = Vec::new();
+            for (target, pieces) in turns {
+                links.extend((1..=pieces).map(|i| (0.02, k + (target - k) * i as f64 / pieces as f64)));
+                k = target;
+            }
+            let mut motion = Motion::new();
+            motion.spin(Pose2::new(0.0, 0.0, -angle), angle, &limits);
+            motion.follow(GeometricPath::chain(PathPoint::default(), &links).unwrap(), 0.0, &limits).unwrap();
+            let (motion, figures) = motion.with_limited_jerk(&limits);
+            let found = largest_use(&motion, drive);
+            let mut fine = LimitUse::default();
+            let mut fine_jerk = 0.0_f64;
+            let states = motion.states(2e-4);
+            let half = 0.5 * drive.wheel_separation;
+            for pair in states.windows(2) {
+                let (point, a, alpha) = (pair[1].point, pair[1].a, pair[1].alpha);
+                fine.speed = fine.speed.max(point.v / drive.top_speed());
+                fine.wheel_speed = fine.wheel_speed.max((point.v.abs() + half * point.w.abs()) / drive.wheel_radius / drive.max_wheel_speed);
+                fine.wheel_acceleration = fine.wheel_acceleration.max((a.abs() + half * alpha.abs()) / drive.acceleration());
+                fine.lateral_acceleration = fine.lateral_acceleration.max((point.v * point.w).abs() / drive.max_lateral_acceleration);
+                fine.yaw_rate = fine.yaw_rate.max(point.w.abs() / drive.top_yaw_rate());
+                let dt = point.t - pair[0].point.t;
+                let change = if point.v == 0.0 { half * (alpha - pair[0].alpha) } else { a - pair[0].a };
+                fine_jerk = fine_jerk.max(change.abs() / dt);
+            }
+            for (found, fine) in [
+                (found.speed, fine.speed), (found.wheel_speed, fine.wheel_speed), (found.wheel_acceleration, fine.wheel_acceleration),
+                (found.lateral_acceleration, fine.lateral_acceleration), (found.yaw_rate, fine.yaw_rate),
+            ] {
+                prop_assert!(found <= 0.95 + 1e-6 && (found - fine).abs() < 5e-3, "{} against {}", found, fine);
+            }
+            match (jerk, figures.map(|figures| figures.failed)) {
+                (Some(limit), Some(None)) => {
+                    let share = found.jerk.unwrap();
+                    prop_assert!(share <= 0.95 + 1e-6 && (share - fine_jerk / limit).abs() < 0.02, "{} against {}", share, fine_jerk / limit);
+                }
+                _ => prop_assert_eq!(found.jerk, None),
+            }
+        }
+    }
+
+    #[test]
+    fn parts_of_a_curve_add_up_and_the_worst_status_stays() {
+        let side = |x: f64, y: f64, offset: f64| super::super::corridor::HalfPlane {
+            normal: nalgebra::Vector2::new(x, y),
+            offset,
+        };
+        let room = |width: f64| Room {
+            sides: vec![
+                side(0.0, 1.0, 0.5 * width),
+                side(0.0, -1.0, 0.5 * width),
+                side(1.0, 0.0, 3.0),
+                side(-1.0, 0.0, 1.0),
+            ],
+            from: Point2::new(0.0, 0.1),
+            to: Point2::new(2.0, 0.1),
+            length: 2.0,
+        };
+        let solver = |status: &str, iterations, gap| SolverFigures {
+            status: status.to_owned(),
+            iterations,
+            gap,
+        };
+        let mut evidence = Evidence::default();
+        evidence.add(&[room(2.0), room(0.7)], solver("AlmostSolved", 9, 1e-5));
+        evidence.add(&[room(1.0)], solver("Solved", 7, 1e-9));
+        let certificate = certify(&Motion::new(), &tiago(None).drive, evidence, None);
+        let corridor = certificate.corridor.unwrap();
+        assert!(corridor.rooms == 3 && (corridor.least_width - 0.7).abs() < 1e-12);
+        assert_eq!(certificate.geometry.unwrap(), solver("AlmostSolved", 16, 1e-5));
+        assert_eq!(certificate.over_lower_bound, 1.0);
+    }
+}

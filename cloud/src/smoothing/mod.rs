@@ -7,7 +7,7 @@
 //! | [`curve`] | which curve through that room bends least? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
-//! | [`unsmoothed`] | what goes out where nobody smooths? |
+//! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 //! | [`timing`] | when is the robot where? |

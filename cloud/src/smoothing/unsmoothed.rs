@@ -45,7 +45,10 @@ mod tests {
         let way = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
         let run = |model: &RobotModel| unsmoothed(&way, Pose2::IDENTITY, Twist2::ZERO, Some(0.0), model).statistics;
         let sweep = run(&model);
-        assert_eq!((sweep.certificate.time_law.as_str(), sweep.certificate.over_lower_bound), ("sweep", 1.0));
+        assert_eq!(
+            (sweep.certificate.time_law.as_str(), sweep.certificate.over_lower_bound),
+            ("sweep", 1.0)
+        );
         assert!(sweep.certificate.corridor.is_none() && sweep.certificate.largest_use.jerk.is_none());
         model.drive.max_jerk = Some(2.0);
         let limited = run(&model);

@@ -55,6 +55,9 @@ pub struct SmoothArgs {
     /// Give a search up after this time, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
+    /// Largest jerk along the way, m/s³; the robot's own where it has one, unlimited else
+    #[arg(long, value_name = "J", value_parser = positive)]
+    jerk_limit: Option<f64>,
     /// Unknown cells may be driven through
     #[arg(long)]
     unknown_is_free: bool,
@@ -68,7 +71,8 @@ pub struct SmoothArgs {
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
 pub fn smooth(args: &SmoothArgs) -> Outcome {
-    let model = files::robot(&args.robot)?;
+    let mut model = files::robot(&args.robot)?;
+    model.drive.max_jerk = args.jerk_limit.or(model.drive.max_jerk);
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
     let policy = if args.unknown_is_free {

@@ -295,3 +295,32 @@ pub struct SearchTree {
     /// The best way so far.
     pub path: Vec<Point2<f64>>,
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_without_a_certificate_are_read_and_with_one_come_back() {
+        let old = r#"{"planner":"astar","search_ms":1.0,"corridor_ms":0.0,"geometry_ms":0.0,"timing_ms":0.0,"length":2.0,"duration":4.0,"min_clearance":null,"status":"smoothed","solver":"Solved"}"#;
+        let mut statistics: PlanStatistics = serde_json::from_str(old).unwrap();
+        assert_eq!(statistics.certificate, Certificate::default());
+        statistics.certificate = Certificate {
+            corridor: Some(CorridorFigures {
+                rooms: 3,
+                least_width: 0.7,
+            }),
+            geometry: Some(SolverFigures {
+                status: "Solved".into(),
+                iterations: 12,
+                gap: 1e-9,
+            }),
+            time_law: "sweep".into(),
+            over_lower_bound: 1.0,
+            ..Certificate::default()
+        };
+        let text = serde_json::to_string(&statistics).unwrap();
+        assert_eq!(serde_json::from_str::<PlanStatistics>(&text).unwrap(), statistics);
+    }
+}

@@ -24,6 +24,10 @@ pub mod sampler;
 pub mod shortcut;
 pub mod tree;
 
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests;
+
 pub use options::Options;
 
 use nalgebra::Point2;

@@ -49,7 +49,7 @@ pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>) {
     }
 }
 
-/// Pulls a way taut: afterwards no corner can be moved towards its neighbours by more than [`PRECISION`], or `stops` has said so.
+/// Pulls a way taut: afterwards no corner can be moved towards its neighbours by more than `PRECISION`, or `stops` has said so.
 pub fn tighten(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     for _ in 0..ROUNDS {
         let before = length(way);

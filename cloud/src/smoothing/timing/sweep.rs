@@ -119,12 +119,7 @@ impl Interval {
     /// Slope and reach of a wheel at start and end.
     fn wheel(side: f64, k0: f64, k1: f64, limit: f64) -> [(f64, f64); 2] {
         let (p0, p1, q) = (1.0 + side * k0, 1.0 + side * k1, 2.0 * side * (k1 - k0));
-        [(q - p0, p0), (-p1, p1 + q)].map(|(start, end)| {
-            // A bound that hardly knows the end is one of the start alone.
-            let end = if end.abs() < LEAST { LEAST.copysign(end) } else { end };
-            let inverse = end.recip();
-            (start * inverse, limit * inverse.abs())
-        })
+        [bound(q - p0, p0, limit), bound(-p1, p1 + q, limit)]
     }
 
     /// The line `± reach - slope · start`.
@@ -208,6 +203,14 @@ impl Interval {
         }
         start
     }
+}
+
+/// `|start · x + end · y| <= limit` as slope and reach.
+fn bound(start: f64, end: f64, limit: f64) -> (f64, f64) {
+    // A bound that hardly knows the end is one of the start alone.
+    let end = if end.abs() < LEAST { LEAST.copysign(end) } else { end };
+    let inverse = end.recip();
+    (start * inverse, limit * inverse.abs())
 }
 
 /// `f64::min` minds numbers that are not: several times as long, in the middle of the sweep's one chain.
