@@ -11,6 +11,7 @@ use super::lattice::{GridPath, Lattice, STEPS, UNREACHED, octile};
 use super::open::{Open, OpenList, is_past};
 use super::records::{Records, Written};
 use super::searcher::Searched;
+use crate::space::DistanceCost;
 
 /// Costs beyond the way's length.
 pub trait CellCost {
@@ -28,6 +29,19 @@ pub struct Uniform;
 impl CellCost for Uniform {
     fn extra(&self, _cell: Cell) -> u8 {
         0
+    }
+}
+
+/// Nearness to obstacles; none where none is asked for.
+impl CellCost for Option<DistanceCost<'_>> {
+    fn extra(&self, cell: Cell) -> u8 {
+        self.as_ref().map_or(0, |costs| costs.at(cell))
+    }
+}
+
+impl CellCost for DistanceCost<'_> {
+    fn extra(&self, cell: Cell) -> u8 {
+        self.at(cell)
     }
 }
 

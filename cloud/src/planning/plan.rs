@@ -5,11 +5,11 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
 
-use super::astar::{CellCost, NotFound, PARTS};
+use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
 use super::planner::PlanOptions;
 use super::searcher::{Query, Searched, Searcher};
-use crate::space::{ConfigurationSpace, Sight as _};
+use crate::space::{ConfigurationSpace, DistanceCost, Sight as _};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +131,7 @@ pub(super) fn between(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Searched {
-    if let Some(costs) = Comfort::asked(space, options) {
+    if let Some(costs) = comfort(space, options) {
         return searcher.search_with(&costs, first.cell, last.cell, budget);
     }
     let [start, goal] = [first, last].map(|end| end.of(space, options));
@@ -193,49 +193,15 @@ fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64
         .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
 }
 
-/// What it costs to be near obstacles, by the distance of a cell's centre.
-pub(super) struct Comfort<'a> {
-    space: &'a ConfigurationSpace,
-    /// Extra cost by squared distance in half cells.
-    by_distance: Vec<u8>,
-}
-
-impl<'a> Comfort<'a> {
-    /// The costs that the options ask for, if any.
-    pub(super) fn asked(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<Self> {
-        let costs = options.planner.keeps_away() && options.comfort_weight > 0.0 && options.comfort > 0.0;
-        costs.then(|| Self::new(space, options))
-    }
-
-    fn new(space: &'a ConfigurationSpace, options: &PlanOptions) -> Self {
-        let reach = space.field().reach_cells() as usize;
-        let resolution = space.spec().resolution;
-        let extra = |squared: usize| {
-            let clearance = 0.5 * (squared as f64).sqrt() * resolution - space.radius();
-            let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
-            (options.comfort_weight * f64::from(PARTS) * share * share) as u8
-        };
-        let mut by_distance: Vec<u8> = (0..4 * reach * reach).map(extra).collect();
-        // The last entry stands for everything farther away than the field tells apart.
-        by_distance.push(0);
-        Self { space, by_distance }
-    }
-}
-
-/// No costs where none are asked for.
-impl CellCost for Option<Comfort<'_>> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.as_ref().map_or(0, |costs| costs.extra(cell))
-    }
-}
-
-impl CellCost for Comfort<'_> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.by_distance
-            .get(usize::from(self.space.field().squared(cell)))
-            .copied()
-            .unwrap_or(0)
-    }
+/// What it costs to be near obstacles, where the options ask for it: a share that falls with the square of the room that is wanted.
+pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
+    let asked = options.planner.keeps_away() && options.comfort_weight > 0.0 && options.comfort > 0.0;
+    let cost = |distance: f64| {
+        let clearance = distance - space.radius();
+        let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
+        (options.comfort_weight * f64::from(PARTS) * share * share) as u8
+    };
+    asked.then(|| DistanceCost::new(space.field(), cost))
 }
 
 #[cfg(test)]

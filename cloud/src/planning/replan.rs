@@ -26,7 +26,7 @@ use zenav_protocol::messages::PlanOrigin;
 use super::astar::{NotFound, costs_along};
 use super::budget::Budget;
 use super::lattice::{GridPath, TooManyCells, UNREACHED, octile};
-use super::plan::{Comfort, End, Planned, answer, between};
+use super::plan::{End, Planned, answer, between, comfort};
 use super::planner::{PlanOptions, Planner};
 use super::records::Written;
 use super::searcher::{Searched, Searcher};
@@ -242,7 +242,7 @@ impl Replanner {
         match result {
             Ok(way) if is_grid => {
                 let cells = cells_along(way);
-                let costs = costs_along(self.searcher.lattice(), &Comfort::asked(space, options), &cells)?;
+                let costs = costs_along(self.searcher.lattice(), &comfort(space, options), &cells)?;
                 let bound = *costs.last()?;
                 Some(Known::Grid { cells, bound, reached })
             }
@@ -269,7 +269,7 @@ impl Replanner {
         if *bound == UNREACHED {
             return (cells[0] == first).then_some((Err(NotFound::NoPath), PlanOrigin::Reused));
         }
-        let costs = Comfort::asked(space, options);
+        let costs = comfort(space, options);
         let mut piece = |searcher: &mut Searcher, from: Cell, to: Cell| {
             let budget = Budget {
                 max_expansions: budget.max_expansions.min(PIECE),
@@ -456,7 +456,7 @@ mod tests {
 
     fn cost(space: &ConfigurationSpace, options: &PlanOptions, way: &Way) -> u32 {
         let searcher = Searcher::new(space.free()).unwrap();
-        let costs = costs_along(searcher.lattice(), &Comfort::asked(space, options), &cells_along(way));
+        let costs = costs_along(searcher.lattice(), &comfort(space, options), &cells_along(way));
         *costs.unwrap().last().unwrap()
     }
 
