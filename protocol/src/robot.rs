@@ -76,6 +76,28 @@ impl Footprint {
         }
     }
 
+    /// An outline that holds everything within a distance (m) of this one; by nothing for what is not a distance. At sharp corners it holds
+    /// a little more.
+    #[must_use]
+    pub fn grown(&self, by: f64) -> Self {
+        let by = if by.is_finite() { by.max(0.0) } else { 0.0 };
+        match self {
+            Self::Radius(radius) => Self::Radius(radius + by),
+            Self::Polygon(corners) => {
+                let before = corners.iter().cycle().skip(corners.len().saturating_sub(1));
+                let after = corners.iter().cycle().skip(1);
+                // Corners run counter-clockwise: the outside is on the right.
+                let outwards =
+                    |a: &Point2<f64>, b: &Point2<f64>| nalgebra::Vector2::new(b.y - a.y, a.x - b.x).normalize();
+                let grow = |((before, corner), after): ((&Point2<f64>, &Point2<f64>), &Point2<f64>)| {
+                    let (n, m) = (outwards(before, corner), outwards(corner, after));
+                    corner + (n + m) * (by / (1.0 + n.dot(&m)))
+                };
+                Self::Polygon(before.zip(corners).zip(after).map(grow).collect())
+            }
+        }
+    }
+
     /// Distance from the outline to a point in the base frame, m; zero inside.
     #[must_use]
     pub fn distance(&self, point: Point2<f64>) -> f64 {
@@ -615,6 +637,24 @@ mod tests {
             error.contains("my.toml") && error.contains("line 1") && error.contains("speed"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_grown_outline_is_farther_out_by_that_all_around() {
+        let waffle = RobotModel::from_toml(shipped("turtlebot3_waffle").unwrap(), "waffle")
+            .unwrap()
+            .footprint;
+        let grown = waffle.grown(0.05);
+        assert!((grown.inscribed_radius() - waffle.inscribed_radius() - 0.05).abs() < 1e-12);
+        for step in 0..360 {
+            let angle = f64::from(step).to_radians();
+            let far = Point2::new(angle.cos(), angle.sin());
+            assert!(waffle.distance(far) - grown.distance(far) > 0.05 - 1e-9, "{step}");
+        }
+        let corner = Point2::new(0.077 + 0.05, 0.155 + 0.05);
+        assert!(grown.distance(corner + nalgebra::Vector2::repeat(1e-9)) < 1e-8 && grown.distance(corner) < 1e-12);
+        assert_eq!(waffle.grown(0.0), waffle);
+        assert_eq!(Footprint::Radius(0.2).grown(f64::NAN), Footprint::Radius(0.2));
     }
 
     #[test]

@@ -23,6 +23,8 @@ pub struct MissionConfig {
     pub unknown_is_free: bool,
     /// Goals may lie so far outside a map that is still growing, m.
     pub explore: f64,
+    /// Ways are made for a body that is larger by this all around, where it fits; they are given up only where the true one does not, m.
+    pub margin: f64,
     /// How far ahead of the robot a replan begins, s.
     pub latency_budget: f64,
     /// Validity of a plan, s.
@@ -51,6 +53,7 @@ impl MissionConfig {
             search_budget_ms: 2000,
             unknown_is_free: true,
             explore: 20.0,
+            margin: 0.05,
             latency_budget: 0.5,
             plan_valid: 5.0,
             renew_period: 1.0,

@@ -4,18 +4,25 @@
 //! from where it stands; one that moves otherwise is waited for. Smoothing never fails a plan: without it the way goes
 //! out with a safe time law.
 
+mod begin;
+mod room;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
-use super::motion::{Course, Standing};
-use crate::planning::Planner;
+use super::motion::Course;
+use crate::smoothing::smoother::SMOOTHED;
 use crate::smoothing::timing::safe_trajectory;
+use begin::{Begin, predicted};
+use room::Room;
+
+pub use begin::sample;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -41,8 +48,6 @@ const RETRY: f64 = 0.5;
 const MAP_PATIENCE: f64 = 20.0;
 /// Time to wait for the robot to stand, s.
 const REST_PATIENCE: f64 = 10.0;
-/// Less than this left of a motion is driven to its end before the next begins, s.
-const SHORT_REST: f64 = 0.4;
 /// A way shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
 /// A start that the map has occupied may be left by this much, m.
@@ -111,71 +116,26 @@ pub enum Searching {
     Failed(NoRoute),
 }
 
-/// The state that a route begins in.
-#[derive(Clone, Debug, PartialEq)]
-struct Begin {
-    pose: Pose2,
-    twist: Twist2,
-    splice: Option<Splice>,
-}
-
 #[derive(Clone, Debug)]
 enum Stage {
     /// Until this time nothing is asked.
     Idle(Stamp),
     Plan(Ticket, Begin),
-    Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, PlanStatistics),
+    Smooth(Ticket, Box<Smoothing>),
 }
 
-/// Between the disc that fits inside the robot's body and the one around it: shares of the difference that are tried one after the other.
-const SHARES: [f64; 3] = [0.0, 0.5, 1.0];
-
-/// How large a disc stands for the robot. A planner knows it as one; whether its body fits shows when the way is made a motion.
+/// A way that is being smoothed.
 #[derive(Clone, Debug)]
-struct Room {
-    /// Which of [`SHARES`] is planned for.
-    index: usize,
-    /// A planner whose ways pass obstacles as close as they may begins with the largest disc; one that keeps away by itself with the
-    /// smallest.
-    narrows: bool,
-    /// Why a way was found that cannot be driven, if one was.
-    undrivable: Option<String>,
-}
-
-impl Room {
-    fn new(planner: &str) -> Self {
-        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_away());
-        Self {
-            index: if narrows { SHARES.len() - 1 } else { 0 },
-            narrows,
-            undrivable: None,
-        }
-    }
-
-    /// The robot for the planner.
-    fn disc(&self, footprint: &Footprint) -> Footprint {
-        let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
-        match SHARES.get(self.index) {
-            Some(share) if *share > 0.0 && inner < outer => Footprint::Radius(inner + share * (outer - inner)),
-            _ => footprint.clone(),
-        }
-    }
-
-    /// Goes over to the next disc; `false` after the last one.
-    fn change(&mut self) -> bool {
-        let next = if self.narrows {
-            self.index.checked_sub(1)
-        } else {
-            Some(self.index + 1).filter(|index| *index < SHARES.len())
-        };
-        self.index = next.unwrap_or(self.index);
-        next.is_some()
-    }
-
-    /// Goes over to a smaller disc, where that is the way to go.
-    fn narrow(&mut self) -> bool {
-        self.narrows && self.change()
-    }
+struct Smoothing {
+    begin: Begin,
+    /// The question, for the robot's true body.
+    request: SmoothRequest,
+    /// Length of the way, m.
+    length: f64,
+    /// What the planner said.
+    planned: PlanStatistics,
+    /// Whether it was asked for a body that is larger by the margin.
+    with_margin: bool,
 }
 
 /// A search for a route.
@@ -239,9 +199,9 @@ impl Search {
                 None => Searching::Wait("plans"),
                 Some(answer) => self.planned(ctx, begin, answer),
             },
-            Stage::Smooth(ticket, begin, map, path, statistics) => match ctx.asks.take(ticket) {
+            Stage::Smooth(ticket, smoothing) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("smooths"),
-                Some(answer) => self.smoothed(ctx, begin, map, path, statistics, answer),
+                Some(answer) => self.smoothed(ctx, *smoothing, answer),
             },
         }
     }
@@ -314,19 +274,27 @@ impl Search {
                 let Some(model) = ctx.robot.model().cloned() else {
                     return Searching::Wait("waits for the robot's description");
                 };
+                let length = path.iter().zip(path.iter().skip(1)).map(|(a, b)| (b - a).norm()).sum();
                 let request = SmoothRequest {
                     robot: ctx.config.robot.to_string(),
                     model,
-                    map: reply.map.clone(),
-                    path: path.clone(),
+                    map: reply.map,
+                    path,
                     start: begin.pose,
                     start_velocity: begin.twist,
                     goal_yaw: self.goal.yaw,
                     unknown_is_free: self.unknown_is_free,
                 };
-                let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
-                self.stage = Stage::Smooth(ticket, begin, reply.map, path, statistics);
-                Searching::Wait("smooths")
+                self.ask_smooth(
+                    ctx,
+                    Smoothing {
+                        begin,
+                        request,
+                        length,
+                        planned: statistics,
+                        with_margin: ctx.config.margin > 0.0,
+                    },
+                )
             }
             PlanOutcome::StartOccupied {
                 nearest_free: Some(free),
@@ -344,7 +312,10 @@ impl Search {
             }
             // Where a large disc has no way, a smaller one may; where the body did not fit through, no other way has more room.
             PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
-                if !is_round(ctx) && self.room.narrow() =>
+                if ctx
+                    .robot
+                    .model()
+                    .is_some_and(|model| self.room.narrow(&model.footprint)) =>
             {
                 self.escape = None;
                 self.stage = Stage::Idle(ctx.now);
@@ -386,25 +357,35 @@ impl Search {
         }
     }
 
-    fn smoothed(
-        &mut self,
-        ctx: &mut Context,
-        begin: Begin,
-        map: MapRef,
-        path: Vec<Point2<f64>>,
-        planned: PlanStatistics,
-        answer: Result<Answer, NoAnswer>,
-    ) -> Searching {
-        let length: f64 = path
-            .windows(2)
-            .map(|pair| pair.first().zip(pair.last()).map_or(0.0, |(a, b)| (b - a).norm()))
-            .sum();
+    fn ask_smooth(&mut self, ctx: &mut Context, smoothing: Smoothing) -> Searching {
+        let mut request = smoothing.request.clone();
+        if smoothing.with_margin {
+            request.model.footprint = request.model.footprint.grown(ctx.config.margin);
+        }
+        let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
+        self.stage = Stage::Smooth(ticket, Box::new(smoothing));
+        Searching::Wait("smooths")
+    }
+
+    fn smoothed(&mut self, ctx: &mut Context, smoothing: Smoothing, answer: Result<Answer, NoAnswer>) -> Searching {
         let (map, trajectory, statistics) = match answer {
             // Where there is no way, none can be driven: the goal itself is the one waypoint.
-            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && length < AT_GOAL => (map, Vec::new(), planned),
+            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && smoothing.length < AT_GOAL => {
+                (reply.map, Vec::new(), smoothing.planned)
+            }
+            Ok(Answer::Smooth(reply)) if smoothing.with_margin && reply.statistics.status != SMOOTHED => {
+                let with_margin = false;
+                return self.ask_smooth(
+                    ctx,
+                    Smoothing {
+                        with_margin,
+                        ..smoothing
+                    },
+                );
+            }
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
                 self.room.undrivable = Some(reply.statistics.status);
-                if is_round(ctx) || !self.room.change() {
+                if !self.room.change(&smoothing.request.model.footprint) {
                     return self.undrivable();
                 }
                 self.escape = None;
@@ -412,9 +393,11 @@ impl Search {
                 return Searching::Wait("plans another way: the robot does not fit through");
             }
             Ok(Answer::Smooth(reply)) => {
+                let margin = if smoothing.with_margin { ctx.config.margin } else { 0.0 };
                 let statistics = PlanStatistics {
-                    planner: planned.planner,
-                    search_ms: planned.search_ms,
+                    planner: smoothing.planned.planner,
+                    search_ms: smoothing.planned.search_ms,
+                    min_clearance: reply.statistics.min_clearance.map(|least| least + margin),
                     ..reply.statistics
                 };
                 (reply.map, reply.trajectory, statistics)
@@ -424,26 +407,23 @@ impl Search {
                     Err(NoAnswer::Refused(_)) => "fallback:smoother_refused",
                     _ => "fallback:no_smoother",
                 };
-                let Some(model) = ctx.robot.model() else {
-                    return Searching::Wait("waits for the robot's description");
+                let (request, begin) = (&smoothing.request, &smoothing.begin);
+                let trajectory = safe_trajectory(&request.path, begin.pose, begin.twist, self.goal.yaw, &request.model);
+                let statistics = PlanStatistics {
+                    length: smoothing.length,
+                    duration: trajectory.last().map_or(0.0, |point| point.t),
+                    status: why.to_owned(),
+                    ..smoothing.planned
                 };
-                let trajectory = safe_trajectory(&path, begin.pose, begin.twist, self.goal.yaw, model);
-                let duration = trajectory.last().map_or(0.0, |point| point.t);
-                (
-                    map,
-                    trajectory,
-                    PlanStatistics {
-                        length,
-                        duration,
-                        status: why.to_owned(),
-                        ..planned
-                    },
-                )
+                (request.map.clone(), trajectory, statistics)
             }
         };
+        let Smoothing {
+            begin, request, length, ..
+        } = smoothing;
         let course = Course {
             map,
-            waypoints: path.iter().skip(1).copied().collect(),
+            waypoints: request.path.iter().skip(1).copied().collect(),
             trajectory,
             splice: begin.splice,
             statistics,
@@ -451,7 +431,7 @@ impl Search {
         Searching::Found(Box::new(Route {
             id: 0,
             goal: self.goal,
-            path,
+            path: request.path,
             length,
             begin: begin.pose,
             course,
@@ -475,91 +455,5 @@ impl Search {
 
     fn failed(&mut self, code: i64, reason: String) -> Searching {
         Searching::Failed(NoRoute { code, reason })
-    }
-}
-
-/// Whether all discs that stand for the robot are the same.
-fn is_round(ctx: &Context) -> bool {
-    let footprint = ctx.robot.model().map(|model| &model.footprint);
-    footprint.is_none_or(|footprint| matches!(footprint, Footprint::Radius(_)))
-}
-
-/// The state that the robot will be in when a plan made now comes into force.
-fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'static str> {
-    let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
-        return Err("waits for the robot");
-    };
-    // Also in the middle of a motion: something may hold the robot there.
-    if ctx.robot.is_at_rest() {
-        return Ok(Begin {
-            pose,
-            twist: Twist2::ZERO,
-            splice: None,
-        });
-    }
-    let ahead = ctx
-        .motion
-        .time(state, ctx.robot.state_age(ctx.now))
-        .filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
-    // A motion that is held runs on to where the new one begins, if slower.
-    let follows = state.mode == Mode::Follow && !from_rest;
-    if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
-        let time = (time + ctx.config.latency_budget).max(0.0);
-        let end = plan.trajectory.last().map_or(0.0, |point| point.t);
-        if time + SHORT_REST < end {
-            let point = sample(&plan.trajectory, time);
-            let splice = Splice {
-                trajectory_id: plan.trajectory_id,
-                time,
-            };
-            return Ok(Begin {
-                pose: point.pose(),
-                twist: point.twist(),
-                splice: Some(splice),
-            });
-        }
-    }
-    Err("waits for the robot to stand")
-}
-
-/// Where a trajectory is at a time, linear between its points; held at both ends.
-#[must_use]
-pub fn sample(trajectory: &[TrajectoryPoint], t: f64) -> TrajectoryPoint {
-    let after = trajectory.partition_point(|point| point.t <= t);
-    let (Some(from), to) = (trajectory.get(after.saturating_sub(1)), trajectory.get(after)) else {
-        return TrajectoryPoint::default();
-    };
-    let Some(to) = to.filter(|to| after > 0 && to.t > from.t) else {
-        return *from;
-    };
-    let share = (t - from.t) / (to.t - from.t);
-    let between = |a: f64, b: f64| a + share * (b - a);
-    let turn = zenav_protocol::geometry::wrap_angle(to.yaw - from.yaw);
-    TrajectoryPoint {
-        t,
-        x: between(from.x, to.x),
-        y: between(from.y, to.y),
-        yaw: zenav_protocol::geometry::wrap_angle(from.yaw + share * turn),
-        v: between(from.v, to.v),
-        w: between(from.w, to.w),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_trajectory_is_held_at_both_ends() {
-        let points = [0.0, 1.0].map(|t| TrajectoryPoint {
-            t,
-            x: 2.0 * t,
-            ..TrajectoryPoint::default()
-        });
-        assert!((sample(&points, 0.25).x - 0.5).abs() < 1e-12);
-        assert_eq!(
-            (sample(&points, -1.0).x, sample(&points, 5.0).x, sample(&[], 1.0).x),
-            (0.0, 2.0, 0.0)
-        );
     }
 }
