@@ -7,6 +7,7 @@
 //! | `launch` | how the parts start and end, in one process or in many |
 //! | `router` | the router |
 //! | `receivers` | how many threads receive, in a process with a router |
+//! | `served_world` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
@@ -32,6 +33,7 @@ pub mod output;
 pub mod receivers;
 pub mod report;
 pub mod router;
+pub mod served_world;
 
 /// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
 #[must_use]

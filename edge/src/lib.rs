@@ -17,7 +17,7 @@
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`exchange`] | when does the pilot step, and how does it meet the network? |
 //! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
-//! | `sim_body` (feature `sim`) | how is a simulated robot a body? |
+//! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
 pub mod acceptance;
 pub mod authority;
@@ -39,6 +39,7 @@ pub mod mailbox;
 pub mod params;
 pub mod pilot;
 pub mod recoveries;
+pub mod remote_body;
 pub mod service;
 #[cfg(feature = "sim")]
 pub mod sim_body;
@@ -52,6 +53,7 @@ pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
 pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
+pub use remote_body::{AttachError, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};
 #[cfg(feature = "sim")]
 pub use sim_body::{Referee, SimBody};

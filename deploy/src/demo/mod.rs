@@ -141,6 +141,7 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     deployment.data.dir = state.to_path_buf();
     let (id, model) = script.robot;
     let robot = RobotSection {
+        attach: false,
         model: model.to_owned(),
         listen: "tcp/127.0.0.1:0".to_owned(),
         on_lost: LostPolicy::default(),
@@ -215,10 +216,11 @@ async fn play(
     endpoint: &str,
 ) -> Result<DemoReport, Failure> {
     let robots = deployment.robot_ids()?;
-    let (id, section) = robots
+    let (id, _) = robots
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
-    let referee = parts.edge(deployment, world, id, section)?;
+    let referee = parts.edges(deployment, world)?.pop();
+    let referee = referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
