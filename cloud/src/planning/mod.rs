@@ -6,6 +6,7 @@
 //! | [`budget`] | how long may a search take? |
 //! | [`astar`] | what is the cheapest way over the lattice? |
 //! | [`jps`] | the shortest way, where every cell costs the same? |
+//! | `oriented` | is there a way for the true footprint of a robot that is longer than wide? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -17,6 +18,7 @@ pub mod astar;
 pub mod budget;
 pub mod jps;
 pub mod lattice;
+mod oriented;
 pub mod plan;
 pub mod planner;
 pub mod searcher;

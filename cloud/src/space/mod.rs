@@ -2,6 +2,7 @@
 //!
 //! | file | answers |
 //! |---|---|
+//! | [`body`] | has the true footprint room to drive straight, to turn on the spot, to move a little? |
 //! | [`bits`] | which cells of a grid have a property, 64 to a word? |
 //! | [`distance`] | how far is each cell's centre from the nearest occupied square? |
 //! | [`configuration`] | which cells admit the robot, and how far is any point from an obstacle? |
@@ -15,6 +16,7 @@
 //! squares, so nothing depends on a sampling step and a single occupied cell is never missed.
 
 pub mod bits;
+pub mod body;
 pub mod cache;
 pub mod configuration;
 pub mod distance;
