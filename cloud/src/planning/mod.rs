@@ -11,6 +11,7 @@
 //! | `records` | what does a search note about cells, of which it sees few? |
 //! | [`theta`] | a short way in any direction? |
 //! | [`taut`] | which corners of a way are needed? |
+//! | `oriented` | is there a way for the true footprint of a robot that is longer than wide? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -24,6 +25,7 @@ pub mod jps;
 pub mod jump_grid;
 pub mod lattice;
 mod open;
+mod oriented;
 pub mod plan;
 pub mod planner;
 mod records;

@@ -4,9 +4,11 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::robot::Footprint;
 
 use super::astar::{CellCost, NotFound, PARTS};
 use super::budget::Budget;
+use super::oriented;
 use super::planner::{PlanOptions, Planner};
 use super::searcher::{Query, Searcher};
 use crate::space::ConfigurationSpace;
@@ -22,7 +24,8 @@ pub struct Planned {
 
 /// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
 ///
-/// The way leads from the exact start over cell centres to the exact goal. A robot that stands a little inside the margin that its
+/// The way leads from the exact start to the exact goal, and the true footprint can drive it as it stands: legs straight, turns on the spot
+/// at the corners, the first one from the start's heading. A robot that stands a little inside the margin that its
 /// footprint asks for leaves by the nearest free cell; it is refused only where it stands in an obstacle.
 pub fn plan(
     space: &ConfigurationSpace,
@@ -33,16 +36,49 @@ pub fn plan(
     budget: Budget<'_>,
 ) -> Planned {
     let mut expansions = 0;
-    let outcome = outcome(
-        space,
-        searcher,
-        start.position(),
-        goal.position(),
-        options,
-        budget,
-        &mut expansions,
-    );
-    Planned { outcome, expansions }
+    let (from, to) = (start.position(), goal.position());
+    let outcome = outcome(space, searcher, from, to, options, budget, &mut expansions);
+    let mut planned = Planned { outcome, expansions };
+    if matches!(space.footprint(), Footprint::Polygon(_)) {
+        let heading = (!options.any_heading).then_some(start.yaw);
+        fit_footprint(space, from, heading, to, options, budget, &mut planned);
+    }
+    planned
+}
+
+/// Puts a way that the true footprint can drive, if there is one, in place of one that only the inscribed disc can.
+fn fit_footprint(
+    space: &ConfigurationSpace,
+    start: Point2<f64>,
+    heading: Option<f64>,
+    goal: Point2<f64>,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+    planned: &mut Planned,
+) {
+    let is_fine = match &planned.outcome {
+        PlanOutcome::Found { path, .. } => oriented::is_drivable(space, path, heading),
+        PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
+        _ => true,
+    };
+    // A robot that stands where it does not fit by the map leaves by the disc's way, as far as it gets.
+    if is_fine || !oriented::can_stand(space, start, heading) || !oriented::can_stand(space, goal, None) {
+        return;
+    }
+    let query = oriented::Query { start, heading, goal };
+    let searched = oriented::search(space, &Comfort::new(space, options), &query, budget);
+    planned.expansions += searched.expansions;
+    match (searched.result, &planned.outcome) {
+        (Ok(path), _) => planned.outcome = found(path),
+        (Err(NotFound::TimedOut), _) => planned.outcome = PlanOutcome::TimedOut,
+        (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
+        (Err(_), _) => {}
+    }
+}
+
+fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
+    let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    PlanOutcome::Found { path, length }
 }
 
 fn outcome(
@@ -93,8 +129,7 @@ fn outcome(
             path.extend(found.corners.iter().map(|corner| space.spec().from_cells(*corner)));
             path.push(goal);
             path.dedup();
-            let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-            PlanOutcome::Found { path, length }
+            self::found(path)
         }
         Err(NotFound::NoPath) => PlanOutcome::NoPath,
         Err(NotFound::TimedOut) => PlanOutcome::TimedOut,
