@@ -177,7 +177,7 @@ mod tests {
         // The same turned by half about the first one's end.
         let mut second = first.map(|p| Point2::new(2.0 * first[5].x - p.x, 2.0 * first[5].y - p.y));
         second.reverse();
-        let curve = Curve::new(vec![first, second], String::new(), 0);
+        let curve = Curve::new(vec![first, second], String::new(), 0, 0.0);
         let sampled = curve.sampled(0.02).unwrap();
         let points = sampled.path.points();
         assert_eq!(sampled.ends[1], points.len() - 1);
@@ -199,7 +199,7 @@ mod tests {
     #[test]
     fn a_curve_that_turns_back_has_no_heading() {
         let there = [0.0, 1.0, 2.0, 2.0, 1.0, 0.0].map(|x| Point2::new(x, 0.0));
-        let curve = Curve::new(vec![there], String::new(), 0);
+        let curve = Curve::new(vec![there], String::new(), 0, 0.0);
         assert!(matches!(curve.sampled(0.02), Err(CurveError::Cusp)));
     }
 }

@@ -27,17 +27,11 @@ impl ConfigurationSpace {
     pub fn leg_clearance(&self, a: Point2<f64>, b: Point2<f64>, limit: f64) -> f64 {
         let resolution = self.spec.resolution;
         let (from, to) = (self.spec.to_cells(a), self.spec.to_cells(b));
-        let disc = |radius: f64, any: bool| {
-            let reach = (limit + radius) / resolution;
-            let distance = capsule_clearance(&self.obstacles, from, to, reach, any);
-            (distance.min(reach) * resolution - radius).max(0.0)
-        };
         let along = b - a;
         match &self.footprint {
             Footprint::Polygon(corners) if along.norm_squared() > 0.0 => {
                 // What the disc around the footprint has, the footprint has.
-                let round = disc(self.footprint.circumscribed_radius(), true);
-                if round >= limit {
+                if self.segment_is_free(a, b, limit + self.footprint.circumscribed_radius()) {
                     return limit;
                 }
                 let hull = hull(&swept(corners, Pose2::new(a.x, a.y, along.y.atan2(along.x)), b));
@@ -47,7 +41,12 @@ impl ConfigurationSpace {
                 }
                 polygon_clearance(&self.obstacles, &outline, limit / resolution) * resolution
             }
-            footprint => disc(footprint.inscribed_radius(), false),
+            footprint => {
+                let radius = footprint.inscribed_radius();
+                let reach = (limit + radius) / resolution;
+                let distance = capsule_clearance(&self.obstacles, from, to, reach);
+                (distance.min(reach) * resolution - radius).max(0.0)
+            }
         }
     }
 
