@@ -135,9 +135,16 @@ fn zenoh_appears_in_the_bus_and_the_router_alone() {
 
 #[test]
 fn cores_are_pure() {
-    // Where time, threads and the network come in: services, the follower that keeps a map fresh, the robot's control thread and the
-    // boxes through which it meets the network.
-    let network = ["service.rs", "follower.rs", "control.rs", "exchange.rs", "main.rs"];
+    // Where time, threads and the network come in: services and what hosts workers, the follower that keeps a map fresh, the robot's
+    // control thread and the boxes through which it meets the network.
+    let network = [
+        "service.rs",
+        "worker_host.rs",
+        "follower.rs",
+        "control.rs",
+        "exchange.rs",
+        "main.rs",
+    ];
     let impure = [
         "tokio::",
         "Instant::now",

@@ -10,9 +10,12 @@ use super::{Case, queries};
 /// Side of a map, cells.
 const SIDE: u32 = 1000;
 
+/// Draws a map.
+type Make = fn(&mut Pcg64Mcg) -> BitGrid;
+
 /// The generated maps whose name holds `only`.
 pub fn maps(only: &str) -> Vec<Case> {
-    let kinds: [(&str, fn(&mut Pcg64Mcg) -> BitGrid); 5] = [
+    let kinds: [(&str, Make); 5] = [
         ("office", office),
         ("clutter-10", |random| clutter(random, 0.10)),
         ("clutter-25", |random| clutter(random, 0.25)),

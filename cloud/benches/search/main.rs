@@ -148,11 +148,7 @@ fn follow(criterion: &mut Criterion, case: &Case) {
         criterion.bench_function(&format!("{}/{planner}", case.name), |bencher| {
             bencher.iter(|| {
                 for query in &case.queries {
-                    black_box(
-                        searcher
-                            .search(planner, &sight, query, Budget::UNLIMITED)
-                            .expansions,
-                    );
+                    black_box(searcher.search(planner, &sight, query, Budget::UNLIMITED).expansions);
                 }
             });
         });

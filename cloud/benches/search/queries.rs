@@ -43,7 +43,10 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
     for _ in 0..DRAWN {
         let mut draw = || cells[random.random_range(0..cells.len())];
         let query = query(draw(), draw());
-        if let Ok(way) = searcher.search(Planner::AStar, &sight, &query, Budget::UNLIMITED).result {
+        if let Ok(way) = searcher
+            .search(Planner::AStar, &sight, &query, Budget::UNLIMITED)
+            .result
+        {
             found.push((way.length, query));
         }
     }

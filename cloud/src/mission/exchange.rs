@@ -101,7 +101,7 @@ pub enum Answer {
     /// A way, or why there is none.
     Plan(PlanReply),
     /// A trajectory.
-    Smooth(SmoothReply),
+    Smooth(Box<SmoothReply>),
     /// A map.
     Map(Box<MapReply>),
 }

@@ -125,7 +125,7 @@ enum Stage {
     /// Until this time nothing is asked.
     Idle(Stamp),
     Plan(Ticket, Begin),
-    Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, PlanStatistics),
+    Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, Box<PlanStatistics>),
 }
 
 /// Between the disc that fits inside the robot's body and the one around it: shares of the difference that are tried one after the other.
@@ -242,7 +242,7 @@ impl Search {
             },
             Stage::Smooth(ticket, begin, map, path, statistics) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("smooths"),
-                Some(answer) => self.smoothed(ctx, begin, map, path, statistics, answer),
+                Some(answer) => self.smoothed(ctx, begin, map, path, *statistics, answer),
             },
         }
     }
@@ -326,7 +326,7 @@ impl Search {
                     unknown_is_free: self.unknown_is_free,
                 };
                 let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
-                self.stage = Stage::Smooth(ticket, begin, reply.map, path, statistics);
+                self.stage = Stage::Smooth(ticket, begin, reply.map, path, Box::new(statistics));
                 Searching::Wait("smooths")
             }
             PlanOutcome::StartOccupied {

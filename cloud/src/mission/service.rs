@@ -339,7 +339,7 @@ async fn carry(bus: &Bus, robot: &str, planners: &Workers, smoothers: &Workers, 
             let mut last = NoAnswer::Silent("no smoothing worker is there".to_owned());
             while let Some((worker, deadline)) = smoothers.next(end, patience / 2).await {
                 match bus.ask(&topics::SMOOTH_SERVICE, &[&worker], &*request, deadline).await {
-                    Ok(reply) => return Ok(Answer::Smooth(reply)),
+                    Ok(reply) => return Ok(Answer::Smooth(Box::new(reply))),
                     Err(error) => match no(error) {
                         refused @ NoAnswer::Refused(_) => return Err(refused),
                         silent => last = smoothers.failed(&worker, silent),

@@ -2,7 +2,8 @@
 //!
 //! Of all equally short ways only those that go diagonally first are looked at: then a straight run needs a stop only where an obstacle
 //! beside it ends (a jump point). Jump points in the middle of a diagonal run are not kept either: what is found straight ahead of them
-//! is reached from the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own.
+//! is reached from the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own. Runs go from stop to stop
+//! on the bitmaps of [`JumpGrid`]; the goal is no stop there, but seen from any run that crosses its row or column.
 //!
 //! Sources: Harabor and Grastien, "Online Graph Pruning for Pathfinding on Grid Maps", AAAI 2011; the same, "Improving Jump Point
 //! Search", ICAPS 2014 (block scanning, pruning).
@@ -11,20 +12,34 @@ use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
 use super::budget::Budget;
-use super::jump_grid::{Diagonal, Direction, JumpGrid};
-use super::lattice::{DIAGONAL, GridPath, Lattice, STRAIGHT, UNREACHED, octile};
+use super::jump_grid::JumpGrid;
+use super::lattice::{DIAGONAL, GridPath, Lattice, STEPS, STRAIGHT, UNREACHED, octile};
 use super::open::{Open, OpenList, is_past};
 use super::records::Records;
 use super::searcher::Searched;
 
-/// Working memory, kept from one search to the next.
+/// Working memory, kept from one search to the next. All cells in it count from the lattice's border.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
     states: Records<u64>,
     open: OpenList,
     /// The cells expanded, in order.
     expanded: Vec<Cell>,
+    /// Jump points that the cell being expanded leads to.
+    seen: Vec<Seen>,
 }
+
+/// A jump point at the end of a run.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    cell: Cell,
+    node: u32,
+    cost: u32,
+    direction: usize,
+}
+
+/// Jump points that are seen before they are looked up.
+const BATCH: usize = 64;
 
 /// What is known of a jump point, in one word, so that 0 stands for nothing: its cost turned over, where in [`Memory::expanded`] the
 /// cell lies from which it was reached, and the directions of runs that reached it at this cost.
@@ -35,8 +50,8 @@ const DIRECTION_BITS: u32 = 4;
 const MAX_EXPANDED: usize = 1 << (u32::BITS - DIRECTION_BITS);
 
 impl State {
-    const fn new(cost: u32, parent: u32) -> Self {
-        Self((!cost as u64) << 32 | (parent << DIRECTION_BITS) as u64)
+    const fn new(cost: u32, parent: usize) -> Self {
+        Self((!cost as u64) << 32 | (parent as u64) << DIRECTION_BITS)
     }
 
     const fn cost(self) -> u32 {
@@ -47,18 +62,60 @@ impl State {
         (self.0 as u32 >> DIRECTION_BITS) as usize
     }
 
-    const fn has(self, direction: Direction) -> bool {
-        self.0 >> direction as u32 & 1 == 1
+    const fn has(self, direction: usize) -> bool {
+        self.0 >> direction & 1 == 1
     }
 
-    const fn with(self, direction: Direction) -> Self {
-        Self(self.0 | 1 << direction as u32)
+    const fn with(self, direction: usize) -> Self {
+        Self(self.0 | 1 << direction)
     }
 }
 
-/// Name of an open node: its cell and the direction that it was reached in.
-const fn name(x: u32, y: u32, direction: Direction) -> u32 {
-    y << 17 | x << 2 | direction as u32
+/// Name of an open node: its cell, of which a lattice has at most 2^15 a side, and the direction that it was reached in.
+const fn name(cell: Cell, direction: usize) -> u32 {
+    (cell.y - 1) << 17 | (cell.x - 1) << 2 | direction as u32
+}
+
+const fn named(name: u32) -> (Cell, usize) {
+    (
+        Cell::new((name >> 2 & 0x7FFF) + 1, (name >> 17) + 1),
+        (name & 3) as usize,
+    )
+}
+
+/// Which steps go on from a jump point, by the direction that it was reached in and the steps that can be made: straight on, and to a
+/// side and between where an obstacle ends just here.
+const SUCCESSORS: [[u8; 256]; 4] = {
+    let mut table = [[0; 256]; 4];
+    let mut direction = 0;
+    while direction < 4 {
+        let (dx, dy) = (STEPS[direction].x, STEPS[direction].y);
+        let mut can = 0;
+        while can < 256 {
+            let mut on = 1 << direction;
+            let mut side = -1;
+            while side <= 1 {
+                let (sx, sy) = (dy * side, dx * side);
+                // The cell that the run came from is free: only an obstacle can forbid the step back to that side.
+                if can >> step_of(sx - dx, sy - dy) & 1 == 0 {
+                    on |= 1 << step_of(sx, sy) | 1 << step_of(sx + dx, sy + dy);
+                }
+                side += 2;
+            }
+            table[direction][can] = (on & can) as u8;
+            can += 1;
+        }
+        direction += 1;
+    }
+    table
+};
+
+const fn step_of(x: i32, y: i32) -> usize {
+    let mut i = 0;
+    while STEPS[i].x != x || STEPS[i].y != y {
+        i += 1;
+    }
+    i
 }
 
 /// The shortest way from one cell to another. Deterministic.
@@ -70,47 +127,43 @@ pub fn search(
     memory: &mut Memory,
     budget: Budget<'_>,
 ) -> Searched<GridPath> {
-    let goal_node = match ends(lattice, start, goal) {
-        Ok((_, goal)) => goal,
-        Err(reason) => {
-            return Searched {
-                result: Err(reason),
-                expansions: 0,
-            };
-        }
-    };
+    if let Err(reason) = ends(lattice, start, goal) {
+        return Searched {
+            result: Err(reason),
+            expansions: 0,
+        };
+    }
     memory.states.clear(lattice.len());
     memory.open.clear(octile(start, goal));
     memory.expanded.clear();
+    memory.seen.clear();
+    let [start, goal] = [start, goal].map(|cell| Cell::new(cell.x + 1, cell.y + 1));
     let mut run = Run {
         lattice,
         grid,
         goal,
-        goal_node,
+        sides: [0, 1, 2, 3].map(|direction| obstacle(lattice, grid, direction, goal)),
         memory,
         budget,
-        cost: 0,
         here: start,
+        cost: 0,
         best: UNREACHED,
-        column: [Direction::South, Direction::North].map(|direction| obstacle(lattice, grid, direction, goal)),
-        row: [Direction::West, Direction::East].map(|direction| obstacle(lattice, grid, direction, goal)),
     };
-    let mut expansions = 0;
-    let result = run.until_found(start, &mut expansions).map(|()| run.trace(start));
-    Searched { result, expansions }
+    let result = run.until_found(start).map(|()| run.trace(start));
+    Searched {
+        result,
+        expansions: memory.expanded.len() as u64,
+    }
 }
 
-/// The first obstacle in a direction: its column or row, by the lattice.
-fn obstacle(lattice: &Lattice, grid: &JumpGrid, direction: Direction, from: Cell) -> u32 {
-    let (mut x, mut y) = (from.x + 1, from.y + 1);
+/// The column or row of the first obstacle in a direction.
+fn obstacle(lattice: &Lattice, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
+    let ray = grid.ray(direction);
+    let mut at = from;
     loop {
-        let stop = grid.stop(direction, x, y);
-        match direction {
-            Direction::East | Direction::West => x = stop,
-            Direction::North | Direction::South => y = stop,
-        }
-        if !lattice.is_free(y * lattice.pitch() + x) {
-            return stop;
+        at = ray.after(at, ray.length(at));
+        if !lattice.is_free(lattice.padded(at)) {
+            return if direction < 2 { at.x } else { at.y };
         }
     }
 }
@@ -120,7 +173,8 @@ struct Run<'a> {
     lattice: &'a Lattice,
     grid: &'a JumpGrid,
     goal: Cell,
-    goal_node: u32,
+    /// The first obstacles to the east, west, north and south of the goal.
+    sides: [u32; 4],
     memory: &'a mut Memory,
     budget: Budget<'a>,
     /// What is being expanded, and its cost.
@@ -128,222 +182,171 @@ struct Run<'a> {
     cost: u32,
     /// Least cost known to the goal.
     best: u32,
-    row: [u32; 2],
-    column: [u32; 2],
 }
 
 impl Run<'_> {
-    fn until_found(&mut self, start: Cell, expansions: &mut u64) -> Result<(), NotFound> {
-        if start == self.goal {
-            return Ok(());
-        }
-        let start_node = self.node(start.x, start.y);
-        self.memory.states.set(start_node, State::new(0, 0).0);
-        if self.budget.is_spent(0) {
-            return Err(NotFound::TimedOut);
-        }
-        *expansions += 1;
-        self.memory.expanded.push(start);
-        for direction in Direction::ALL {
-            self.straight(direction, start.x, start.y, 0);
-        }
-        for diagonal in Diagonal::ALL {
-            self.diagonal(diagonal);
-        }
+    fn until_found(&mut self, start: Cell) -> Result<(), NotFound> {
+        let node = self.lattice.padded(start);
+        self.memory.states.set(node, State::new(0, 0).0);
+        self.expand(start, 0, self.lattice.steps(node))?;
         while let Some(Open { estimate, name }) = self.memory.open.pop() {
             if is_past(estimate, self.best) {
                 break;
             }
-            let cell = Cell::new(name >> 2 & 0x7FFF, name >> 17);
+            let (cell, direction) = named(name);
             let cost = estimate - octile(cell, self.goal);
-            let state = State(self.memory.states.get(self.node(cell.x, cell.y)));
-            // A better way to it came later.
-            if state.cost() != cost || estimate >= self.best {
-                continue;
+            let node = self.lattice.padded(cell);
+            // Else a better way came later, to it or to the goal.
+            if State(self.memory.states.get(node)).cost() == cost && estimate < self.best {
+                let can = self.lattice.steps(node) as usize;
+                self.expand(cell, cost, u32::from(SUCCESSORS[direction][can & 0xFF]))?;
             }
-            if self.budget.is_spent(*expansions) || self.memory.expanded.len() == MAX_EXPANDED {
-                return Err(NotFound::TimedOut);
-            }
-            *expansions += 1;
-            (self.here, self.cost) = (cell, cost);
-            self.memory.expanded.push(cell);
-            self.expand(Direction::ALL[name as usize & 3]);
         }
         if self.best == UNREACHED {
-            return Err(NotFound::NoPath);
+            Err(NotFound::NoPath)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Goes on from a cell by the given steps.
+    fn expand(&mut self, here: Cell, cost: u32, mut steps: u32) -> Result<(), NotFound> {
+        let expansions = self.memory.expanded.len();
+        if self.budget.is_spent(expansions as u64) || expansions == MAX_EXPANDED {
+            return Err(NotFound::TimedOut);
+        }
+        (self.here, self.cost) = (here, cost);
+        self.memory.expanded.push(here);
+        if self.sees_goal(here) {
+            self.found();
+            return Ok(());
+        }
+        while steps != 0 {
+            let step = steps.trailing_zeros() as usize;
+            steps &= steps - 1;
+            if step < 4 {
+                self.straight(step, here, cost);
+            } else {
+                self.diagonal(step)?;
+            }
+        }
+        self.settle();
+        Ok(())
+    }
+
+    /// Sees the jump point that lies straight ahead of a cell, if any.
+    #[inline]
+    fn straight(&mut self, direction: usize, from: Cell, cost: u32) {
+        let ray = self.grid.ray(direction);
+        let length = ray.length(from);
+        let cell = ray.after(from, length);
+        let node = self.lattice.padded(cell);
+        if self.lattice.is_free(node) {
+            let cost = cost.saturating_add(length * STRAIGHT);
+            self.memory.seen.push(Seen {
+                cell,
+                node,
+                cost,
+                direction,
+            });
+        }
+    }
+
+    /// Goes on diagonally as long as it goes, and sees what lies straight ahead of each cell passed.
+    fn diagonal(&mut self, direction: usize) -> Result<(), NotFound> {
+        let grid = self.grid;
+        let ray = grid.ray(direction);
+        let [horizontal, vertical] = [usize::from(ray.step.x < 0), 2 + usize::from(ray.step.y < 0)];
+        let mut at = self.here;
+        let mut cost = self.cost;
+        loop {
+            let length = ray.length(at);
+            at = ray.after(at, length);
+            cost = cost.saturating_add(length * DIAGONAL);
+            self.straight(horizontal, at, cost);
+            self.straight(vertical, at, cost);
+            if self.memory.seen.len() >= BATCH {
+                self.settle();
+                if self.budget.is_cancelled() {
+                    return Err(NotFound::TimedOut);
+                }
+            }
+            if !self.lattice.can_step(self.lattice.padded(at), ray.step) {
+                break;
+            }
+        }
+        // Where the run crosses the goal's row or column, whichever comes first, the goal may lie straight ahead.
+        let ahead = |from: u32, to: u32, step: i32| {
+            if (to > from) == (step > 0) {
+                to.abs_diff(from)
+            } else {
+                0
+            }
+        };
+        let crossing = ahead(self.here.x, self.goal.x, ray.step.x).min(ahead(self.here.y, self.goal.y, ray.step.y));
+        if crossing > 0 && crossing <= at.y.abs_diff(self.here.y) && self.sees_goal(ray.after(self.here, crossing)) {
+            self.found();
         }
         Ok(())
     }
 
-    fn node(&self, x: u32, y: u32) -> u32 {
-        (y + 1) * self.lattice.pitch() + x + 1
+    /// Whether nothing lies between a cell and the goal on its row or column.
+    fn sees_goal(&self, cell: Cell) -> bool {
+        let [east, west, north, south] = self.sides;
+        (cell.y == self.goal.y && west < cell.x && cell.x < east)
+            || (cell.x == self.goal.x && south < cell.y && cell.y < north)
     }
 
-    fn expand(&mut self, direction: Direction) {
-        let (dx, dy) = direction.step();
-        let Cell { x, y } = self.here;
-        let node = self.node(x, y);
-        self.straight(direction, x, y, self.cost);
-        // Beside: where an obstacle ends just here.
-        for side in [1, -1] {
-            let (sx, sy) = (dy * side, dx * side);
-            if self.is_free(node, sx, sy) && !self.is_free(node, sx - dx, sy - dy) {
-                let beside = match (sx, sy) {
-                    (1, _) => Direction::East,
-                    (-1, _) => Direction::West,
-                    (_, 1) => Direction::North,
-                    _ => Direction::South,
-                };
-                self.straight(beside, x, y, self.cost);
-                let diagonal = match (dx + sx, dy + sy) {
-                    (1, 1) => Diagonal::NorthEast,
-                    (-1, 1) => Diagonal::NorthWest,
-                    (1, -1) => Diagonal::SouthEast,
-                    _ => Diagonal::SouthWest,
-                };
-                self.diagonal(diagonal);
-            }
-        }
-    }
-
-    fn is_free(&self, node: u32, dx: i32, dy: i32) -> bool {
-        self.lattice
-            .is_free(node.wrapping_add_signed(dy * self.lattice.pitch() as i32 + dx))
-    }
-
-    /// Reaches the next jump point in a straight direction.
-    #[inline]
-    fn straight(&mut self, direction: Direction, x: u32, y: u32, cost: u32) {
-        // The lattice's border counts here.
-        let (x, y) = (x + 1, y + 1);
-        let (gx, gy) = (self.goal.x + 1, self.goal.y + 1);
-        let stop = self.grid.stop(direction, x, y);
-        let (along, at, distance) = match direction {
-            Direction::East => (gy == y && gx > x && gx <= stop, (stop, y), stop - x),
-            Direction::West => (gy == y && gx < x && gx >= stop, (stop, y), x - stop),
-            Direction::North => (gx == x && gy > y && gy <= stop, (x, stop), stop - y),
-            Direction::South => (gx == x && gy < y && gy >= stop, (x, stop), y - stop),
-        };
-        if along {
-            self.found(cost + (gx.abs_diff(x) + gy.abs_diff(y)) * STRAIGHT);
-            return;
-        }
-        let node = at.1 * self.lattice.pitch() + at.0;
-        if self.lattice.is_free(node) {
-            self.reach(
-                node,
-                Cell::new(at.0 - 1, at.1 - 1),
-                direction,
-                cost.saturating_add(distance * STRAIGHT),
-            );
-        }
-    }
-
-    /// Goes on diagonally as long as it goes, and reaches what lies straight ahead of each cell passed.
-    fn diagonal(&mut self, direction: Diagonal) {
-        let [horizontal, vertical] = direction.sides();
-        let (dx, dy) = (horizontal.step().0, vertical.step().1);
-        let (mut x, mut y, mut cost) = (self.here.x + 1, self.here.y + 1, self.cost);
-        let pitch = self.lattice.pitch();
-        let can_go = |x: u32, y: u32| {
-            let node = y * pitch + x;
-            let beside = node.wrapping_add_signed(dx);
-            let above = node.wrapping_add_signed(dy * pitch as i32);
-            self.lattice.is_free(beside)
-                && self.lattice.is_free(above)
-                && self.lattice.is_free(above.wrapping_add_signed(dx))
-        };
-        if !can_go(x, y) {
-            return;
-        }
-        loop {
-            let stop = self.grid.turn(direction, x, y);
-            let steps = stop.abs_diff(y);
-            y = stop;
-            x = x.wrapping_add_signed(dx * steps as i32);
-            cost += DIAGONAL * steps;
-            self.ahead(horizontal, x, y, cost);
-            self.ahead(vertical, x, y, cost);
-            let node = y * pitch + x;
-            let beside = node.wrapping_add_signed(dx);
-            let above = node.wrapping_add_signed(dy * pitch as i32);
-            if !(self.lattice.is_free(beside)
-                && self.lattice.is_free(above)
-                && self.lattice.is_free(above.wrapping_add_signed(dx)))
-            {
-                break;
-            }
-        }
-        // The goal may lie straight ahead of a cell on the way.
-        let steps = y.abs_diff(self.here.y + 1) as i64;
-        let (from, to) = (self.here, self.goal);
-        let along = [
-            (i64::from(to.x) - i64::from(from.x)) * i64::from(dx),
-            (i64::from(to.y) - i64::from(from.y)) * i64::from(dy),
-        ];
-        let short = along[0].min(along[1]);
-        if short < 1 || short > steps {
-            return;
-        }
-        let turn = (
-            from.x.wrapping_add_signed(dx * short as i32),
-            from.y.wrapping_add_signed(dy * short as i32),
-        );
-        if (turn.1 == to.y && self.row[0] < turn.0 + 1 && turn.0 + 1 < self.row[1])
-            || (turn.0 == to.x && self.column[0] < turn.1 + 1 && turn.1 + 1 < self.column[1])
-        {
-            self.found(self.cost.saturating_add(octile(from, to)));
-        }
-    }
-
-    /// Reaches the jump point that lies straight ahead.
-    #[inline]
-    fn ahead(&mut self, direction: Direction, x: u32, y: u32, cost: u32) {
-        let stop = self.grid.stop(direction, x, y);
-        let (at, distance) = match direction {
-            Direction::East | Direction::West => ((stop, y), stop.abs_diff(x)),
-            Direction::North | Direction::South => ((x, stop), stop.abs_diff(y)),
-        };
-        let node = at.1 * self.lattice.pitch() + at.0;
-        if self.lattice.is_free(node) {
-            self.reach(
-                node,
-                Cell::new(at.0 - 1, at.1 - 1),
-                direction,
-                cost.saturating_add(distance * STRAIGHT),
-            );
-        }
-    }
-
-    /// Notes a way to the goal.
-    fn found(&mut self, cost: u32) {
+    /// Notes a way from what is being expanded to the goal: diagonally first, then straight.
+    fn found(&mut self) {
+        let cost = self.cost.saturating_add(octile(self.here, self.goal));
         if cost < self.best {
             self.best = cost;
-            let parent = self.memory.expanded.len() as u32 - 1;
-            self.memory.states.set(self.goal_node, State::new(cost, parent).0);
+            let state = State::new(cost, self.memory.expanded.len() - 1);
+            self.memory.states.set(self.lattice.padded(self.goal), state.0);
         }
     }
 
-    /// Notes a way from what is being expanded to a node: diagonally first, then straight.
-    #[inline]
-    fn reach(&mut self, node: u32, at: Cell, direction: Direction, cost: u32) {
-        let mut state = State(self.memory.states.get(node));
-        let known = state.cost();
-        if cost > known || (cost == known && state.has(direction)) {
-            return;
+    /// Notes the ways from what is being expanded to the jump points seen: diagonally first, then straight.
+    fn settle(&mut self) {
+        let Memory {
+            states,
+            open,
+            expanded,
+            seen,
+        } = &mut *self.memory;
+        // Two passes, of which the first, that waits for memory, has nothing to decide.
+        let mut better = 0;
+        for i in 0..seen.len() {
+            let Seen {
+                node, cost, direction, ..
+            } = seen[i];
+            let known = State(states.get(node));
+            seen[better] = seen[i];
+            better += usize::from((cost < known.cost()) | ((cost == known.cost()) & !known.has(direction)));
         }
-        let estimate = cost.saturating_add(octile(at, self.goal));
-        if estimate >= self.best {
-            return;
+        for Seen {
+            cell,
+            node,
+            cost,
+            direction,
+        } in seen.drain(..).take(better)
+        {
+            let estimate = cost.saturating_add(octile(cell, self.goal));
+            if estimate < self.best {
+                let known = State(states.get(node));
+                let state = if cost < known.cost() {
+                    State::new(cost, expanded.len() - 1)
+                } else {
+                    known
+                };
+                states.set(node, state.with(direction).0);
+                open.push(Open {
+                    estimate,
+                    name: name(cell, direction),
+                });
+            }
         }
-        if cost < known {
-            state = State::new(cost, self.memory.expanded.len() as u32 - 1);
-        }
-        self.memory.states.set(node, state.with(direction).0);
-        self.memory.open.push(Open {
-            estimate,
-            name: name(at.x, at.y, direction),
-        });
     }
 
     /// The way, start first.
@@ -351,7 +354,7 @@ impl Run<'_> {
         let mut cells = vec![self.goal];
         let mut to = self.goal;
         while to != start {
-            let state = State(self.memory.states.get(self.node(to.x, to.y)));
+            let state = State(self.memory.states.get(self.lattice.padded(to)));
             let from = self.memory.expanded[state.parent()];
             let diagonal = from.x.abs_diff(to.x).min(from.y.abs_diff(to.y));
             let toward = |a: u32, b: u32| if b > a { a + diagonal } else { a - diagonal };
@@ -363,6 +366,9 @@ impl Run<'_> {
             to = from;
         }
         cells.reverse();
+        for cell in &mut cells {
+            *cell = Cell::new(cell.x - 1, cell.y - 1);
+        }
         GridPath::through(&cells)
     }
 }

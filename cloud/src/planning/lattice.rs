@@ -7,6 +7,7 @@
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
+use super::lines::Lines;
 use crate::space::BitGrid;
 
 /// Cost of a step along an axis.
@@ -93,10 +94,36 @@ impl Lattice {
         self.pitch
     }
 
-    /// The bitmap, the border included.
+    /// The bitmap, the border included, and a word more.
     #[must_use]
     pub(super) fn words(&self) -> &[u64] {
         &self.words
+    }
+
+    /// The rows of the bitmap, the border included.
+    #[must_use]
+    pub(super) fn rows(&self) -> Lines {
+        let stride = self.pitch as usize / 64;
+        Lines {
+            words: self.words[..stride * (self.height as usize + 2)].to_vec(),
+            stride,
+        }
+    }
+
+    /// The node of a cell that counts from the border.
+    #[inline]
+    pub(super) fn padded(&self, cell: Cell) -> u32 {
+        cell.y * self.pitch + cell.x
+    }
+
+    /// Whether a diagonal step can be made from a node inside the map.
+    #[inline]
+    pub(super) fn can_step(&self, node: u32, step: Step) -> bool {
+        let beside = node.wrapping_add_signed(step.x);
+        let rows = step.y * self.pitch.cast_signed();
+        self.is_free(beside)
+            && self.is_free(node.wrapping_add_signed(rows))
+            && self.is_free(beside.wrapping_add_signed(rows))
     }
 
     /// The node of the cell that holds a point, in cells; `None` outside the map.

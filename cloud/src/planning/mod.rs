@@ -7,6 +7,7 @@
 //! | [`astar`] | what is the cheapest way over the lattice? |
 //! | [`jps`] | the shortest way, where every cell costs the same? |
 //! | `jump_grid` | where does a run over free cells end? |
+//! | `lines` | how are bitmaps turned, so that columns and diagonals lie as rows do? |
 //! | `open` | which open node is next? |
 //! | `records` | what does a search note about cells, of which it sees few? |
 //! | [`theta`] | a short way in any direction? |
@@ -24,6 +25,7 @@ pub mod budget;
 pub mod jps;
 pub mod jump_grid;
 pub mod lattice;
+mod lines;
 mod open;
 mod oriented;
 pub mod plan;

@@ -11,7 +11,7 @@ use super::budget::Budget;
 use super::oriented;
 use super::planner::{PlanOptions, Planner};
 use super::searcher::{Query, Searcher};
-use crate::space::ConfigurationSpace;
+use crate::space::{ConfigurationSpace, Sight as _};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,9 +24,10 @@ pub struct Planned {
 
 /// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
 ///
-/// The way leads from the exact start to the exact goal, and the true footprint can drive it as it stands: legs straight, turns on the spot
-/// at the corners, the first one from the start's heading. A robot that stands a little inside the margin that its
-/// footprint asks for leaves by the nearest free cell; it is refused only where it stands in an obstacle.
+/// The way leads from the exact start to the exact goal: over cell centres where the planner's search is on a grid, straight from the ends
+/// where it grows trees. The true footprint can drive it as it stands: legs straight, turns on the spot at the corners, the first one from
+/// the start's heading. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// refused only where it stands in an obstacle.
 pub fn plan(
     space: &ConfigurationSpace,
     searcher: &mut Searcher,
@@ -112,23 +113,31 @@ fn outcome(
     let searched = if options.comfort_weight > 0.0 && options.comfort > 0.0 && options.planner == Planner::AStar {
         searcher.search_with(&Comfort::new(space, options), first, last, budget)
     } else {
-        {
-            let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
-            let query = Query {
-                start: center(first),
-                goal: center(last),
-                seed: options.seed,
-            };
-            searcher.search(options.planner, space, &query, budget)
-        }
+        let end = |point: Point2<f64>, cell: Cell| {
+            let exact = space.spec().to_cells(point);
+            if options.planner.grows_trees() && space.admits(exact) {
+                exact
+            } else {
+                Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+            }
+        };
+        let query = Query {
+            start: end(start, first),
+            goal: end(goal, last),
+            seed: options.seed,
+        };
+        searcher.search(options.planner, space, &query, budget)
     };
     *expansions = searched.expansions;
     match searched.result {
         Ok(found) => {
+            let corners = found.corners.iter().map(|corner| space.spec().from_cells(*corner));
             let mut path = vec![start];
-            path.extend(found.corners.iter().map(|corner| space.spec().from_cells(*corner)));
+            // Ends that were searched from come back rounded.
+            path.extend(
+                corners.filter(|corner| (corner - start).norm() > ROUNDING && (corner - goal).norm() > ROUNDING),
+            );
             path.push(goal);
-            path.dedup();
             self::found(path)
         }
         Err(NotFound::NoPath) => PlanOutcome::NoPath,
@@ -137,6 +146,9 @@ fn outcome(
         Err(NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => PlanOutcome::NoPath,
     }
 }
+
+/// Points closer together than this are one, m.
+const ROUNDING: f64 = 1e-9;
 
 /// Cells looked at around a point that is not at a free cell's centre, in each direction.
 const NEARBY: i64 = 3;

@@ -81,10 +81,9 @@ impl PlanWorker {
         };
         let space = self.spaces.get(map, &model.footprint, policy);
         if !self.prepared.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &space)) {
-            let mut searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal {
+            let searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal {
                 reason: error.to_string(),
             })?;
-            searcher.sampling.max_samples = MAX_SAMPLES;
             self.prepared = Some((Arc::clone(&space), searcher));
         }
         self.grew = planner.grows_trees();
@@ -104,7 +103,7 @@ impl PlanWorker {
             request.goal,
             &options,
             Budget {
-                max_expansions: MAX_EXPANSIONS,
+                max_expansions: if planner.grows_trees() { MAX_SAMPLES } else { MAX_EXPANSIONS },
                 cancel,
             },
         );

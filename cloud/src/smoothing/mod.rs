@@ -10,7 +10,7 @@
 //! | `course` | where does the robot brake, stop and turn, and on which curves does it go between? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
-//! | [`unsmoothed`] | what goes out where nobody smooths? |
+//! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 //! | [`timing`] | when is the robot where? |

@@ -9,7 +9,7 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Cell;
 use zenav_protocol::robot::Footprint;
 
-use super::configuration::{ConfigurationSpace, UnknownPolicy};
+use super::configuration::ConfigurationSpace;
 use super::shapes::{capsule_clearance, outer_squares, polygon_clearance, polygon_touches};
 
 /// Length of what is measured exactly where there is no room to hop, cells.
@@ -39,12 +39,12 @@ impl ConfigurationSpace {
                 if outline.iter().any(|p| !(p.x.is_finite() && p.y.is_finite())) {
                     return 0.0;
                 }
-                polygon_clearance(&self.obstacles, &outline, limit / resolution) * resolution
+                polygon_clearance(self.obstacles(), &outline, limit / resolution) * resolution
             }
             footprint => {
                 let radius = footprint.inscribed_radius();
                 let reach = (limit + radius) / resolution;
-                let distance = capsule_clearance(&self.obstacles, from, to, reach);
+                let distance = capsule_clearance(self.obstacles(), from, to, reach);
                 (distance.min(reach) * resolution - radius).max(0.0)
             }
         }
@@ -105,17 +105,9 @@ impl ConfigurationSpace {
                     .iter()
                     .map(|corner| self.spec.to_cells(pose.transform_point(*corner)));
                 let outline: Vec<_> = outline.collect();
-                polygon_clearance(&self.obstacles, &outline, limit / self.spec.resolution) * self.spec.resolution
+                polygon_clearance(self.obstacles(), &outline, limit / self.spec.resolution) * self.spec.resolution
             }
         }
-    }
-
-    /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`.
-    #[must_use]
-    pub fn is_permitted_between(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
-        let segment = [self.spec.to_cells(a), self.spec.to_cells(b)];
-        self.unknown_policy != UnknownPolicy::Blocked
-            || (self.is_permitted(a) && self.is_permitted(b) && !polygon_touches(&self.forbidden, &segment))
     }
 
     /// Whether a disc of `radius` (m) moves freely from `a` to `b`: as [`segment_is_free`](Self::segment_is_free), but in hops as long as
@@ -154,14 +146,14 @@ impl ConfigurationSpace {
     /// Calls with the centre of every obstacle, or of every forbidden cell, that a convex outline (m) touches; those that are surrounded
     /// by others are left out.
     pub(crate) fn outer_cells(&self, outline: &[Point2<f64>], forbidden: bool, mut visit: impl FnMut(Point2<f64>)) {
-        let bits = if forbidden { &self.forbidden } else { &self.obstacles };
+        let bits = if forbidden { self.forbidden() } else { self.obstacles() };
         let outline: Vec<_> = outline.iter().map(|p| self.spec.to_cells(*p)).collect();
         outer_squares(bits, &outline, |x, y| visit(self.spec.center(Cell::new(x, y))));
     }
 
     /// Whether a convex outline, in cells of the grid, touches no obstacle.
     pub(crate) fn is_clear_of(&self, outline: &[Point2<f64>]) -> bool {
-        !polygon_touches(&self.obstacles, outline)
+        !polygon_touches(self.obstacles(), outline)
     }
 }
 

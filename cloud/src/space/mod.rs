@@ -17,6 +17,7 @@
 //! | [`reach`] | which places can be got to at all? |
 //! | [`sight`] | can one go straight from here to there? |
 //! | `sweep` | which columns of a row does a moved shape meet? |
+//! | [`checker`] | may the robot be at a pose, may it follow a path? |
 //! | [`validity`] | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
 //!
 //! An occupied cell is a closed square: a disc that only touches one collides with it. All exact checks go against those
@@ -26,6 +27,7 @@ mod bands;
 pub mod bits;
 pub mod body;
 pub mod cache;
+pub mod checker;
 pub mod configuration;
 pub mod distance;
 pub mod exact;
@@ -41,6 +43,7 @@ pub mod zones;
 
 pub use bits::BitGrid;
 pub use cache::SpaceCache;
+pub use checker::StateValidityChecker;
 pub use configuration::{ConfigurationSpace, UnknownPolicy};
 pub use distance::DistanceField;
 pub use sight::{PointSight, Sight};

@@ -5,7 +5,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `kitchen`, `online` | what is each scenario made of? (a new one is a [`Script`] beside them) |
+//! | `kitchen`, `online` | what is each scenario made of? (a new one is a `Script` beside them) |
 //! | `watch` | how did it go, as a client and the referee saw it? |
 //! | `refusals` | is a goal that nobody can reach refused, and with which words? |
 //! | `album`, `picture` | what did the robot know, look for and drive? pictures |

@@ -285,7 +285,7 @@ impl Workers {
         // No clock: times would differ from run to run.
         self.smoothing
             .answer(Some(&self.mirror), request, &mut || 0.0)
-            .map(Answer::Smooth)
+            .map(|reply| Answer::Smooth(Box::new(reply)))
             .map_err(NoAnswer::Refused)
     }
 }

@@ -13,7 +13,7 @@ use serde_json::Value;
 /// Largest distance from a goal that counts as reached, m.
 const MAX_ERROR: f64 = 0.15;
 /// Least distance to anything, m.
-const MIN_CLEARANCE: f64 = 0.05;
+const MIN_CLEARANCE: f64 = 0.02;
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

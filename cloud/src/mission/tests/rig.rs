@@ -597,11 +597,11 @@ impl Rig {
                     status: "smoothed".into(),
                     ..PlanStatistics::default()
                 };
-                Ok(Answer::Smooth(SmoothReply {
+                Ok(Answer::Smooth(Box::new(SmoothReply {
                     map: request.map.clone(),
                     trajectory,
                     statistics,
-                }))
+                })))
             }
             Ask::Map(request) => {
                 match request.action {

@@ -45,9 +45,9 @@ impl Leaf {
 
     fn squared_distances(&self, x: f32, y: f32) -> [f32; LEAF] {
         let mut squared = [0.0; LEAF];
-        for i in 0..LEAF {
-            let (dx, dy) = (self.x[i] - x, self.y[i] - y);
-            squared[i] = dx * dx + dy * dy;
+        for ((squared, own_x), own_y) in squared.iter_mut().zip(&self.x).zip(&self.y) {
+            let (dx, dy) = (own_x - x, own_y - y);
+            *squared = dx * dx + dy * dy;
         }
         squared
     }
@@ -142,9 +142,9 @@ impl Nearest {
         let mut best = (f32::INFINITY, None);
         self.visit(p, f32::INFINITY, |leaf, x, y| {
             let squared = leaf.squared_distances(x, y);
-            for i in 0..LEAF {
-                if squared[i] < best.0 {
-                    best = (squared[i], Some(leaf.id[i]));
+            for (squared, id) in squared.into_iter().zip(leaf.id) {
+                if squared < best.0 {
+                    best = (squared, Some(id));
                 }
             }
             best.0
@@ -158,9 +158,9 @@ impl Nearest {
         let limit = (radius * radius) as f32;
         self.visit(p, limit, |leaf, x, y| {
             let squared = leaf.squared_distances(x, y);
-            for i in 0..LEAF {
-                if squared[i] <= limit {
-                    found.push((squared[i], leaf.id[i]));
+            for (squared, id) in squared.into_iter().zip(leaf.id) {
+                if squared <= limit {
+                    found.push((squared, id));
                 }
             }
             limit

@@ -15,6 +15,12 @@ const LEAST_DISTANCE: f64 = 0.125;
 /// Gains below this are rounding, cells.
 const ROUNDING: f64 = 1e-9;
 
+/// How many of the nearest vertices are looked at, where points are denser than the radius expects: the least number that optimality in the limit
+/// asks for (k-nearest RRT*), and a tenth.
+fn neighbours(vertices: usize) -> usize {
+    (1.1 * 1.5 * std::f64::consts::E * (vertices as f64).ln()).ceil() as usize
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Vertex {
     point: Point2<f64>,
@@ -31,7 +37,6 @@ struct Vertex {
 pub struct CostTree {
     vertices: Vec<Vertex>,
     nearest: Nearest,
-    size: [u32; 2],
     near: Vec<(f32, u32)>,
     candidates: Vec<(f64, u32)>,
     stack: Vec<u32>,
@@ -47,7 +52,6 @@ impl CostTree {
     pub fn plant(&mut self, size: [u32; 2], way: &[Point2<f64>]) {
         self.vertices.clear();
         self.nearest.clear(size);
-        self.size = size;
         let [root, inner @ .., goal] = way else { return };
         let vertex = |point, parent| Vertex {
             point,
@@ -71,6 +75,7 @@ impl CostTree {
 
     /// Number of vertices.
     #[must_use]
+    #[allow(clippy::len_without_is_empty, reason = "a planted tree has two")]
     pub fn len(&self) -> usize {
         self.vertices.len()
     }
@@ -102,8 +107,8 @@ impl CostTree {
             .filter_map(move |vertex| Some([parent(vertex)?, vertex.point]))
     }
 
-    /// Adds a point by the cheapest parent within a radius, or a step towards it from the nearest vertex; other vertices within the radius
-    /// take it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
+    /// Adds a point by the cheapest parent among the nearest vertices within a radius, or a step towards it from the nearest one; the others take
+    /// it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
     pub fn insert(&mut self, sight: &impl Sight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
         let mut point = point;
         self.nearest.within(point, radius, &mut self.near);
@@ -120,6 +125,11 @@ impl CostTree {
             if self.near.is_empty() {
                 self.near.push((0.0, nearest));
             }
+        }
+        let enough = neighbours(self.len());
+        if self.near.len() > enough {
+            self.near.select_nth_unstable_by(enough, |a, b| a.0.total_cmp(&b.0));
+            self.near.truncate(enough);
         }
         let goal = self.vertices[1].point;
         let left = (goal - point).norm();
@@ -230,50 +240,6 @@ impl CostTree {
             while let Some(vertex) = self.vertices.get(child as usize) {
                 self.stack.push(child);
                 child = vertex.siblings[1];
-            }
-        }
-    }
-
-    /// Drops branches over which no way can be shorter than `bound`.
-    pub fn prune(&mut self, bound: f64) {
-        let [root, goal] = [self.vertices[0].point, self.vertices[1].point];
-        let old = std::mem::take(&mut self.vertices);
-        self.nearest.clear(self.size);
-        // Parents before children; numbers anew.
-        let mut new = vec![NONE; old.len()];
-        self.stack.clear();
-        self.stack.push(0);
-        let mut order = Vec::with_capacity(old.len());
-        while let Some(at) = self.stack.pop() {
-            order.push(at);
-            let mut child = old[at as usize].first_child;
-            while let Some(vertex) = old.get(child as usize) {
-                let p = vertex.point;
-                if child == 1 || (p - root).norm() + (goal - p).norm() < bound {
-                    self.stack.push(child);
-                }
-                child = vertex.siblings[1];
-            }
-        }
-        // Root and goal keep their numbers.
-        order.retain(|at| *at > 1);
-        for (number, at) in [0, 1].into_iter().chain(order.iter().copied()).enumerate() {
-            new[at as usize] = number as u32;
-            let vertex = old[at as usize];
-            self.vertices.push(Vertex {
-                parent: NONE,
-                first_child: NONE,
-                siblings: [NONE; 2],
-                ..vertex
-            });
-            self.nearest.insert(vertex.point, number as u32);
-        }
-        for at in std::iter::once(1).chain(order) {
-            if let Some(parent) = new
-                .get(old[at as usize].parent as usize)
-                .filter(|parent| **parent != NONE)
-            {
-                self.hang(new[at as usize], *parent);
             }
         }
     }

@@ -24,7 +24,7 @@ pub fn grow<S: Sight>(
     let mut found = None;
     while found.is_none() {
         let explores = search.next()?;
-        let before = tree.len();
+        let before = tree.vertices();
         let sample = if explores {
             None
         } else if search.sampler.unit() < search.options.goal_bias {
@@ -36,11 +36,11 @@ pub fn grow<S: Sight>(
             tree.extend(ground, sample);
         } else {
             let explored = tree.explore(ground, &mut search.sampler, search.options.exits, target);
-            if explored == Explored::Everything && target.is_some() && tree.len() == before {
+            if explored == Explored::Everything && target.is_some() && tree.vertices() == before {
                 return Err(NotFound::NoPath);
             }
         }
-        found = (before..tree.len())
+        found = (before..tree.vertices())
             .rev()
             .find_map(|vertex| match tree.extend_from(ground, vertex, goal) {
                 Extended::Arrived(vertex) => Some(vertex),

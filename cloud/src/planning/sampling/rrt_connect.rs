@@ -25,7 +25,7 @@ pub fn meet<S: Sight>(
         let side = (search.samples & 1) as usize;
         let [first, second] = trees;
         let (tree, other) = if side == 0 { (first, second) } else { (second, first) };
-        let before = tree.len();
+        let before = tree.vertices();
         let sample = if explores {
             None
         } else {
@@ -36,11 +36,11 @@ pub fn meet<S: Sight>(
         } else {
             let target = roots[1 - side];
             let explored = tree.explore(ground, &mut search.sampler, search.options.exits, target);
-            if explored == Explored::Everything && target.is_some() && tree.len() == before {
+            if explored == Explored::Everything && target.is_some() && tree.vertices() == before {
                 return Err(NotFound::NoPath);
             }
         }
-        for vertex in (before..tree.len()).rev() {
+        for vertex in (before..tree.vertices()).rev() {
             let p = tree.point(vertex);
             if let Some(met) = other.connect(ground, p) {
                 return Ok(join(trees, side, vertex, met));

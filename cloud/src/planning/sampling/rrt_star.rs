@@ -18,8 +18,6 @@ use crate::space::Sight;
 const PERIOD: u64 = 128;
 /// Better by less than this share is not worth pulling taut.
 const WORTH: f64 = 1e-5;
-/// Vertices outside the ellipse are dropped when the way has become shorter by this share.
-const SHRUNK: f64 = 0.01;
 
 /// Improves a way until the search's budget ends; never longer than it was.
 pub fn improve<S: Sight>(
@@ -35,11 +33,11 @@ pub fn improve<S: Sight>(
     let budget = search.budget;
     tighten(ground.sight, &mut best, || budget.is_cancelled());
     let mut bound = length(&best);
-    let mut pruned = bound;
     tree.plant(ground.sight.size(), &best);
     search.sampler.narrow(Ellipse::new([start, goal], bound));
+    let last = search.samples.saturating_add(search.options.improving);
     // Nothing is shorter than straight.
-    while bound > (goal - start).norm() * (1.0 + 1e-9) && search.next().is_ok() {
+    while bound > (goal - start).norm() * (1.0 + 1e-9) && search.samples < last && search.next().is_ok() {
         let corner = search.sampler.unit() < search.options.corners;
         let sample = if corner {
             search.sampler.corner(ground.lattice)
@@ -58,10 +56,6 @@ pub fn improve<S: Sight>(
             let radius = radius(search.sampler.free_area(), tree.len()).min(ground.step);
             tree.lay(ground.sight, &best, radius);
             search.sampler.narrow(Ellipse::new([start, goal], bound));
-            if bound < pruned * (1.0 - SHRUNK) {
-                tree.prune(bound);
-                pruned = bound;
-            }
         }
     }
     if tree.cost() < bound { tree.way() } else { best }

@@ -91,7 +91,7 @@ impl Tree {
 
     /// Number of vertices.
     #[must_use]
-    pub fn len(&self) -> u32 {
+    pub fn vertices(&self) -> u32 {
         self.points.len() as u32
     }
 
@@ -114,7 +114,7 @@ impl Tree {
     }
 
     fn add(&mut self, point: Point2<f64>, parent: u32) -> u32 {
-        let vertex = self.len();
+        let vertex = self.vertices();
         self.points.push(point);
         self.parents.push(parent);
         self.nearest.insert(point, vertex);
