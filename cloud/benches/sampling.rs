@@ -364,15 +364,13 @@ fn caves() -> BitGrid {
     let mut rng = Pcg64Mcg::new(7);
     let mut free = BitGrid::from_fn(600, 400, |_| rng.next_u64() % 100 < 56);
     for _ in 0..5 {
-        let around = |cell: Cell| {
-            (0..9).filter(|i| {
-                free.get(Cell::new(
-                    (cell.x + i % 3).wrapping_sub(1),
-                    (cell.y + i / 3).wrapping_sub(1),
-                ))
-            })
+        let is_free = |cell: Cell, i: u32| {
+            free.get(Cell::new(
+                (cell.x + i % 3).wrapping_sub(1),
+                (cell.y + i / 3).wrapping_sub(1),
+            ))
         };
-        free = BitGrid::from_fn(600, 400, |cell| around(cell).count() >= 5);
+        free = BitGrid::from_fn(600, 400, |cell| (0..9).filter(|i| is_free(cell, *i)).count() >= 5);
     }
     free
 }

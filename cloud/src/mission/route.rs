@@ -272,6 +272,7 @@ impl Search {
             planner: self.planner.clone(),
             unknown_is_free: self.unknown_is_free,
             budget_ms: ctx.config.search_budget_ms,
+            seed: 1,
         };
         self.stage = Stage::Plan(ctx.asks.ask(Ask::Plan(Box::new(request))), begin);
         Searching::Wait("plans")

@@ -201,6 +201,7 @@ mod tests {
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
 
     use super::*;
+    use crate::space::UnknownPolicy;
 
     const SPEC: GridSpec = GridSpec {
         origin: Point2::new(-1.0, 2.0),

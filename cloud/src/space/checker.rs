@@ -326,7 +326,7 @@ mod tests {
         }
 
         #[test]
-        fn one_occupied_cell_on_the_way_is_never_missed(body in bodies(), cell in (2_u32..118, 2_u32..98), inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01..3.0, after in 0.01..3.0) {
+        fn one_occupied_cell_on_the_way_is_never_missed(body in bodies(), cell in (2_u32..118, 2_u32..98), inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01_f64..3.0, after in 0.01_f64..3.0) {
             let checker = checker(&map(&[(cell.0, cell.1, 100)]), CheckerSettings { body, ..CheckerSettings::default() });
             let through = SPEC.from_cells(Point2::new(f64::from(cell.0) + inside.0, f64::from(cell.1) + inside.1));
             let at = |s: f64| Pose2::new(through.x + s * f64::cos(angle), through.y + s * f64::sin(angle), angle);

@@ -210,6 +210,12 @@ impl ConfigurationSpace {
         &self.field
     }
 
+    /// Memory of the bitmaps and distances, bytes, with those that copies of the space share.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.obstacles.bytes() + self.forbidden.bytes() + size_of_val(self.free.words()) + self.field.bytes()
+    }
+
     /// Whether the robot fits at a cell's centre; `false` outside the grid.
     #[must_use]
     pub fn is_free(&self, cell: Cell) -> bool {

@@ -33,6 +33,11 @@ impl Banded {
         banded
     }
 
+    /// Memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.bits.words()) + size_of_val(self.bands.words())
+    }
+
     /// The cells.
     #[inline]
     pub(super) fn bits(&self) -> &BitGrid {

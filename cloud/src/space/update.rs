@@ -151,8 +151,11 @@ impl ConfigurationSpace {
             }
         }
         for (words, rows) in self.around(differences) {
-            self.field
-                .refresh(self.obstacles.bits(), words.clone(), rows.start as usize..rows.end as usize);
+            self.field.refresh(
+                self.obstacles.bits(),
+                words.clone(),
+                rows.start as usize..rows.end as usize,
+            );
             if !self.is_beyond_the_field() {
                 self.admit(words, rows);
             }
