@@ -121,7 +121,7 @@ impl Replanner {
     /// Takes over the space's present state: words that have changed, and what that means for the answers.
     fn follow(&mut self, space: &ConfigurationSpace) -> Result<(), TooManyCells> {
         if *space.spec() != self.spec {
-            let sampling = self.searcher.sampling.clone();
+            let sampling = self.searcher.sampling;
             *self = Self::new(space)?;
             self.searcher.sampling = sampling;
             return Ok(());
