@@ -179,7 +179,7 @@ mod tests {
         let outline = [(-0.6, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.6, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         let space = ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0);
-        let way = [Point2::new(0.8, 1.4), Point2::new(2.4, 1.4), Point2::new(2.4, 3.5)];
+        let way = [Point2::new(0.8, 1.6), Point2::new(2.3, 1.6), Point2::new(2.3, 3.5)];
         let (settings, mut clock) = (SmoothSettings::default(), || 0.0);
         let mut times = Times::new(&mut clock);
         let loose = fit(&corridor(&space, &way, &settings.rooms), &Ends::default(), 0.25, 50).unwrap();

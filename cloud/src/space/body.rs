@@ -95,21 +95,6 @@ impl ConfigurationSpace {
         false
     }
 
-    /// As [`footprint_clearance`](Self::footprint_clearance), but at most `limit` (m): the less, the faster.
-    #[must_use]
-    pub fn footprint_clearance_within(&self, pose: Pose2, limit: f64) -> f64 {
-        match &self.footprint {
-            Footprint::Radius(radius) => (self.clearance(pose.position()) - radius).clamp(0.0, limit),
-            Footprint::Polygon(corners) => {
-                let outline = corners
-                    .iter()
-                    .map(|corner| self.spec.to_cells(pose.transform_point(*corner)));
-                let outline: Vec<_> = outline.collect();
-                polygon_clearance(self.obstacles(), &outline, limit / self.spec.resolution) * self.spec.resolution
-            }
-        }
-    }
-
     /// Whether a disc of `radius` (m) moves freely from `a` to `b`: as [`segment_is_free`](Self::segment_is_free), but in hops as long as
     /// the distance field says that there is room for (Hart, "Sphere Tracing", 1996); only what comes close is measured.
     #[must_use]
