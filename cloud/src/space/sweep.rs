@@ -99,8 +99,8 @@ impl Banded {
             return false;
         }
         // From here on numbers are of a grid's size.
-        let (left, right) = (left.max(0.0), right.min(width - 0.5));
-        let (low, high) = (low.max(0.0), high.min(height - 0.5));
+        let (left, right) = (left.max(0.0), right.min(width.next_down()));
+        let (low, high) = (low.max(0.0), high.min(height.next_down()));
         self.any(whole(low), whole(high), of(left, right))
     }
 
