@@ -16,6 +16,7 @@
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
 //! | [`mod@plan`] | is there a way for this robot? |
+//! | [`replan`] | does an answer still stand when the map has changed or the robot has moved on? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 
@@ -29,6 +30,7 @@ mod open;
 pub mod plan;
 pub mod planner;
 mod records;
+pub mod replan;
 pub mod sampling;
 pub mod searcher;
 pub mod service;
@@ -41,6 +43,7 @@ pub use budget::Budget;
 pub use lattice::GridPath;
 pub use plan::{Planned, plan};
 pub use planner::{PlanOptions, Planner};
+pub use replan::Replanner;
 pub use searcher::{Query, Searched, Searcher};
 pub use way::Way;
 pub use worker::PlanWorker;

@@ -3,13 +3,13 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
-use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
 
-use super::astar::{CellCost, NotFound, PARTS};
+use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
-use super::planner::{PlanOptions, Planner};
-use super::searcher::{Query, Searcher};
-use crate::space::{ConfigurationSpace, Sight as _};
+use super::planner::PlanOptions;
+use super::searcher::{Query, Searched, Searcher};
+use crate::space::{ConfigurationSpace, DistanceCost, Sight as _};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +18,8 @@ pub struct Planned {
     pub outcome: PlanOutcome,
     /// Nodes expanded.
     pub expansions: u64,
+    /// How it came about.
+    pub origin: PlanOrigin,
 }
 
 /// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
@@ -33,67 +35,46 @@ pub fn plan(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Planned {
-    let mut expansions = 0;
-    let outcome = outcome(
-        space,
-        searcher,
-        start.position(),
-        goal.position(),
-        options,
-        budget,
-        &mut expansions,
-    );
-    Planned { outcome, expansions }
+    answer(space, start, goal, |first, last| {
+        let searched = between(space, searcher, first, last, options, budget);
+        (searched, PlanOrigin::Searched)
+    })
 }
 
-fn outcome(
+/// A way between two poses, where `find` gives one between two ends on the grid.
+pub(super) fn answer(
     space: &ConfigurationSpace,
-    searcher: &mut Searcher,
-    start: Point2<f64>,
-    goal: Point2<f64>,
-    options: &PlanOptions,
-    budget: Budget<'_>,
-    expansions: &mut u64,
-) -> PlanOutcome {
+    start: Pose2,
+    goal: Pose2,
+    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+) -> Planned {
+    let (start, goal) = (start.position(), goal.position());
+    let without_search = |outcome| Planned {
+        outcome,
+        expansions: 0,
+        origin: PlanOrigin::Searched,
+    };
     if space.spec().cell_at(start).is_none() || space.spec().cell_at(goal).is_none() {
-        return PlanOutcome::OutOfMap;
+        return without_search(PlanOutcome::OutOfMap);
     }
     let Some(first) = leaving(space, start) else {
-        return PlanOutcome::StartOccupied {
-            nearest_free: space.nearest_free(start),
-        };
+        let nearest_free = space.nearest_free(start);
+        return without_search(PlanOutcome::StartOccupied { nearest_free });
     };
     let Some(last) = cell_beside(space, goal, space.radius()) else {
-        return PlanOutcome::GoalOccupied {
-            nearest_free: space.nearest_free(goal),
-        };
+        let nearest_free = space.nearest_free(goal);
+        return without_search(PlanOutcome::GoalOccupied { nearest_free });
     };
     if start == goal {
-        return PlanOutcome::Found {
-            path: vec![start, goal],
-            length: 0.0,
-        };
+        let path = vec![start, goal];
+        return without_search(PlanOutcome::Found { path, length: 0.0 });
     }
-    let searched = if options.comfort_weight > 0.0 && options.comfort > 0.0 && options.planner == Planner::AStar {
-        searcher.search_with(&Comfort::new(space, options), first, last, budget)
-    } else {
-        let end = |point: Point2<f64>, cell: Cell| {
-            let exact = space.spec().to_cells(point);
-            if options.planner.grows_trees() && space.admits(exact) {
-                exact
-            } else {
-                Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-            }
-        };
-        let query = Query {
-            start: end(start, first),
-            goal: end(goal, last),
-            seed: options.seed,
-        };
-        searcher.search(options.planner, space, &query, budget)
+    let end = |point, cell| End {
+        point: space.spec().to_cells(point),
+        cell,
     };
-    *expansions = searched.expansions;
-    match searched.result {
+    let (searched, origin) = find(end(start, first), end(goal, last));
+    let outcome = match searched.result {
         Ok(found) => {
             let corners = found.corners.iter().map(|corner| space.spec().from_cells(*corner));
             let mut path = vec![start];
@@ -105,15 +86,63 @@ fn outcome(
             let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
             PlanOutcome::Found { path, length }
         }
-        Err(NotFound::NoPath) => PlanOutcome::NoPath,
         Err(NotFound::TimedOut) => PlanOutcome::TimedOut,
-        // Both ends were found free above; a searcher of another map says so like this.
-        Err(NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => PlanOutcome::NoPath,
+        // Both ends were found free above; a searcher of another map says so by the last three.
+        Err(NotFound::NoPath | NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => {
+            PlanOutcome::NoPath
+        }
+    };
+    Planned {
+        outcome,
+        expansions: searched.expansions,
+        origin,
     }
 }
 
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
+
+/// Where a search begins or ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct End {
+    /// Exactly, in cells.
+    pub(super) point: Point2<f64>,
+    /// The free cell at or close to it.
+    pub(super) cell: Cell,
+}
+
+impl End {
+    /// Where a planner starts from: the point itself where the planner is not bound to cells and the robot fits there.
+    pub(super) fn of(&self, space: &ConfigurationSpace, options: &PlanOptions) -> Point2<f64> {
+        if options.planner.grows_trees() && space.admits(self.point) {
+            self.point
+        } else {
+            center(self.cell)
+        }
+    }
+}
+
+/// A way between two ends, as the options ask for it.
+pub(super) fn between(
+    space: &ConfigurationSpace,
+    searcher: &mut Searcher,
+    first: End,
+    last: End,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+) -> Searched {
+    if let Some(costs) = comfort(space, options) {
+        return searcher.search_with(&costs, first.cell, last.cell, budget);
+    }
+    let [start, goal] = [first, last].map(|end| end.of(space, options));
+    let seed = options.seed;
+    searcher.search(options.planner, space, &Query { start, goal, seed }, budget)
+}
+
+/// A cell's centre, in cells.
+fn center(cell: Cell) -> Point2<f64> {
+    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+}
 
 /// Cells looked at around a point that is not at a free cell's centre, in each direction.
 const NEARBY: i64 = 3;
@@ -164,42 +193,22 @@ fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64
         .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
 }
 
-/// What it costs to be near obstacles, by the distance of a cell's centre.
-struct Comfort<'a> {
-    space: &'a ConfigurationSpace,
-    /// Extra cost by squared distance in half cells.
-    by_distance: Vec<u8>,
-}
-
-impl<'a> Comfort<'a> {
-    fn new(space: &'a ConfigurationSpace, options: &PlanOptions) -> Self {
-        let reach = space.field().reach_cells() as usize;
-        let resolution = space.spec().resolution;
-        let extra = |squared: usize| {
-            let clearance = 0.5 * (squared as f64).sqrt() * resolution - space.radius();
-            let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
-            (options.comfort_weight * f64::from(PARTS) * share * share) as u8
-        };
-        let mut by_distance: Vec<u8> = (0..4 * reach * reach).map(extra).collect();
-        // The last entry stands for everything farther away than the field tells apart.
-        by_distance.push(0);
-        Self { space, by_distance }
-    }
-}
-
-impl CellCost for Comfort<'_> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.by_distance
-            .get(usize::from(self.space.field().squared(cell)))
-            .copied()
-            .unwrap_or(0)
-    }
+/// What it costs to be near obstacles, where the options ask for it: a share that falls with the square of the room that is wanted.
+pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
+    let asked = options.planner.keeps_away() && options.comfort_weight > 0.0 && options.comfort > 0.0;
+    let cost = |distance: f64| {
+        let clearance = distance - space.radius();
+        let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
+        (options.comfort_weight * f64::from(PARTS) * share * share) as u8
+    };
+    asked.then(|| DistanceCost::new(space.field(), cost))
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::planning::Planner;
     use crate::space::UnknownPolicy;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;

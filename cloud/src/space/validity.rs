@@ -9,7 +9,6 @@ use zenav_protocol::robot::Footprint;
 
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
 use super::shapes::{capsule_clearance, disc_clearance, polygon_clearance};
-use super::sweep::disc_touches;
 
 /// Sweeps are bisected until they are certain to within this, m.
 const SWEEP_TOLERANCE: f64 = 1e-3;
@@ -26,7 +25,7 @@ impl ConfigurationSpace {
             return false;
         }
         let enough = self.footprint.circumscribed_radius() + self.spec.resolution;
-        let clearance = disc_clearance(&self.obstacles, &self.spec, pose.position(), enough);
+        let clearance = disc_clearance(self.obstacles(), &self.spec, pose.position(), enough);
         if clearance <= self.footprint.inscribed_radius() {
             // A disc that touches collides; a point collides only on the obstacle itself, closed as well.
             return false;
@@ -41,9 +40,19 @@ impl ConfigurationSpace {
     #[must_use]
     pub fn is_permitted(&self, point: Point2<f64>) -> bool {
         match self.spec.cell_at(point) {
-            Some(cell) => !self.forbidden.get(cell),
+            Some(cell) => !self.forbidden().get(cell),
             None => self.unknown_policy == UnknownPolicy::Free,
         }
+    }
+
+    /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`: it touches no square that it stays off.
+    #[must_use]
+    pub fn is_permitted_between(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
+        let on_squares = || {
+            self.forbidden
+                .is_touched_by_window(self.spec.to_cells(a), self.spec.to_cells(b), 0.0)
+        };
+        self.unknown_policy == UnknownPolicy::Free || (self.is_permitted(a) && self.is_permitted(b) && !on_squares())
     }
 
     /// Exact distance from the true footprint at a pose to the nearest obstacle, m; at most [`reach`](Self::reach), zero in
@@ -55,14 +64,15 @@ impl ConfigurationSpace {
         }
         match &self.footprint {
             Footprint::Radius(radius) => {
-                (disc_clearance(&self.obstacles, &self.spec, pose.position(), self.reach() + radius) - radius).max(0.0)
+                (disc_clearance(self.obstacles(), &self.spec, pose.position(), self.reach() + radius) - radius).max(0.0)
             }
             Footprint::Polygon(corners) => {
                 let outline: Vec<Point2<f64>> = corners
                     .iter()
                     .map(|corner| self.spec.to_cells(pose.transform_point(*corner)))
                     .collect();
-                polygon_clearance(&self.obstacles, &outline, self.reach() / self.spec.resolution) * self.spec.resolution
+                polygon_clearance(self.obstacles(), &outline, self.reach() / self.spec.resolution)
+                    * self.spec.resolution
             }
         }
     }
@@ -71,8 +81,7 @@ impl ConfigurationSpace {
     /// [`UnknownPolicy::Obstacle`].
     #[must_use]
     pub fn segment_is_free(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
-        !disc_touches(
-            &self.obstacles,
+        !self.obstacles.is_touched_by_disc(
             self.spec.to_cells(a),
             self.spec.to_cells(b),
             radius.max(0.0) / self.spec.resolution,
@@ -83,7 +92,7 @@ impl ConfigurationSpace {
     #[must_use]
     pub fn segment_clearance(&self, a: Point2<f64>, b: Point2<f64>) -> f64 {
         let limit = self.reach() / self.spec.resolution;
-        capsule_clearance(&self.obstacles, self.spec.to_cells(a), self.spec.to_cells(b), limit).min(limit)
+        capsule_clearance(self.obstacles(), self.spec.to_cells(a), self.spec.to_cells(b), limit).min(limit)
             * self.spec.resolution
     }
 
@@ -100,7 +109,7 @@ impl ConfigurationSpace {
             let steps = poses.iter().zip(poses.iter().skip(1).chain(poses.last()));
             for (a, b) in steps {
                 let clearance = capsule_clearance(
-                    &self.obstacles,
+                    self.obstacles(),
                     self.spec.to_cells(a.position()),
                     self.spec.to_cells(b.position()),
                     limit,

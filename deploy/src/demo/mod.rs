@@ -237,7 +237,7 @@ async fn play(
     let referee = parts.edge(deployment, world, id, section)?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
-    let mut watch = Watch::new(&bus, id, referee)?;
+    let mut watch = Watch::new(&bus, id, referee, world)?;
     if script.drawn {
         watch.album = Some(Album::new(&bus, id, &args.out)?);
     }
@@ -280,7 +280,7 @@ async fn play(
     }
     let refusals = if end.is_some() { Some(asking.await) } else { None };
     bus.close().await;
-    let mut report = watch.report(script, args, world, end);
+    let mut report = watch.report(script, args, end);
     match refusals {
         Some(Ok(Ok(refused))) => report.refused = refused,
         Some(Ok(Err(why))) => report.fail(why),

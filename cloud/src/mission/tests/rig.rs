@@ -581,6 +581,7 @@ impl Rig {
                     outcome,
                     search_ms: 1.0,
                     expansions: 1,
+                    origin: PlanOrigin::Searched,
                 }))
             }
             Ask::Smooth(_) if !self.smoother_up => silent(),
