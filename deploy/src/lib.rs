@@ -14,6 +14,7 @@
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
 //! | `batch` | planning, smoothing and mapping offline |
+//! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
@@ -34,6 +35,7 @@ pub mod receivers;
 pub mod report;
 pub mod router;
 pub mod served_world;
+pub mod wall_following;
 
 /// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
 #[must_use]

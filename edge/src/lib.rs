@@ -11,7 +11,7 @@
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`teleop`] | what moves it without a plan? |
+//! | [`behaviours`], [`recoveries`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
@@ -48,6 +48,7 @@ pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
 pub mod trackers;
+pub mod wall_follower;
 
 pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
