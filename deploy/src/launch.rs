@@ -211,6 +211,15 @@ impl Parts {
         Ok(referees)
     }
 
+    /// Starts the one robot of a deployment that is simulated here; returns its referee.
+    ///
+    /// # Errors
+    /// As [`edges`](Self::edges), or when there is none.
+    pub fn edge(&mut self, deployment: &Deployment, world: &World) -> Result<Referee, Failure> {
+        let referee = self.edges(deployment, world)?.pop();
+        referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))
+    }
+
     /// Starts a robot of the world that `zenav sim serve` serves on the deployment's bus.
     fn attached(
         &mut self,

@@ -253,8 +253,13 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         );
         let row = bits.row(y);
         let beside = |y: Option<u32>, word: usize| y.filter(|y| *y < bits.height()).map_or(0, |y| bits.row(y)[word]);
-        for word in (first / 64) as usize..=(last / 64) as usize {
-            let mut here = row[word];
+        let words = row
+            .iter()
+            .enumerate()
+            .take((last / 64) as usize + 1)
+            .skip((first / 64) as usize);
+        for (word, here) in words {
+            let mut here = *here;
             if here == 0 {
                 continue;
             }

@@ -235,8 +235,7 @@ async fn play(
     let (id, _) = robots
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
-    let referee = parts.edges(deployment, world)?.pop();
-    let referee = referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))?;
+    let referee = parts.edge(deployment, world)?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;

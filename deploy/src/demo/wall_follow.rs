@@ -83,7 +83,7 @@ pub(super) async fn play(
         target: files::robot(&section.model)?.wall_following.target_distance,
         events: bus.subscribe(&topics::EVENT, robot, 1024)?,
         states: bus.latest(&topics::STATE, robot)?,
-        referee: parts.edge(deployment, world, id, section)?,
+        referee: parts.edge(deployment, world)?,
         state: None,
         log: BTreeMap::new(),
         errors: Errors::default(),
