@@ -98,7 +98,7 @@ pub fn smooth(
     let mut result = Smoothed::default();
     let (checked, status) = match smoothed_or_safe(space, query, &limits, settings, &mut times) {
         Ok(curve) => (Some(curve), SMOOTHED.to_owned()),
-        Err((reason, safe)) => (safe, format!("fallback:{reason}")),
+        Err((reason, safe)) => (safe.map(|safe| *safe), format!("fallback:{reason}")),
     };
     let Checked {
         motion,
@@ -146,7 +146,7 @@ impl<'a> Times<'a> {
 }
 
 /// Why there is no curve, and what is safe instead.
-type Failed = (String, Option<Checked>);
+type Failed = (String, Option<Box<Checked>>);
 
 fn smoothed_or_safe(
     space: &ConfigurationSpace,
@@ -198,10 +198,12 @@ fn smoothed_or_safe(
     match course.smooth(&short, legs, times) {
         Ok(curve) if curve.motion.duration() <= legs => Ok(curve),
         Ok(curve) => match safe(times) {
-            Some(safe) if safe.motion.duration() < curve.motion.duration() => Err(("slower".to_owned(), Some(safe))),
+            Some(safe) if safe.motion.duration() < curve.motion.duration() => {
+                Err(("slower".to_owned(), Some(Box::new(safe))))
+            }
             _ => Ok(curve),
         },
-        Err(reason) => Err((reason, safe(times))),
+        Err(reason) => Err((reason, safe(times).map(Box::new))),
     }
 }
 
