@@ -5,6 +5,7 @@
 //! out with a safe time law.
 
 mod begin;
+mod quest;
 mod room;
 
 use nalgebra::Point2;
@@ -16,13 +17,16 @@ use zenav_protocol::time::Stamp;
 
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
+use super::leaves::path;
 use super::motion::Course;
 use crate::smoothing::unsmoothed;
 use crate::smoothing::worker::PERIOD;
 use begin::{Begin, predicted};
+use quest::Legs;
 use room::Room;
 
 pub use begin::sample;
+pub use quest::Quest;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -30,6 +34,8 @@ pub mod error_code {
     pub const NONE: i64 = 0;
     /// Something else.
     pub const UNKNOWN: i64 = 200;
+    /// There is no such planner.
+    pub const INVALID_PLANNER: i64 = 201;
     /// The start lies outside the map.
     pub const OUTSIDE_MAP: i64 = 204;
     /// The robot does not fit where it stands.
@@ -81,6 +87,9 @@ pub struct RouteData {
     pub points: Vec<Point2<f64>>,
     /// Length, m.
     pub length: f64,
+    /// Goals that it passes on the way, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub via: Vec<GoalPoint>,
 }
 
 /// Why there is no route.
@@ -139,7 +148,7 @@ struct Smoothing {
 /// A search for a route.
 #[derive(Clone, Debug)]
 pub struct Search {
-    goal: GoalPoint,
+    legs: Legs,
     planner: String,
     unknown_is_free: bool,
     stage: Stage,
@@ -155,12 +164,12 @@ pub struct Search {
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
-    pub fn new(ctx: &Context, goal: GoalPoint, planner: Option<String>, from: Stamp) -> Self {
+    pub fn new(ctx: &Context, quest: Quest, planner: Option<String>, from: Stamp) -> Self {
         let planner = planner
             .filter(|name| !name.is_empty())
             .unwrap_or_else(|| ctx.config.planner.clone());
         Self {
-            goal,
+            legs: Legs::of(quest),
             unknown_is_free: ctx.config.unknown_is_free,
             stage: Stage::Idle(from),
             begun: from,
@@ -211,11 +220,16 @@ impl Search {
         let Some(map) = ctx.map.newest() else {
             return Searching::Wait("waits for a map");
         };
-        let begin = match predicted(ctx, self.from_rest) {
+        let begin = self.legs.begin().map_or_else(|| predicted(ctx, self.from_rest), Ok);
+        let begin = match begin {
             Ok(begin) => begin,
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
+        if let Some(path) = self.legs.join(&begin) {
+            return self.ask_smooth(ctx, model, begin, map, path, PlanStatistics::default());
+        }
+        let goal = self.legs.goal();
         let start = self
             .escape
             .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
@@ -225,7 +239,7 @@ impl Search {
             model: RobotModel { footprint, ..model },
             map,
             start,
-            goal: Pose2::new(self.goal.x, self.goal.y, self.goal.yaw.unwrap_or(0.0)),
+            goal: Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0)),
             planner: self.planner.clone(),
             unknown_is_free: self.unknown_is_free,
             budget_ms: ctx.config.search_budget_ms,
@@ -270,29 +284,17 @@ impl Search {
                 if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
                     return self.failed(error_code::UNKNOWN, "the planner's way is not one".to_owned());
                 }
+                let Some(path) = self.legs.take(path) else {
+                    self.escape = None;
+                    return self.ask_plan(ctx);
+                };
+                if self.legs.is_only_a_way() {
+                    return self.found(begin, path, reply.map, Vec::new(), statistics);
+                }
                 let Some(model) = ctx.robot.model().cloned() else {
                     return Searching::Wait("waits for the robot's description");
                 };
-                let length = path.iter().zip(path.iter().skip(1)).map(|(a, b)| (b - a).norm()).sum();
-                let request = SmoothRequest {
-                    robot: ctx.config.robot.to_string(),
-                    model,
-                    map: reply.map,
-                    path,
-                    start: begin.pose,
-                    start_velocity: begin.twist,
-                    goal_yaw: self.goal.yaw,
-                    unknown_is_free: self.unknown_is_free,
-                };
-                let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request.clone())));
-                let smoothing = Smoothing {
-                    begin,
-                    request,
-                    length,
-                    planned: statistics,
-                };
-                self.stage = Stage::Smooth(ticket, Box::new(smoothing));
-                Searching::Wait("smooths")
+                self.ask_smooth(ctx, model, begin, reply.map, path, statistics)
             }
             PlanOutcome::StartOccupied {
                 nearest_free: Some(free),
@@ -315,8 +317,7 @@ impl Search {
                     .model()
                     .is_some_and(|model| self.room.narrow(&model.footprint)) =>
             {
-                self.escape = None;
-                self.stage = Stage::Idle(ctx.now);
+                self.begin_anew(ctx);
                 Searching::Wait("plans a narrower way")
             }
             PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
@@ -361,13 +362,21 @@ impl Search {
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && smoothing.length < AT_GOAL => {
                 (reply.map, Vec::new(), smoothing.planned)
             }
+            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && self.legs.drop_given() => {
+                tracing::info!(
+                    goal = ctx.goal.id,
+                    why = reply.statistics.status,
+                    "the given way cannot be driven"
+                );
+                self.begin_anew(ctx);
+                return Searching::Wait("plans another way: the given one cannot be driven");
+            }
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
                 self.room.undrivable = Some(reply.statistics.status);
                 if !self.room.change(&smoothing.request.model.footprint) {
                     return self.undrivable();
                 }
-                self.escape = None;
-                self.stage = Stage::Idle(ctx.now);
+                self.begin_anew(ctx);
                 return Searching::Wait("plans another way: the robot does not fit through");
             }
             Ok(Answer::Smooth(reply)) => {
@@ -384,7 +393,13 @@ impl Search {
                     _ => "fallback:no_smoother",
                 };
                 let (request, begin) = (&smoothing.request, &smoothing.begin);
-                let safe = unsmoothed(&request.path, begin.pose, begin.twist, self.goal.yaw, &request.model);
+                let safe = unsmoothed(
+                    &request.path,
+                    begin.pose,
+                    begin.twist,
+                    self.legs.last().yaw,
+                    &request.model,
+                );
                 let statistics = PlanStatistics {
                     planner: smoothing.planned.planner,
                     search_ms: smoothing.planned.search_ms,
@@ -395,24 +410,69 @@ impl Search {
                 (request.map.clone(), safe.motion.trajectory(PERIOD), statistics)
             }
         };
-        let Smoothing {
-            begin, request, length, ..
-        } = smoothing;
+        self.found(smoothing.begin, smoothing.request.path, map, trajectory, statistics)
+    }
+
+    fn ask_smooth(
+        &mut self,
+        ctx: &mut Context,
+        model: RobotModel,
+        begin: Begin,
+        map: MapRef,
+        path: Vec<Point2<f64>>,
+        planned: PlanStatistics,
+    ) -> Searching {
+        let length = path::length(&path);
+        let request = SmoothRequest {
+            robot: ctx.config.robot.to_string(),
+            model,
+            map,
+            path,
+            start: begin.pose,
+            start_velocity: begin.twist,
+            goal_yaw: self.legs.last().yaw,
+            unknown_is_free: self.unknown_is_free,
+        };
+        let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request.clone())));
+        let smoothing = Smoothing {
+            begin,
+            request,
+            length,
+            planned,
+        };
+        self.stage = Stage::Smooth(ticket, Box::new(smoothing));
+        Searching::Wait("smooths")
+    }
+
+    fn found(
+        &self,
+        begin: Begin,
+        path: Vec<Point2<f64>>,
+        map: MapRef,
+        trajectory: Vec<TrajectoryPoint>,
+        statistics: PlanStatistics,
+    ) -> Searching {
         let course = Course {
             map,
-            waypoints: request.path.iter().skip(1).copied().collect(),
+            waypoints: path.iter().skip(1).copied().collect(),
             trajectory,
             splice: begin.splice,
             statistics,
         };
         Searching::Found(Box::new(Route {
             id: 0,
-            goal: self.goal,
-            path: request.path,
-            length,
+            goal: self.legs.last(),
+            length: path::length(&path),
+            path,
             begin: begin.pose,
             course,
         }))
+    }
+
+    fn begin_anew(&mut self, ctx: &Context) {
+        self.escape = None;
+        self.legs.begin_anew();
+        self.stage = Stage::Idle(ctx.now);
     }
 
     fn again(&mut self, ctx: &Context) {
@@ -427,7 +487,8 @@ impl Search {
 
     /// The goal, in words.
     fn place(&self) -> String {
-        format!("({:.2}, {:.2})", self.goal.x, self.goal.y)
+        let goal = self.legs.goal();
+        format!("({:.2}, {:.2})", goal.x, goal.y)
     }
 
     fn failed(&mut self, code: i64, reason: String) -> Searching {
