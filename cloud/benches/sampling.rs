@@ -1,11 +1,12 @@
 //! How do the sampling planners do beside OMPL's? `cargo bench -p zenav-cloud --bench sampling [-- MAP…]`
 //!
 //! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three made ones. A scenario `MAP.scen` beside a map gives its
-//! ten hardest queries, else they are the longest of many random ones, as A* has measured them. Times are of this thread's processor clock, so a
-//! busy machine does no harm; lengths are in relation to the shortest way on the grid, which cuts no corners and has eight directions.
+//! ten hardest queries, else they are the longest of many random ones. First ways have two seconds, planners that improve on theirs half a second
+//! in all, by the processor's clock, so that a busy machine does no harm. Lengths are in relation to the shortest way on the grid, which knows
+//! eight directions and cuts no corners.
 //!
-//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries with the same processor time. `RUNS` seeds are
-//! drawn (default 3), `PLANNERS` is a list of those to run.
+//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries in the same processor time. `RUNS` seeds are drawn
+//! (default 3); `PLANNERS` is a list of those to run.
 
 #![allow(
     clippy::unwrap_used,
@@ -31,46 +32,60 @@ use zenav_protocol::grid::{Cell, Occupancy};
 const QUERIES: usize = 10;
 /// Random queries that the longest are chosen from.
 const DRAWN: usize = 2000;
-/// Processor time of planners that improve on their first way, s.
-const BUDGET: f64 = 0.5;
-/// Processor time for a first way, s.
-const PATIENCE: f64 = 2.0;
 
 fn main() {
-    let maps: Vec<PathBuf> = std::env::args()
-        .skip(1)
-        .filter(|argument| !argument.starts_with("--"))
-        .map(PathBuf::from)
-        .collect();
+    let arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
+    let mut terrains: Vec<Terrain> = arguments.map(|path| Terrain::read(Path::new(&path))).collect();
+    if terrains.is_empty() {
+        let made = [("maze", maze()), ("rooms", rooms()), ("caves", caves())];
+        terrains = made
+            .into_iter()
+            .map(|(name, free)| Terrain::new(name.to_owned(), free, None))
+            .collect();
+    }
     let peer = std::env::var_os("OMPL_PEER").map(PathBuf::from);
     let runs: u64 = std::env::var("RUNS").map_or(3, |runs| runs.parse().unwrap());
     let planners = std::env::var("PLANNERS").unwrap_or_else(|_| "rrt,rrt_connect,rrt_star".to_owned());
     let watch = Watch::start();
-    let terrains: Vec<Terrain> = if maps.is_empty() {
-        vec![]
-    } else {
-        maps.iter().map(|path| Terrain::read(path)).collect()
-    };
     for name in planners.split(',') {
         let planner: Planner = name.parse().unwrap();
-        println!("\n{name}: found, median and 95th percentile of ms, median length over the grid's optimum");
+        println!(
+            "\n{:18} {:16} {:>7} {:>11} {:>11} {:>8} {:>8} {:>9}",
+            name, "", "found", "median ms", "95 % ms", "length", "longest", "samples"
+        );
         for terrain in &terrains {
-            let own = terrain.own(planner, runs, &watch);
-            let mut line = format!("{:18} zenav {own}", terrain.name);
-            if let Some(peer) = &peer {
-                let theirs: &[&str] = if name == "rrt_star" {
-                    &["rrt_star", "informed", "bit_star"]
-                } else {
-                    &[name]
-                };
-                for name in theirs {
-                    let theirs = terrain.peer(peer, name, runs);
-                    line += &format!(" | ompl {name} {theirs}, time {:.3}", own.time(0.5) / theirs.time(0.5));
-                }
+            println!(
+                "{:18} {:16} {}",
+                terrain.name,
+                "zenav",
+                terrain.own(planner, runs, &watch)
+            );
+            let Some(peer) = &peer else { continue };
+            let theirs: &[&str] = if improves(name) {
+                &["rrt_star", "informed", "bit_star"]
+            } else {
+                &[name]
+            };
+            for name in theirs {
+                println!(
+                    "{:18} {:16} {}",
+                    "",
+                    format!("ompl {name}"),
+                    terrain.peer(peer, name, runs)
+                );
             }
-            println!("{line}");
         }
     }
+}
+
+/// Whether a planner goes on after its first way.
+fn improves(planner: &str) -> bool {
+    !["rrt", "rrt_connect"].contains(&planner)
+}
+
+/// Processor time of a search, s.
+fn limit(planner: &str) -> f64 {
+    if improves(planner) { 0.5 } else { 2.0 }
 }
 
 /// A map with its queries.
@@ -119,11 +134,6 @@ impl Terrain {
 
     fn own(&self, planner: Planner, runs: u64, watch: &Watch) -> Figures {
         let mut searcher = Searcher::new(&self.grid).unwrap();
-        let limit = if planner == Planner::RrtConnect {
-            PATIENCE
-        } else {
-            BUDGET
-        };
         let mut figures = Figures::default();
         for seed in 1..=runs {
             for (start, goal, optimum) in &self.queries {
@@ -137,7 +147,7 @@ impl Terrain {
                 let mut length = None;
                 let mut samples = 0;
                 for _ in 0..3 {
-                    watch.arm(limit);
+                    watch.arm(limit(planner.name()));
                     let begin = now();
                     let budget = Budget {
                         cancel: Some(&watch.cancel),
@@ -159,9 +169,7 @@ impl Terrain {
                         break;
                     }
                 }
-                figures.add(best, length.map(|length| length / optimum));
-                figures.samples.push(samples);
-                figures.samples.sort_unstable();
+                figures.add(best, length.map(|length| length / optimum), samples);
             }
         }
         figures
@@ -184,12 +192,11 @@ impl Terrain {
             .map(|(a, b, length)| format!("{} {} {length}\n", from_top(*a), from_top(*b)))
             .collect();
         std::fs::write(file("queries"), lines.concat()).unwrap();
-        let limit = if planner == "rrt_connect" { PATIENCE } else { BUDGET };
         let mut figures = Figures::default();
         for seed in 1..=runs {
             let status = Command::new(program)
                 .args([file("map"), file("queries")])
-                .args([planner, &limit.to_string()])
+                .args([planner, &limit(planner).to_string()])
                 .arg(file("results"))
                 .arg(seed.to_string())
                 .status()
@@ -198,7 +205,11 @@ impl Terrain {
             let results = std::fs::read_to_string(file("results")).unwrap();
             for (line, (_, _, optimum)) in results.lines().zip(&self.queries) {
                 let numbers: Vec<f64> = line.split_whitespace().map(|word| word.parse().unwrap()).collect();
-                figures.add(1e-6 * numbers[0], (numbers[2] == 1.0).then(|| numbers[1] / optimum));
+                figures.add(
+                    1e-6 * numbers[0],
+                    (numbers[2] == 1.0).then(|| numbers[1] / optimum),
+                    numbers[3] as u64,
+                );
             }
         }
         figures
@@ -240,18 +251,22 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
 /// What many searches gave.
 #[derive(Default)]
 struct Figures {
-    /// s, in order.
+    /// s; what is here is always in order.
     times: Vec<f64>,
+    /// Lengths of ways, in relation to the shortest on the grid.
     ratios: Vec<f64>,
+    /// Drawn, or vertices made.
     samples: Vec<u64>,
 }
 
 impl Figures {
-    fn add(&mut self, time: f64, ratio: Option<f64>) {
+    fn add(&mut self, time: f64, ratio: Option<f64>, samples: u64) {
         self.times.push(time);
         self.times.sort_by(f64::total_cmp);
         self.ratios.extend(ratio);
         self.ratios.sort_by(f64::total_cmp);
+        self.samples.push(samples);
+        self.samples.sort_unstable();
     }
 
     /// A quantile, ms.
@@ -262,17 +277,102 @@ impl Figures {
 
 impl std::fmt::Display for Figures {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let ratio = self.ratios.get(self.ratios.len() / 2).copied().unwrap_or(f64::NAN);
+        let ratio = |share: f64| {
+            let last = self.ratios.len().saturating_sub(1) as f64;
+            self.ratios
+                .get((share * last).round() as usize)
+                .copied()
+                .unwrap_or(f64::NAN)
+        };
         write!(
             f,
-            "{}/{} {:.4} ({:.4}) ms {ratio:.4} [{}]",
-            self.ratios.len(),
-            self.times.len(),
+            "{:>7} {:>11.4} {:>11.4} {:>8.4} {:>8.4} {:>9}",
+            format!("{}/{}", self.ratios.len(), self.times.len()),
             self.time(0.5),
             self.time(0.95),
-            self.samples.get(self.samples.len() / 2).copied().unwrap_or(0)
+            ratio(0.5),
+            ratio(1.0),
+            self.samples[self.samples.len() / 2]
         )
     }
+}
+
+/// Corridors of five cells behind walls of one, without a loop: a walk that turns back where it is stuck.
+fn maze() -> BitGrid {
+    const ROOMS: i64 = 60;
+    let mut rng = Pcg64Mcg::new(3);
+    let mut free = BitGrid::new(6 * ROOMS as u32 + 1, 6 * ROOMS as u32 + 1);
+    let open = |free: &mut BitGrid, x: i64, y: i64, width: i64, height: i64| {
+        for cell in (0..width * height).map(|i| Cell::new((x + i % width) as u32, (y + i / width) as u32)) {
+            free.set(cell, true);
+        }
+    };
+    let mut way = vec![(0, 0)];
+    while let Some((x, y)) = way.last().copied() {
+        open(&mut free, 6 * x + 1, 6 * y + 1, 5, 5);
+        let closed = |(dx, dy): &(i64, i64)| {
+            let (x, y) = (x + dx, y + dy);
+            let inside = (0..ROOMS).contains(&x) && (0..ROOMS).contains(&y);
+            inside && !free.get(Cell::new(6 * x as u32 + 1, 6 * y as u32 + 1))
+        };
+        let next: Vec<(i64, i64)> = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().filter(closed).collect();
+        if next.is_empty() {
+            way.pop();
+            continue;
+        }
+        let (dx, dy) = next[rng.next_u64() as usize % next.len()];
+        let (width, height) = if dx == 0 { (5, 1) } else { (1, 5) };
+        open(
+            &mut free,
+            6 * x + 1 + dx.max(0) * 5 + dx.min(0),
+            6 * y + 1 + dy.max(0) * 5 + dy.min(0),
+            width,
+            height,
+        );
+        way.push((x + dx, y + dy));
+    }
+    free
+}
+
+/// Rooms of 24 cells; two walls of three have a door of one cell.
+fn rooms() -> BitGrid {
+    let mut rng = Pcg64Mcg::new(5);
+    let mut free = BitGrid::from_fn(501, 501, |cell| {
+        !cell.x.is_multiple_of(25) && !cell.y.is_multiple_of(25)
+    });
+    for wall in 0..20 * 19 * 2 {
+        let (across, along) = (
+            25 * (wall / 2 % 19 + 1),
+            25 * (wall / 38) + 1 + rng.next_u64() as u32 % 24,
+        );
+        if !rng.next_u64().is_multiple_of(3) {
+            free.set(
+                if wall % 2 == 0 {
+                    Cell::new(across, along)
+                } else {
+                    Cell::new(along, across)
+                },
+                true,
+            );
+        }
+    }
+    free
+}
+
+/// Noise in which each cell has become as most of those around it are, five times.
+fn caves() -> BitGrid {
+    let mut rng = Pcg64Mcg::new(7);
+    let mut free = BitGrid::from_fn(600, 400, |_| rng.next_u64() % 100 < 56);
+    for _ in 0..5 {
+        let is_free = |cell: Cell, i: u32| {
+            free.get(Cell::new(
+                (cell.x + i % 3).wrapping_sub(1),
+                (cell.y + i / 3).wrapping_sub(1),
+            ))
+        };
+        free = BitGrid::from_fn(600, 400, |cell| (0..9).filter(|i| is_free(cell, *i)).count() >= 5);
+    }
+    free
 }
 
 /// This thread's processor time, s.

@@ -73,22 +73,25 @@ fn spec(side: u32) -> GridSpec {
     }
 }
 
+/// Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and something in every room.
+fn office(side: u32) -> BitGrid {
+    BitGrid::from_fn(side, side, |Cell { x, y }| {
+        let (u, v) = (x % 100, y % 110);
+        let wall = (u == 0 && v <= 80 && !(30..48).contains(&v)) || ((v == 0 || v == 80) && !(60..78).contains(&u));
+        let table = (40..60).contains(&u) && (20..36).contains(&v) && (x / 100 + y / 110) % 3 != 0;
+        wall || table
+    })
+}
+
 /// Obstacles of each kind of map.
 fn maps(side: u32) -> [(&'static str, BitGrid); 4] {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     let mut random = |share: f64| BitGrid::from_fn(side, side, |_| rng.random_bool(share));
     let (dense, sparse) = (random(0.2), random(0.01));
-    // Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and something in every room.
-    let office = BitGrid::from_fn(side, side, |Cell { x, y }| {
-        let (u, v) = (x % 100, y % 110);
-        let wall = (u == 0 && v <= 80 && !(30..48).contains(&v)) || ((v == 0 || v == 80) && !(60..78).contains(&u));
-        let table = (40..60).contains(&u) && (20..36).contains(&v) && (x / 100 + y / 110) % 3 != 0;
-        wall || table
-    });
     [
         ("random 20 %", dense),
         ("random 1 %", sparse),
-        ("office", office),
+        ("office", office(side)),
         ("empty", BitGrid::new(side, side)),
     ]
 }
@@ -169,10 +172,33 @@ fn distance(c: &mut Criterion<ThreadTime>) {
     }
 }
 
+/// The largest map that is asked for: offices in a corner of it, the rest open; and offices everywhere.
+fn largest(c: &mut Criterion<ThreadTime>) {
+    const SIDE: u32 = 16_384;
+    let mut group = c.benchmark_group(format!("space {SIDE}x{SIDE}, radius 0.25 m"));
+    group.sample_size(10);
+    let footprint = Footprint::Radius(0.25);
+    let office = office(SIDE);
+    for (name, rows) in [("offices in 4 % of it", SIDE / 5), ("offices everywhere", SIDE)] {
+        let mut grid = OccupancyGrid::filled(spec(SIDE), Occupancy::FREE);
+        for y in 0..rows {
+            for x in office.set_in_row(y, 0, i64::from(rows)) {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+        let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0);
+        eprintln!("{name}: {} MiB beside a map of 256 MiB", space.bytes() >> 20);
+        drop(space);
+        group.bench_function(name, |b| {
+            b.iter_with_large_drop(|| ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0));
+        });
+    }
+}
+
 /// A map of offices, its copy at revision 1, and patches of one tile to and fro.
 fn mirrored(side: u32) -> (MapMirror, [MapPatch; 2]) {
     let spec = spec(side);
-    let [_, _, (_, office), _] = maps(side);
+    let office = office(side);
     let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
     for y in 0..side {
         for x in office.set_in_row(y, 0, i64::MAX) {
@@ -250,5 +276,5 @@ fn update(c: &mut Criterion<ThreadTime>) {
     assert_eq!(back.grid(), mirror.grid(), "the second patch undoes the first");
 }
 
-criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, update);
+criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, update, largest);
 criterion_main!(benches);

@@ -167,7 +167,7 @@ impl AngularBuffer {
         true
     }
 
-    /// Angle from the first beam to a direction (rad, world), rad in [0, 2 pi).
+    /// Angle from the first beam to a direction (rad in [-pi, pi], world), rad in [0, 2 pi).
     #[inline]
     fn turned(&self, start: f64) -> f64 {
         let turned = start - self.first;
@@ -256,14 +256,18 @@ impl AngularBuffer {
             |direction: Vector2<f64>| cross(direction, center).abs() <= disc.radius && direction.dot(&center) > 0.0;
         // The nearer root of |t d - c| = r is power / (c.d + sqrt(r² - (d x c)²)): its inverse needs no division.
         let over_power = 1.0 / power;
-        self.draw(direction(center) - half, 2.0 * half, covers, |cos, sin| {
+        let mut start = direction(center) - half;
+        if start < -PI {
+            start += TAU;
+        }
+        self.draw(start, 2.0 * half, covers, |cos, sin| {
             let direction = Vector2::new(cos, sin);
             let aside = cross(direction, center);
             (direction.dot(&center) + (squared - aside * aside).max(0.0).sqrt()) * over_power
         });
     }
 
-    /// Brings `inverse(cos, sin)` into every beam from direction `start` (rad, world) over `span` that `covers` admits.
+    /// Brings `inverse(cos, sin)` into every beam from direction `start` (rad in [-pi, pi], world) over `span` that `covers` admits.
     fn draw(
         &mut self,
         start: f64,

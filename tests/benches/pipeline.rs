@@ -259,6 +259,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
                     planner: "astar".into(),
                     unknown_is_free: true,
                     budget_ms: 1000,
+                    seed: 1,
                 };
                 let reply = planning.answer(Some(&mirror), &request, None).unwrap();
                 let PlanOutcome::Found { path, .. } = reply.outcome else {

@@ -100,7 +100,7 @@ impl Blackboard {
         })
     }
 
-    /// How many writes there have been: a snapshot taken at the same count holds the same entries.
+    /// How many writes have changed an entry: a snapshot taken at the same count holds the same entries.
     pub fn writes(&self) -> u64 {
         self.writes
     }
@@ -192,10 +192,22 @@ impl Blackboard {
             },
             _ => value,
         };
-        entry.kind = Some(value.kind());
-        entry.value = Some(value);
         entry.sequence += 1;
-        self.writes += 1;
+        // What is written again and again, such as a selector's choice, leaves a stored snapshot good.
+        if entry.kind.is_none() || entry.value.as_ref() != Some(&value) {
+            entry.kind = Some(value.kind());
+            entry.value = Some(value);
+            self.writes += 1;
+        }
+        Ok(())
+    }
+
+    /// Writes a value that is worked out anew after a restart: it counts as an update of the entry, but leaves a stored
+    /// snapshot good.
+    pub(crate) fn write_fleeting(&mut self, slot: Slot, value: Value) -> Result<(), TypeError> {
+        let writes = self.writes;
+        self.write(slot, value)?;
+        self.writes = writes;
         Ok(())
     }
 

@@ -213,6 +213,24 @@ fn nav2() -> Vec<NodeSpec> {
             usize::MAX,
         )
         .inout("current_child_idx", Int, "index of the current child"),
+        NodeSpec::control(
+            "PauseResumeController",
+            "Child 1 while not paused, 2 while paused; 3 on pausing, 4 on going on.",
+            1,
+            4,
+        )
+        .input_or(
+            "pause_service_name",
+            Text,
+            "pause",
+            "entry of the root blackboard: written, it asks to pause",
+        )
+        .input_or(
+            "resume_service_name",
+            Text,
+            "resume",
+            "entry of the root blackboard: written, it asks to go on",
+        ),
         NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or("hz", Double, "10.0", "rate, 1/s"),
         NodeSpec::decorator("SingleTrigger", "Runs the child once an activation."),
     ]
@@ -243,6 +261,8 @@ pub(crate) trait Ports {
     fn source(&mut self, port: &str) -> Source;
     /// The entry that a port of type [`PortType::Key`] names.
     fn slot(&mut self, port: &str) -> Slot;
+    /// The entry of the root blackboard that the text on a port names.
+    fn root_slot(&mut self, port: &str) -> Slot;
     /// The script on a port of type [`PortType::Script`].
     fn program(&mut self, port: &str) -> Program;
     /// Names of numbers.
@@ -333,6 +353,10 @@ pub(crate) fn kind(id: &str, ports: &mut dyn Ports) -> Option<Kind> {
         "PersistentSequence" => Kind::PersistentSequence(ports.source("current_child_idx")),
         "RateController" => Kind::RateController(ports.source("hz")),
         "SingleTrigger" => Kind::SingleTrigger,
+        "PauseResumeController" => Kind::PauseResume {
+            pause: ports.root_slot("pause_service_name"),
+            resume: ports.root_slot("resume_service_name"),
+        },
         _ => return None,
     })
 }
@@ -359,6 +383,9 @@ mod tests {
         }
         fn slot(&mut self, port: &str) -> Slot {
             self.0.resolve(0, port)
+        }
+        fn root_slot(&mut self, port: &str) -> Slot {
+            self.slot(port)
         }
         fn program(&mut self, _: &str) -> Program {
             Program::bind("", Vec::new(), &BTreeMap::new(), &mut |name| self.0.resolve(0, name))

@@ -14,7 +14,7 @@ use std::time::Duration;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::blackboard::Blackboard;
+use super::blackboard::{Blackboard, Slot, TypeError};
 use super::node::{Info, Memory};
 use super::ports::{PortError, Source};
 use super::status::Status;
@@ -195,6 +195,17 @@ impl LeafIo<'_> {
         }
     }
 
+    /// Names of the ports that the tree, or a default, has put something on; in the order of the specification, then of
+    /// the file.
+    pub fn ports(&self) -> impl Iterator<Item = &str> {
+        self.info.ports.iter().map(|bound| &*bound.name)
+    }
+
+    /// Whether the port leads to an entry, which the leaf may write.
+    pub fn is_writable(&self, port: &str) -> bool {
+        matches!(self.source(port), Some(Source::Slot(_)))
+    }
+
     /// Whether the tree has anything on this port.
     pub fn is_set(&self, port: &str) -> bool {
         matches!(self.source(port), Some(Source::Literal(_) | Source::Slot(_)))
@@ -206,7 +217,23 @@ impl LeafIo<'_> {
     /// # Errors
     /// [`PortError::Type`] if the entry behind it has another type, [`PortError::Literal`].
     pub fn set(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
-        let value = value.into();
+        self.write(port, value.into(), Blackboard::write)
+    }
+
+    /// As [`LeafIo::set`], for feedback that is worked out anew after a restart: a stored snapshot stays good.
+    ///
+    /// # Errors
+    /// As [`LeafIo::set`].
+    pub fn set_fleeting(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
+        self.write(port, value.into(), Blackboard::write_fleeting)
+    }
+
+    fn write(
+        &mut self,
+        port: &str,
+        value: Value,
+        write: fn(&mut Blackboard, Slot, Value) -> Result<(), TypeError>,
+    ) -> Result<(), PortError> {
         let Some(bound) = self.info.ports.iter().find(|bound| &*bound.name == port) else {
             return Ok(());
         };
@@ -228,7 +255,7 @@ impl LeafIo<'_> {
             },
             _ => value,
         };
-        self.board.write(slot, value).map_err(|wrong| PortError::Type {
+        write(self.board, slot, value).map_err(|wrong| PortError::Type {
             port: port.to_owned(),
             value: shortened(&wrong.value),
             expected: format!("{:?}, the type of its entry", wrong.expected),
@@ -282,8 +309,11 @@ impl LeafIo<'_> {
     /// # Errors
     /// What serde_json reports for what JSON cannot hold.
     pub fn remember<T: Serialize>(&mut self, what: &T) -> Result<(), serde_json::Error> {
-        self.memory.kept = serde_json::to_value(what)?;
-        self.memory.writes += 1;
+        let kept = serde_json::to_value(what)?;
+        if kept != self.memory.kept {
+            self.memory.kept = kept;
+            self.memory.writes += 1;
+        }
         Ok(())
     }
 

@@ -9,7 +9,8 @@
 //! | `registry`, `leaf` | how code outside becomes a node |
 //! | `node`, `builtins` | what a node is, and which ones exist |
 //! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is shown |
-//! | `controls`, `reactive`, `parallel`, `branches`, `decorators`, `timing`, `updates`, `loops`, `leaves`, `nav2` | what each node does |
+//! | `controls`, `reactive`, `parallel`, `branches`, `decorators`, `timing`, `updates`, `loops`, `leaves`, `nav2`, `nav2_pause` | what each node does |
+//! | `nav2_conditions`, `nav2_gates` | Nav2's conditions and decorators that the blackboard, or where a robot is, decides |
 //! | `script` | the language inside attributes |
 //! | `xml` | how a file becomes a tree, or a list of errors |
 //! | `nav2_nodes` | Nav2's nodes and their ports, as data |
@@ -30,7 +31,9 @@ mod leaves;
 mod loops;
 mod nav2;
 mod nav2_conditions;
+mod nav2_gates;
 mod nav2_nodes;
+mod nav2_pause;
 mod node;
 mod parallel;
 mod ports;
@@ -54,6 +57,7 @@ mod xml;
 pub use blackboard::{Blackboard, TypeError};
 pub use leaf::{Gate, Leaf, LeafIo, Pass};
 pub use nav2_conditions::nav2_condition;
+pub use nav2_gates::{Measure, Travel, nav2_decorator};
 pub use nav2_nodes::nav2_nodes;
 pub use ports::{Direction, PortError, PortSpec, PortType};
 pub use registry::{Category, DuplicateNode, LeafSite, NodeSpec, Registry};

@@ -78,7 +78,6 @@ Condition AreErrorCodesPresent error_code:uint error_codes_to_check:vector<int>
 Condition ArePosesNear ref_pose:PoseStamped target_pose:PoseStamped global_frame:string tolerance:double=0.5
 Condition IsGoalNearby path:Path proximity_threshold:double=1.0 max_robot_pose_search_dist:double=-1.0 global_frame:string robot_base_frame:string
 Condition IsWithinPathTrackingBounds max_error_left:double=0.5 max_error_right:double=0.5 max_error_heading:double=3.14 tracking_feedback:TrackingFeedback
-Control PauseResumeController pause_service_name:string resume_service_name:string
 Decorator DistanceController distance:double=1.0 global_frame:string robot_base_frame:string
 Decorator GoalUpdater input_goal:PoseStamped input_goals:Goals >output_goal:PoseStamped >output_goals:Goals
 Decorator SpeedController min_rate:double=0.1 max_rate:double=1.0 min_speed:double=0.0 max_speed:double=0.5 goal:PoseStamped goals:Goals
@@ -95,9 +94,6 @@ fn node(line: &str) -> Option<NodeSpec> {
     let mut words = line.split_ascii_whitespace();
     let category = Category::from_tag(words.next()?)?;
     let mut spec = NodeSpec::new(category, words.next()?, "");
-    if spec.id == "PauseResumeController" {
-        spec.children = (1, 4);
-    }
     for word in words {
         spec = match word {
             "@server" => spec
@@ -152,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn nav2_has_81_nodes_of_which_seven_are_built_in() {
-        assert_eq!(nav2_nodes().len(), 74);
+    fn nav2_has_81_nodes_of_which_eight_are_built_in() {
+        assert_eq!(nav2_nodes().len(), 73);
     }
 }

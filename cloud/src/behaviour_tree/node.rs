@@ -70,6 +70,8 @@ pub(crate) enum Kind {
     PersistentSequence(Source),
     RateController(Source),
     SingleTrigger,
+    // nav2_pause.rs
+    PauseResume { pause: Slot, resume: Slot },
 }
 
 /// Ports of Parallel.

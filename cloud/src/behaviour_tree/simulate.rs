@@ -10,8 +10,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::leaf::{Gate, Leaf, LeafIo, Pass};
-use super::nav2_conditions::{goals, nav2_condition};
+use super::leaf::{Leaf, LeafIo};
+use super::nav2_conditions::nav2_condition;
+use super::nav2_gates::{Measure, Travel, nav2_decorator};
 use super::nav2_nodes::nav2_nodes;
 use super::registry::{Category, Registry};
 use super::status::Status;
@@ -117,18 +118,13 @@ pub struct Simulation {
 pub fn registry() -> Registry<Simulation> {
     let mut registry = Registry::new();
     for spec in nav2_nodes() {
-        let added = match spec.id.as_str() {
-            "DistanceController"
-            | "SpeedController"
-            | "GoalUpdatedController"
-            | "GoalUpdater"
-            | "PathLongerOnApproach" => registry.decorator(spec, |site| standing_robot(site.id)),
-            _ => {
-                registry.declare(spec);
-                Ok(())
+        match nav2_decorator(&spec.id) {
+            Some(make) => {
+                let added = registry.decorator(spec, move |_| make());
+                debug_assert!(added.is_ok(), "{added:?}");
             }
-        };
-        debug_assert!(added.is_ok(), "{added:?}");
+            None => registry.declare(spec),
+        }
     }
     registry.invent_unknown_leaves(|site| {
         Box::new(Scripted {
@@ -156,11 +152,7 @@ pub fn simulate(
 
 /// Plays a script to a tree built over [`registry`].
 pub fn play(tree: &mut Tree<Simulation>, script: &Script) -> Outcome {
-    let mut simulation = Simulation {
-        script: script.clone(),
-        happened: vec![false; script.events.len()],
-        ..Simulation::default()
-    };
+    let mut simulation = Simulation::new(script.clone());
     for (key, value) in &script.blackboard {
         let written = Value::from_json(value).map(|value| tree.blackboard_mut().set(key, value));
         if let Some(Err(wrong)) = written {
@@ -301,6 +293,15 @@ impl Leaf<Simulation> for Scripted {
 }
 
 impl Simulation {
+    /// Leaves that answer by this script, none of which has been started.
+    pub fn new(script: Script) -> Simulation {
+        Simulation {
+            happened: vec![false; script.events.len()],
+            script,
+            ..Simulation::default()
+        }
+    }
+
     /// What the script says of a leaf.
     fn of(&self, io: &LeafIo<'_>) -> Option<&LeafScript> {
         self.script
@@ -351,91 +352,17 @@ fn succeed(io: &mut LeafIo<'_>) -> Status {
     Status::Success
 }
 
-/// Nav2's decorators that need a robot, with a robot that stands still.
-fn standing_robot(id: &str) -> Box<dyn Gate<Simulation>> {
-    match id {
-        "DistanceController" => Box::new(Standing { period: None }),
-        "SpeedController" => Box::new(Standing {
-            period: Some("min_rate"),
-        }),
-        "GoalUpdatedController" => Box::new(OnGoal),
-        "GoalUpdater" => Box::new(CopyGoal),
-        _ => Box::new(NeverLonger),
-    }
-}
-
-/// DistanceController and SpeedController: the child on activation and while it runs, then again
-/// only after the period of the rate at standstill, if there is one.
-struct Standing {
-    period: Option<&'static str>,
-}
-
-impl Gate<Simulation> for Standing {
-    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Pass {
-        let last: Option<u64> = io.recall();
-        let due = match (self.period.map(|port| io.get::<f64>(port)), last) {
-            (Some(Ok(rate)), Some(last)) => {
-                let waited = super::node::nanos(io.now()).saturating_sub(last);
-                waited as f64 >= 1e9 / rate
-            }
-            _ => false,
-        };
-        if !io.previous().is_active() || child == Status::Running || due {
-            Pass::Tick
-        } else {
-            Pass::Answer(Status::Running)
-        }
+/// A robot that stands still, and paths that have no length.
+impl Travel for Simulation {
+    fn position(&self) -> Option<[f64; 2]> {
+        Some([0.0, 0.0])
     }
 
-    fn leave(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Status {
-        if child == Status::Success {
-            let now = super::node::nanos(io.now());
-            let _ = io.remember(&now);
-        }
-        child
+    fn speed(&self) -> f64 {
+        0.0
     }
-}
 
-/// GoalUpdatedController: the child on activation, when a goal has changed, and while it runs.
-struct OnGoal;
-
-impl Gate<Simulation> for OnGoal {
-    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, child: Status) -> Pass {
-        let goals = goals(io);
-        let seen: Option<[Option<Value>; 2]> = io.recall();
-        let changed = !io.previous().is_active() || seen.as_ref() != Some(&goals);
-        if changed && io.remember(&goals).is_err() {
-            return Pass::Answer(io.fail("goal cannot be kept"));
-        }
-        if changed || child == Status::Running {
-            Pass::Tick
-        } else {
-            Pass::Answer(Status::Running)
-        }
-    }
-}
-
-/// GoalUpdater without an update: passes its inputs on.
-struct CopyGoal;
-
-impl Gate<Simulation> for CopyGoal {
-    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut Simulation, _: Status) -> Pass {
-        for (input, output) in [("input_goal", "output_goal"), ("input_goals", "output_goals")] {
-            if let Ok(value) = io.value(input).cloned()
-                && let Err(wrong) = io.set(output, value)
-            {
-                return Pass::Answer(io.fail(wrong.to_string()));
-            }
-        }
-        Pass::Tick
-    }
-}
-
-/// PathLongerOnApproach: no path ever gets longer.
-struct NeverLonger;
-
-impl Gate<Simulation> for NeverLonger {
-    fn enter(&mut self, _: &mut LeafIo<'_>, _: &mut Simulation, _: Status) -> Pass {
-        Pass::Answer(Status::Success)
+    fn measure(&self, _: &Value) -> Option<Measure> {
+        None
     }
 }

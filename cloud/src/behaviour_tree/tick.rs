@@ -150,6 +150,7 @@ impl<'a, C> Run<'a, C> {
             Kind::PersistentSequence(index) => self.persistent_sequence(id, index),
             Kind::RateController(hz) => self.rate_controller(id, hz, before),
             Kind::SingleTrigger => self.single_trigger(id, before),
+            Kind::PauseResume { pause, resume } => self.pause_resume(id, *pause, *resume, before),
         }
     }
 

@@ -122,12 +122,25 @@ pub struct Context {
     pub goal: GoalInHand,
     /// Plans to publish, in order.
     pub plans: Vec<Plan>,
+    /// How often a tree has asked to cancel what leaves of this registration id do.
+    cancels: BTreeMap<&'static str, u64>,
     routes: VecDeque<Arc<Route>>,
     route_count: u64,
     incarnation: u64,
 }
 
 impl Context {
+    /// Asks every running leaf of a registration id to end.
+    pub fn cancel(&mut self, id: &'static str) {
+        *self.cancels.entry(id).or_default() += 1;
+    }
+
+    /// How often leaves of a registration id have been asked to end: a change since its start asks a leaf.
+    #[must_use]
+    pub fn cancels(&self, id: &str) -> u64 {
+        self.cancels.get(id).copied().unwrap_or(0)
+    }
+
     /// Knows nothing yet.
     #[must_use]
     pub fn new(config: MissionConfig, incarnation: u64) -> Self {
@@ -142,6 +155,7 @@ impl Context {
             map,
             goal: GoalInHand::default(),
             plans: Vec::new(),
+            cancels: BTreeMap::new(),
             routes: VecDeque::new(),
             route_count: 0,
             incarnation,

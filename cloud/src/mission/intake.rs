@@ -32,8 +32,8 @@ pub enum Target {
     Pose(GoalPoint),
     /// Pass these, in order.
     Waypoints(Vec<GoalPoint>),
-    /// Run this tree.
-    Tree(String),
+    /// Whatever the request's tree does by itself.
+    Tree,
 }
 
 /// What a request asks for, if it is well formed.
@@ -48,14 +48,13 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
         return bad(format!("`id`: {error}"));
     }
     let point = request.x.is_some() || request.y.is_some();
-    let kinds = [
-        point,
-        request.place.is_some(),
-        !request.waypoints.is_empty(),
-        request.tree.is_some(),
-    ];
-    if kinds.iter().filter(|kind| **kind).count() != 1 {
-        return bad("expected exactly one of `x` and `y`, `place`, `waypoints`, `tree`".to_owned());
+    let kinds = [point, request.place.is_some(), !request.waypoints.is_empty()];
+    let kinds = kinds.iter().filter(|kind| **kind).count();
+    if kinds > 1 || (kinds == 0 && request.tree.is_none()) {
+        return bad(
+            "expected exactly one of `x` and `y`, `place`, `waypoints`, or a `tree`, alone or for one of them"
+                .to_owned(),
+        );
     }
     if request.yaw.is_some() && !point && request.place.is_none() {
         return bad("`yaw` goes with `x` and `y` or with `place`".to_owned());
@@ -89,7 +88,9 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
         trees::build(tree).map_err(|errors| Refusal::BadRequest {
             reason: errors.to_string(),
         })?;
-        return Ok(Target::Tree(tree.clone()));
+        if kinds == 0 {
+            return Ok(Target::Tree);
+        }
     }
     if let Some(name) = &request.place {
         let Some(place) = ctx.config.places.get(name) else {
@@ -153,7 +154,7 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let points: Vec<GoalPoint> = match target {
         Target::Pose(point) => vec![*point],
         Target::Waypoints(points) => points.clone(),
-        Target::Tree(_) => Vec::new(),
+        Target::Tree => Vec::new(),
     };
     let Some(model) = ctx.robot.model().cloned() else {
         return Ok(());

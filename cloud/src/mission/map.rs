@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::grid::GridSpec;
+use nalgebra::Point2;
+use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
@@ -26,6 +27,8 @@ pub struct MapBook {
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
+    /// A whole map is asked for though none may be missing.
+    refreshes: bool,
     spaces: SpaceCache,
 }
 
@@ -54,7 +57,11 @@ impl MapBook {
             self.info = info;
         }
         let behind = gap || self.info.as_ref().is_some_and(|info| !self.mirror.holds(&info.map));
-        self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
+        self.behind = if behind || self.refreshes {
+            Some(self.behind.unwrap_or(now))
+        } else {
+            None
+        };
     }
 
     /// Asks for the whole map where patches are missing.
@@ -65,7 +72,7 @@ impl MapBook {
             if let Ok(Answer::Map(reply)) = answer
                 && self.mirror.replace(&reply)
             {
-                self.behind = None;
+                (self.behind, self.refreshes) = (None, false);
                 self.info = Some(reply.info);
             }
         }
@@ -110,6 +117,26 @@ impl MapBook {
         Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
     }
 
+    /// What the map has at a point; `None` without a map. Outside of it nothing is known.
+    #[must_use]
+    pub fn occupancy(&self, point: Point2<f64>) -> Option<Occupancy> {
+        let grid = self.mirror.has_map().then(|| self.mirror.grid())?;
+        let value = grid.spec().cell_at(point).and_then(|cell| grid.get(cell));
+        Some(value.map_or(Occupancy::Unknown, |value| Occupancy::of(*value)))
+    }
+
+    /// Asks for the whole map at the next step, whatever the copy holds.
+    pub fn refresh(&mut self) {
+        self.behind = Some(Stamp::ZERO);
+        self.refreshes = true;
+    }
+
+    /// Whether a map asked for by [`Self::refresh`] has yet to come.
+    #[must_use]
+    pub fn is_refreshing(&self) -> bool {
+        self.refreshes
+    }
+
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.
     pub fn space(&mut self, footprint: &Footprint) -> Option<Arc<ConfigurationSpace>> {
         let mapped = self.mirror.has_map() && !self.mirror.grid().spec().is_empty();
@@ -121,7 +148,6 @@ impl MapBook {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use nalgebra::Point2;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 

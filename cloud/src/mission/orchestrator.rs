@@ -10,7 +10,7 @@ use super::context::{Context, GoalInHand};
 use super::exchange::{Client, Effect, Inputs, Response};
 use super::goals::GoalBook;
 use super::intake::{self, Target};
-use super::leaves::goal_text;
+use super::leaves::{goal_text, goals_value};
 use super::records::{Record, Restored, RunningTree, StoredGoal};
 use super::trees;
 use crate::behaviour_tree::{Status, Tree, Value};
@@ -85,6 +85,7 @@ impl Mission {
             ctx.lease.observe(now, state);
         }
         ctx.motion.observe(now, inputs.state.as_ref(), &inputs.events);
+        ctx.robot.hear(now, &inputs.events);
         ctx.robot.observe(now, inputs.state, inputs.pose);
         ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
         for (ticket, answer) in inputs.answers {
@@ -155,10 +156,10 @@ impl Mission {
         let id = &goal.state.id;
         let request = &goal.state.request;
         let target = intake::target(request, &self.ctx).map_err(|refusal| refusal.to_string())?;
-        let name = match &target {
-            Target::Pose(_) => trees::NAVIGATE,
-            Target::Waypoints(_) => trees::NAVIGATE_THROUGH,
-            Target::Tree(tree) => tree,
+        let name = match (&request.tree, &target) {
+            (Some(tree), _) => tree,
+            (None, Target::Waypoints(_)) => trees::NAVIGATE_THROUGH,
+            (None, _) => trees::NAVIGATE,
         };
         let mut tree = trees::build(name).map_err(|error| error.to_string())?;
         let left_over = self.left_over.take().filter(|left| left.goal_id == *id);
@@ -389,10 +390,9 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
     match target {
         Target::Pose(goal) => set("goal", Value::text(goal_text(goal)))?,
         Target::Waypoints(goals) => {
-            let goals: Vec<String> = goals.iter().map(goal_text).collect();
-            set("goals", Value::data(&goals).map_err(|error| error.to_string())?)?;
+            set("goals", goals_value(goals)?)?;
         }
-        Target::Tree(_) => {}
+        Target::Tree => {}
     }
     for (key, value) in &request.blackboard {
         if let Some(value) = Value::from_json(value) {

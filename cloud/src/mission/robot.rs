@@ -25,9 +25,23 @@ pub struct RobotView {
     model_boot: Option<String>,
     asking: Option<Ticket>,
     next_ask: Stamp,
+    bumped: Option<Stamp>,
 }
 
 impl RobotView {
+    /// Takes in what happened on the robot.
+    pub fn hear(&mut self, now: Stamp, events: &[Event]) {
+        if events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
+            self.bumped = Some(now);
+        }
+    }
+
+    /// Whether it has touched something within the last `secs`.
+    #[must_use]
+    pub fn was_bumped_within(&self, now: Stamp, secs: f64) -> bool {
+        self.bumped.is_some_and(|bumped| now.secs_since(bumped) <= secs)
+    }
+
     /// Takes the robot's newest word in. What is not finite is not taken.
     pub fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
         if let Some(state) = state.filter(|state| state.velocity.is_finite()) {

@@ -1,17 +1,17 @@
 //! What is the cheapest way over the lattice? A* with octile estimates, exactly optimal for whole-number costs.
 //!
-//! Open nodes lie in a ring of buckets by their estimated total cost: it never falls along a way, and one step raises it by a bounded
-//! amount, so that a few dozen buckets hold all of them. Inside a bucket the last one in is the first one out, and a node whose cost is
-//! improved is put in again; the search ends when nothing open can be better than the goal's cost.
+//! A node whose cost is improved is put in again; the search ends when nothing open can be better than the goal's cost.
 //!
-//! Sources: Hart, Nilsson and Raphael, "A Formal Basis for the Heuristic Determination of Minimum Cost Paths", 1968; Dial, "Algorithm
-//! 360: Shortest-Path Forest with Topological Ordering", 1969.
+//! Source: Hart, Nilsson and Raphael, "A Formal Basis for the Heuristic Determination of Minimum Cost Paths", 1968.
 
 use zenav_protocol::grid::Cell;
 
 use super::budget::Budget;
-use super::lattice::{DIAGONAL, GridPath, Lattice, STEPS, UNREACHED, octile};
+use super::lattice::{GridPath, Lattice, STEPS, UNREACHED, octile};
+use super::open::{Open, OpenList, is_past};
+use super::records::{Records, Written};
 use super::searcher::Searched;
+use crate::space::DistanceCost;
 
 /// Costs beyond the way's length.
 pub trait CellCost {
@@ -29,6 +29,19 @@ pub struct Uniform;
 impl CellCost for Uniform {
     fn extra(&self, _cell: Cell) -> u8 {
         0
+    }
+}
+
+/// Nearness to obstacles; none where none is asked for.
+impl CellCost for Option<DistanceCost<'_>> {
+    fn extra(&self, cell: Cell) -> u8 {
+        self.as_ref().map_or(0, |costs| costs.at(cell))
+    }
+}
+
+impl CellCost for DistanceCost<'_> {
+    fn extra(&self, cell: Cell) -> u8 {
+        self.at(cell)
     }
 }
 
@@ -50,44 +63,27 @@ pub enum NotFound {
 /// Working memory, kept from one search to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
-    /// Cost of the best way known to each node, and which nodes have one.
-    pub(super) cost: Vec<u32>,
-    pub(super) touched: Vec<u32>,
-    ring: Vec<Vec<(u32, u32)>>,
+    /// Cost of the best way known to each node, turned over: 0 stands for none.
+    costs: Records<u32>,
+    open: OpenList,
 }
 
 impl Memory {
-    /// Makes room for `nodes` nodes, none of them reached.
-    pub(super) fn clear(&mut self, nodes: usize) {
-        if self.cost.len() == nodes {
-            for node in self.touched.drain(..) {
-                self.cost[node as usize] = UNREACHED;
-            }
-        } else {
-            self.touched.clear();
-            self.cost.clear();
-            self.cost.resize(nodes, UNREACHED);
-        }
-        for bucket in &mut self.ring {
-            bucket.clear();
-        }
+    /// Cost of the best way known to a node.
+    fn cost(&self, node: u32) -> u32 {
+        !self.costs.get(node)
     }
 
     /// Notes a better way to a node.
-    pub(super) fn reach(&mut self, node: u32, cost: u32) {
-        let known = &mut self.cost[node as usize];
-        if *known == UNREACHED {
-            self.touched.push(node);
-        }
-        *known = cost;
+    fn reach(&mut self, node: u32, cost: u32) {
+        self.costs.set(node, !cost);
+    }
+
+    /// Where the last search had been, and a little more.
+    pub(super) fn reached(&self) -> Written {
+        self.costs.written()
     }
 }
-
-/// Width of a bucket: an eleventh of a straight step.
-const BUCKET_BITS: u32 = 9;
-/// More than the largest rise of the estimate in one step, `DIAGONAL * (2 + 255 / PARTS)`, in buckets.
-const RING: usize = 256;
-const _: () = assert!((DIAGONAL as usize * (2 + 256 / PARTS as usize)) >> BUCKET_BITS < RING - 2);
 
 /// The cheapest way from one cell to another. Deterministic.
 pub fn search(
@@ -113,28 +109,23 @@ fn expand(
     expansions: &mut u64,
 ) -> Result<GridPath, NotFound> {
     let (start_node, goal_node) = ends(lattice, start, goal)?;
-    memory.clear(lattice.len());
-    memory.ring.resize_with(RING, Vec::new);
+    memory.costs.clear(lattice.len());
+    memory.open.clear(octile(start, goal));
     memory.reach(start_node, 0);
-    let first = octile(start, goal);
-    let mut current = first >> BUCKET_BITS;
-    memory.ring[current as usize % RING].push((start_node, 0));
-    let mut open = 1_usize;
-    while open > 0 {
-        let Some((node, cost)) = memory.ring[current as usize % RING].pop() else {
-            if memory.cost[goal_node as usize] >> BUCKET_BITS <= current {
-                break;
-            }
-            current += 1;
-            continue;
-        };
-        open -= 1;
-        if memory.cost[node as usize] != cost {
-            // A better way to it came later.
-            continue;
+    memory.open.push(Open {
+        estimate: octile(start, goal),
+        name: name(start),
+    });
+    while let Some(Open { estimate, name: open }) = memory.open.pop() {
+        let best = memory.cost(goal_node);
+        if is_past(estimate, best) {
+            break;
         }
-        let cell = lattice.cell(node);
-        if cost + octile(cell, goal) >= memory.cost[goal_node as usize] {
+        let cell = named(open);
+        let cost = estimate - octile(cell, goal);
+        let node = lattice.padded(Cell::new(cell.x + 1, cell.y + 1));
+        // Else a better way came later, to it or to the goal.
+        if memory.cost(node) != cost || estimate >= best {
             continue;
         }
         if budget.is_spent(*expansions) {
@@ -146,31 +137,37 @@ fn expand(
         while steps != 0 {
             let step = STEPS[steps.trailing_zeros() as usize];
             steps &= steps - 1;
-            let next = neighbour(lattice, node, step.x, step.y);
-            let known = memory.cost[next as usize];
+            let next = lattice.beside(node, step);
+            let known = memory.cost(next);
             if known <= cost.saturating_add(step.cost) {
                 continue;
             }
-            let to = Cell::new(cell.x.wrapping_add_signed(step.x), cell.y.wrapping_add_signed(step.y));
+            let to = step.after(cell);
             let better = cost.saturating_add(weighted(step.cost, here, costs.extra(to)));
             let estimate = better.saturating_add(octile(to, goal));
             if better < known && estimate < UNREACHED {
                 memory.reach(next, better);
-                memory.ring[(estimate >> BUCKET_BITS) as usize % RING].push((next, better));
-                open += 1;
+                memory.open.push(Open {
+                    estimate,
+                    name: name(to),
+                });
             }
         }
     }
-    if memory.cost[goal_node as usize] == UNREACHED {
+    if memory.cost(goal_node) == UNREACHED {
         return Err(NotFound::NoPath);
     }
-    Ok(GridPath::through(&trace(
-        lattice,
-        costs,
-        start_node,
-        goal_node,
-        &memory.cost,
-    )))
+    let cells = trace(lattice, costs, start_node, goal_node, memory);
+    Ok(GridPath::through(&cells))
+}
+
+/// Name of an open node: its cell, of which a lattice has at most 2^15 a side.
+const fn name(cell: Cell) -> u32 {
+    cell.y << 16 | cell.x
+}
+
+const fn named(name: u32) -> Cell {
+    Cell::new(name & 0xFFFF, name >> 16)
 }
 
 /// The nodes of free ends.
@@ -186,17 +183,30 @@ pub(super) fn ends(lattice: &Lattice, start: Cell, goal: Cell) -> Result<(u32, u
     Ok((start, goal))
 }
 
-fn neighbour(lattice: &Lattice, node: u32, x: i32, y: i32) -> u32 {
-    node.wrapping_add_signed(y * lattice.pitch() as i32 + x)
-}
-
 /// Cost of a step with half the extra cost of each end: the same in both directions.
 fn weighted(step: u32, here: u32, there: u8) -> u32 {
     step + step * (here + u32::from(there)) / (2 * PARTS)
 }
 
+/// Costs from the first of some neighbouring cells to each of them; `None` where one is not free, or a step would cut a corner.
+pub(super) fn costs_along(lattice: &Lattice, costs: &impl CellCost, cells: &[Cell]) -> Option<Vec<u32>> {
+    let first = lattice.node(*cells.first()?)?;
+    let mut total = vec![0];
+    let mut sum = 0_u32;
+    for pair in cells.windows(2) {
+        let (node, [from, to]) = (lattice.node(pair[0])?, [pair[0], pair[1]]);
+        let i = STEPS.iter().position(|step| step.after(from) == to)?;
+        if lattice.steps(node) >> i & 1 == 0 {
+            return None;
+        }
+        sum = sum.saturating_add(weighted(STEPS[i].cost, u32::from(costs.extra(from)), costs.extra(to)));
+        total.push(sum);
+    }
+    lattice.is_free(first).then_some(total)
+}
+
 /// The cells of the cheapest way, start first: from the goal back, always to the neighbour that makes up its cost.
-fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, cost: &[u32]) -> Vec<Cell> {
+fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
     let mut cells = vec![lattice.cell(goal)];
     let mut node = goal;
     let mut last_step = usize::MAX;
@@ -208,27 +218,23 @@ fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, cost: 
         while steps != 0 {
             let i = steps.trailing_zeros() as usize;
             steps &= steps - 1;
-            let before = neighbour(lattice, node, STEPS[i].x, STEPS[i].y);
-            let known = cost[before as usize];
+            let known = memory.cost(lattice.beside(node, STEPS[i]));
             if known == UNREACHED {
                 continue;
             }
-            let to = Cell::new(
-                cell.x.wrapping_add_signed(STEPS[i].x),
-                cell.y.wrapping_add_signed(STEPS[i].y),
-            );
-            let total = known.saturating_add(weighted(STEPS[i].cost, here, costs.extra(to)));
+            let extra = costs.extra(STEPS[i].after(cell));
+            let total = known.saturating_add(weighted(STEPS[i].cost, here, extra));
             // Among equals, straight on: fewer corners.
             if total < best.0 || (total == best.0 && i == last_step && !best.2) {
                 best = (total, i, i == last_step);
             }
         }
-        if best.0 > cost[node as usize] {
+        if best.0 > memory.cost(node) {
             // Cannot happen while costs are symmetric; rather a short way than an endless one.
             break;
         }
         last_step = best.1;
-        node = neighbour(lattice, node, STEPS[best.1].x, STEPS[best.1].y);
+        node = lattice.beside(node, STEPS[best.1]);
         cells.push(lattice.cell(node));
     }
     cells.reverse();
@@ -335,7 +341,7 @@ mod tests {
                 Some(cost) => {
                     prop_assert!(found.is_ok());
                     let node = lattice.node(goal).unwrap();
-                    let ours = f64::from(memory.cost[node as usize]) / 5741.0;
+                    let ours = f64::from(memory.cost(node)) / 5741.0;
                     prop_assert!((ours - cost).abs() < 1e-2, "{} against {}", ours, cost);
                 }
                 None => prop_assert_eq!(found, Err(NotFound::NoPath)),

@@ -5,7 +5,7 @@
 //! square root of two, and two ways whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
 
 use nalgebra::Point2;
-use zenav_protocol::grid::Cell;
+use zenav_protocol::grid::{Cell, MAX_SIDE};
 
 use super::lines::Lines;
 use crate::space::BitGrid;
@@ -29,39 +29,51 @@ pub struct Lattice {
 
 /// Why a bitmap makes no lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0} cells: more than a search can number")]
-pub struct TooManyCells(u64);
+#[error("{0} x {1} cells: a search takes at most {MAX_SIDE} a side and {MAX_NODES} in all")]
+pub struct TooManyCells(u32, u32);
+
+/// Nodes that have a number, those of the border included.
+const MAX_NODES: u64 = u32::MAX as u64 - 64;
 
 impl Lattice {
     /// The lattice of a bitmap of free cells. Linear in its words.
     ///
     /// # Errors
-    /// [`TooManyCells`] from about four thousand million on.
+    /// [`TooManyCells`].
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
         let (width, height) = (free.width(), free.height());
         // A blocked column on each side, and a word more, since three bits are read at once.
         let stride = (width as usize + 2).div_ceil(64);
         let rows = height as usize + 2;
-        let cells = (stride * 64 * rows) as u64;
-        if cells > u64::from(u32::MAX - 64) {
-            return Err(TooManyCells(cells));
+        if width.max(height) > MAX_SIDE || (stride * 64 * rows) as u64 > MAX_NODES {
+            return Err(TooManyCells(width, height));
         }
-        let mut words = vec![0; stride * rows + 1];
-        for y in 0..height {
-            let row = &mut words[(y as usize + 1) * stride..][..stride];
-            let mut carry = 0;
-            let source = free.row(y).iter().copied().chain(std::iter::once(0));
-            for (to, from) in row.iter_mut().zip(source) {
-                *to = from << 1 | carry;
-                carry = from >> 63;
-            }
-        }
-        Ok(Self {
-            words,
+        let mut lattice = Self {
+            words: vec![0; stride * rows + 1],
             width,
             height,
             pitch: (stride * 64) as u32,
-        })
+        };
+        for y in 0..height {
+            for word in 0..free.stride() {
+                lattice.update(free, y, word);
+            }
+        }
+        Ok(lattice)
+    }
+
+    /// Takes over one word of a row that has changed.
+    pub(super) fn update(&mut self, free: &BitGrid, y: u32, word: usize) {
+        let stride = self.pitch as usize / 64;
+        let source = free.row(y);
+        let row = &mut self.words[(y as usize + 1) * stride..][..stride];
+        // The border shifts every cell by one.
+        for at in [word, word + 1] {
+            let bits = |at: usize| source.get(at).copied().unwrap_or(0);
+            if let Some(to) = row.get_mut(at) {
+                *to = bits(at) << 1 | at.checked_sub(1).map_or(0, bits) >> 63;
+            }
+        }
     }
 
     /// Number of nodes, the border included.
@@ -219,6 +231,15 @@ pub struct Step {
     pub y: i32,
     /// Cost.
     pub cost: u32,
+}
+
+impl Step {
+    /// The cell that it leads to.
+    #[inline]
+    #[must_use]
+    pub const fn after(self, cell: Cell) -> Cell {
+        Cell::new(cell.x.wrapping_add_signed(self.x), cell.y.wrapping_add_signed(self.y))
+    }
 }
 
 const fn step(x: i32, y: i32) -> Step {

@@ -12,10 +12,12 @@
 //! | `records` | what does a search note about cells, of which it sees few? |
 //! | [`theta`] | a short way in any direction? |
 //! | [`taut`] | which corners of a way are needed? |
+//! | `oriented` | is there a way for the true footprint of a robot that is longer than wide? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
 //! | [`mod@plan`] | is there a way for this robot? |
+//! | [`replan`] | does an answer still stand when the map has changed or the robot has moved on? |
 //! | [`worker`] | how is one request answered? |
 //! | [`service`] | how does a worker live on the network? |
 
@@ -26,9 +28,11 @@ pub mod jump_grid;
 pub mod lattice;
 mod lines;
 mod open;
+mod oriented;
 pub mod plan;
 pub mod planner;
 mod records;
+pub mod replan;
 pub mod sampling;
 pub mod searcher;
 pub mod service;
@@ -41,6 +45,7 @@ pub use budget::Budget;
 pub use lattice::GridPath;
 pub use plan::{Planned, plan};
 pub use planner::{PlanOptions, Planner};
+pub use replan::Replanner;
 pub use searcher::{Query, Searched, Searcher};
 pub use way::Way;
 pub use worker::PlanWorker;

@@ -3,13 +3,15 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
-use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
+use zenav_protocol::robot::Footprint;
 
-use super::astar::{CellCost, NotFound, PARTS};
+use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
-use super::planner::{PlanOptions, Planner};
-use super::searcher::{Query, Searcher};
-use crate::space::{ConfigurationSpace, Sight as _};
+use super::oriented;
+use super::planner::PlanOptions;
+use super::searcher::{Query, Searched, Searcher};
+use crate::space::{ConfigurationSpace, DistanceCost, Sight as _};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,12 +20,15 @@ pub struct Planned {
     pub outcome: PlanOutcome,
     /// Nodes expanded.
     pub expansions: u64,
+    /// How it came about.
+    pub origin: PlanOrigin,
 }
 
 /// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
 ///
 /// The way leads from the exact start to the exact goal: over cell centres where the planner's search is on a grid, straight from the ends
-/// where it grows trees. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// where it grows trees. The true footprint can drive it as it stands: legs straight, turns on the spot at the corners, the first one from
+/// the start's heading. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
 /// refused only where it stands in an obstacle.
 pub fn plan(
     space: &ConfigurationSpace,
@@ -33,67 +38,106 @@ pub fn plan(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Planned {
-    let mut expansions = 0;
-    let outcome = outcome(
-        space,
-        searcher,
-        start.position(),
-        goal.position(),
-        options,
-        budget,
-        &mut expansions,
-    );
-    Planned { outcome, expansions }
+    answer(space, start, goal, options, budget, |first, last| {
+        let searched = between(space, searcher, first, last, options, budget);
+        (searched, PlanOrigin::Searched)
+    })
 }
 
-fn outcome(
+/// A way between two poses, where `find` gives one between two ends on the grid.
+///
+/// That one is for the inscribed disc; where the true footprint cannot drive it, one that it can drive takes its place.
+pub(super) fn answer(
     space: &ConfigurationSpace,
-    searcher: &mut Searcher,
-    start: Point2<f64>,
-    goal: Point2<f64>,
+    start: Pose2,
+    goal: Pose2,
     options: &PlanOptions,
     budget: Budget<'_>,
-    expansions: &mut u64,
-) -> PlanOutcome {
+    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+) -> Planned {
+    let (from, to) = (start.position(), goal.position());
+    let mut planned = for_disc(space, from, to, find);
+    if matches!(space.footprint(), Footprint::Polygon(_)) {
+        let heading = (!options.any_heading).then_some(start.yaw);
+        let query = oriented::Query {
+            start: from,
+            heading,
+            goal: to,
+        };
+        fit_footprint(space, &query, options, budget, &mut planned);
+    }
+    planned
+}
+
+/// Puts a way that the true footprint can drive, if there is one, in place of one that only the inscribed disc can.
+fn fit_footprint(
+    space: &ConfigurationSpace,
+    query: &oriented::Query,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+    planned: &mut Planned,
+) {
+    let is_fine = match &planned.outcome {
+        PlanOutcome::Found { path, .. } => oriented::is_drivable(space, path, query.heading),
+        PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
+        _ => true,
+    };
+    // A robot that stands where it does not fit by the map leaves by the disc's way, as far as it gets.
+    if is_fine
+        || !oriented::can_stand(space, query.start, query.heading)
+        || !oriented::can_stand(space, query.goal, None)
+    {
+        return;
+    }
+    let searched = oriented::search(space, &comfort(space, options), query, budget);
+    planned.expansions += searched.expansions;
+    planned.origin = PlanOrigin::Searched;
+    match (searched.result, &planned.outcome) {
+        (Ok(path), _) => planned.outcome = found(path),
+        (Err(NotFound::TimedOut), _) => planned.outcome = PlanOutcome::TimedOut,
+        (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
+        (Err(_), _) => {}
+    }
+}
+
+fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
+    let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    PlanOutcome::Found { path, length }
+}
+
+/// A way for the inscribed disc.
+fn for_disc(
+    space: &ConfigurationSpace,
+    start: Point2<f64>,
+    goal: Point2<f64>,
+    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+) -> Planned {
+    let without_search = |outcome| Planned {
+        outcome,
+        expansions: 0,
+        origin: PlanOrigin::Searched,
+    };
     if space.spec().cell_at(start).is_none() || space.spec().cell_at(goal).is_none() {
-        return PlanOutcome::OutOfMap;
+        return without_search(PlanOutcome::OutOfMap);
     }
     let Some(first) = leaving(space, start) else {
-        return PlanOutcome::StartOccupied {
-            nearest_free: space.nearest_free(start),
-        };
+        let nearest_free = space.nearest_free(start);
+        return without_search(PlanOutcome::StartOccupied { nearest_free });
     };
     let Some(last) = cell_beside(space, goal, space.radius()) else {
-        return PlanOutcome::GoalOccupied {
-            nearest_free: space.nearest_free(goal),
-        };
+        let nearest_free = space.nearest_free(goal);
+        return without_search(PlanOutcome::GoalOccupied { nearest_free });
     };
     if start == goal {
-        return PlanOutcome::Found {
-            path: vec![start, goal],
-            length: 0.0,
-        };
+        let path = vec![start, goal];
+        return without_search(PlanOutcome::Found { path, length: 0.0 });
     }
-    let searched = if options.comfort_weight > 0.0 && options.comfort > 0.0 && options.planner == Planner::AStar {
-        searcher.search_with(&Comfort::new(space, options), first, last, budget)
-    } else {
-        let end = |point: Point2<f64>, cell: Cell| {
-            let exact = space.spec().to_cells(point);
-            if options.planner.grows_trees() && space.admits(exact) {
-                exact
-            } else {
-                Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-            }
-        };
-        let query = Query {
-            start: end(start, first),
-            goal: end(goal, last),
-            seed: options.seed,
-        };
-        searcher.search(options.planner, space, &query, budget)
+    let end = |point, cell| End {
+        point: space.spec().to_cells(point),
+        cell,
     };
-    *expansions = searched.expansions;
-    match searched.result {
+    let (searched, origin) = find(end(start, first), end(goal, last));
+    let outcome = match searched.result {
         Ok(found) => {
             let corners = found.corners.iter().map(|corner| space.spec().from_cells(*corner));
             let mut path = vec![start];
@@ -102,18 +146,65 @@ fn outcome(
                 corners.filter(|corner| (corner - start).norm() > ROUNDING && (corner - goal).norm() > ROUNDING),
             );
             path.push(goal);
-            let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-            PlanOutcome::Found { path, length }
+            self::found(path)
         }
-        Err(NotFound::NoPath) => PlanOutcome::NoPath,
         Err(NotFound::TimedOut) => PlanOutcome::TimedOut,
-        // Both ends were found free above; a searcher of another map says so like this.
-        Err(NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => PlanOutcome::NoPath,
+        // Both ends were found free above; a searcher of another map says so by the last three.
+        Err(NotFound::NoPath | NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => {
+            PlanOutcome::NoPath
+        }
+    };
+    Planned {
+        outcome,
+        expansions: searched.expansions,
+        origin,
     }
 }
 
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
+
+/// Where a search begins or ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct End {
+    /// Exactly, in cells.
+    pub(super) point: Point2<f64>,
+    /// The free cell at or close to it.
+    pub(super) cell: Cell,
+}
+
+impl End {
+    /// Where a planner starts from: the point itself where the planner is not bound to cells and the robot fits there.
+    pub(super) fn of(&self, space: &ConfigurationSpace, options: &PlanOptions) -> Point2<f64> {
+        if options.planner.grows_trees() && space.admits(self.point) {
+            self.point
+        } else {
+            center(self.cell)
+        }
+    }
+}
+
+/// A way between two ends, as the options ask for it.
+pub(super) fn between(
+    space: &ConfigurationSpace,
+    searcher: &mut Searcher,
+    first: End,
+    last: End,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+) -> Searched {
+    if let Some(costs) = comfort(space, options) {
+        return searcher.search_with(&costs, first.cell, last.cell, budget);
+    }
+    let [start, goal] = [first, last].map(|end| end.of(space, options));
+    let seed = options.seed;
+    searcher.search(options.planner, space, &Query { start, goal, seed }, budget)
+}
+
+/// A cell's centre, in cells.
+fn center(cell: Cell) -> Point2<f64> {
+    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+}
 
 /// Cells looked at around a point that is not at a free cell's centre, in each direction.
 const NEARBY: i64 = 3;
@@ -164,42 +255,22 @@ fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64
         .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
 }
 
-/// What it costs to be near obstacles, by the distance of a cell's centre.
-struct Comfort<'a> {
-    space: &'a ConfigurationSpace,
-    /// Extra cost by squared distance in half cells.
-    by_distance: Vec<u8>,
-}
-
-impl<'a> Comfort<'a> {
-    fn new(space: &'a ConfigurationSpace, options: &PlanOptions) -> Self {
-        let reach = space.field().reach_cells() as usize;
-        let resolution = space.spec().resolution;
-        let extra = |squared: usize| {
-            let clearance = 0.5 * (squared as f64).sqrt() * resolution - space.radius();
-            let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
-            (options.comfort_weight * f64::from(PARTS) * share * share) as u8
-        };
-        let mut by_distance: Vec<u8> = (0..4 * reach * reach).map(extra).collect();
-        // The last entry stands for everything farther away than the field tells apart.
-        by_distance.push(0);
-        Self { space, by_distance }
-    }
-}
-
-impl CellCost for Comfort<'_> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.by_distance
-            .get(usize::from(self.space.field().squared(cell)))
-            .copied()
-            .unwrap_or(0)
-    }
+/// What it costs to be near obstacles, where the options ask for it: a share that falls with the square of the room that is wanted.
+pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
+    let asked = options.planner.keeps_away() && options.comfort_weight > 0.0 && options.comfort > 0.0;
+    let cost = |distance: f64| {
+        let clearance = distance - space.radius();
+        let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
+        (options.comfort_weight * f64::from(PARTS) * share * share) as u8
+    };
+    asked.then(|| DistanceCost::new(space.field(), cost))
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::planning::Planner;
     use crate::space::UnknownPolicy;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;

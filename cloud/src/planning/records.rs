@@ -39,6 +39,14 @@ impl<T: Copy + Default> Records<T> {
         }
     }
 
+    /// Which lines hold anything.
+    pub(super) fn written(&self) -> Written {
+        Written {
+            lines: self.written.clone(),
+            per_line: Self::PER_LINE,
+        }
+    }
+
     #[inline]
     pub(super) fn get(&self, node: u32) -> T {
         self.values[node as usize]
@@ -49,6 +57,25 @@ impl<T: Copy + Default> Records<T> {
         let line = node as usize / Self::PER_LINE;
         self.written[line / 64] |= 1 << (line % 64);
         self.values[node as usize] = value;
+    }
+}
+
+/// Which lines of a table had been written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Written {
+    lines: Vec<u64>,
+    per_line: usize,
+}
+
+impl Written {
+    /// Whether a node from `first` to `last` may have been written.
+    pub(super) fn any(&self, first: u32, last: u32) -> bool {
+        let line = |node: u32| node as usize / self.per_line;
+        (line(first)..=line(last)).any(|line| {
+            self.lines
+                .get(line / 64)
+                .is_some_and(|word| word >> (line % 64) & 1 == 1)
+        })
     }
 }
 

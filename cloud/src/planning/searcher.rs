@@ -9,6 +9,7 @@ use super::jps;
 use super::jump_grid::JumpGrid;
 use super::lattice::{GridPath, Lattice, TooManyCells};
 use super::planner::Planner;
+use super::records::Written;
 use super::sampling;
 use super::theta;
 use super::way::Way;
@@ -79,6 +80,26 @@ impl Searcher {
             trees: sampling::Memory::default(),
             sampling: sampling::Options::default(),
         })
+    }
+
+    /// Takes over words of the bitmap that have changed (row and word): a few microseconds, and what only jump point search needs is
+    /// prepared anew when it is asked for next.
+    pub(super) fn update(&mut self, free: &BitGrid, words: &[(u32, usize)]) {
+        for (y, word) in words {
+            self.lattice.update(free, *y, *word);
+        }
+        if !words.is_empty() {
+            self.jumps = None;
+        }
+    }
+
+    pub(super) fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// Where the last search by A* had been, and a little more.
+    pub(super) fn reached(&self) -> Written {
+        self.memory.reached()
     }
 
     /// A way between two points. Grids go from cell centre to cell centre without cutting corners; the others ask `sight`, the space

@@ -1,27 +1,43 @@
 //! How is one plan request answered? On a copy of the map, by the planner asked for, within a budget.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use nalgebra::Point2;
-use zenav_protocol::messages::{PlanOutcome, PlanReply, PlanRequest, Refusal};
+use zenav_protocol::messages::{PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal};
+use zenav_protocol::robot::Footprint;
 
-use super::{Budget, PlanOptions, Planner, Searcher, plan};
+use super::{Budget, PlanOptions, Planner, Replanner};
 use crate::mapping::MapMirror;
-use crate::space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
+use crate::space::{SpaceCache, UnknownPolicy, Zones};
 
 /// Nodes that a search may expand for a robot: some seconds' worth.
 const MAX_EXPANSIONS: u64 = 50_000_000;
-/// Samples that a planner may draw for a robot: some tenths of a second's worth. What a way would gain by more is less than the wait costs.
-const MAX_SAMPLES: u64 = 20_000;
+/// Samples that trees may grow by until a way is found: seconds' worth.
+const MAX_SAMPLES: u64 = 1_000_000;
+/// Samples that a way is improved by: some tenths of a second's worth. What it would gain by more is less than the wait costs.
+const IMPROVING: u64 = 20_000;
+/// Robots and maps that answers are kept for.
+const KEPT: usize = 4;
 
-/// Answers plan requests one after the other; keeps what it prepared.
+/// Answers plan requests one after the other; keeps what it prepared and what it found.
 #[derive(Debug, Default)]
 pub struct PlanWorker {
     spaces: SpaceCache,
-    prepared: Option<(Arc<ConfigurationSpace>, Searcher)>,
+    /// The one used last comes first.
+    kept: VecDeque<Kept>,
     /// Whether the last search grew trees.
     grew: bool,
+}
+
+/// What is known of a map for a robot.
+#[derive(Debug)]
+struct Kept {
+    map: String,
+    footprint: Footprint,
+    policy: UnknownPolicy,
+    replanner: Replanner,
 }
 
 impl PlanWorker {
@@ -37,11 +53,13 @@ impl PlanWorker {
     /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
-        let Some((space, searcher)) = self.prepared.as_ref().filter(|_| self.grew) else {
+        let Some(Kept { replanner, .. }) = self.kept.front().filter(|_| self.grew) else {
             return Vec::new();
         };
-        let edges = searcher.tree(limit);
-        edges.map(|edge| edge.map(|end| space.spec().from_cells(end))).collect()
+        let edges = replanner.searcher.tree(limit);
+        edges
+            .map(|edge| edge.map(|end| replanner.spec().from_cells(end)))
+            .collect()
     }
 
     /// Answers a request on a copy of the robot's map, without the time it took. `cancel` ends the search soon after it is set.
@@ -72,6 +90,7 @@ impl PlanWorker {
                 outcome: PlanOutcome::NoMap,
                 search_ms: 0.0,
                 expansions: 0,
+                origin: PlanOrigin::Searched,
             });
         };
         let policy = if request.unknown_is_free {
@@ -80,39 +99,47 @@ impl PlanWorker {
             UnknownPolicy::Blocked
         };
         let space = self.spaces.get(map, &model.footprint, policy);
-        if !self.prepared.as_ref().is_some_and(|(of, _)| Arc::ptr_eq(of, &space)) {
-            let mut searcher = Searcher::new(space.free()).map_err(|error| Refusal::Internal {
-                reason: error.to_string(),
-            })?;
-            searcher.sampling.max_samples = MAX_SAMPLES;
-            self.prepared = Some((Arc::clone(&space), searcher));
-        }
-        self.grew = planner.grows_trees();
-        let Some((space, searcher)) = &mut self.prepared else {
-            return Err(Refusal::Internal {
-                reason: "no searcher".to_owned(),
-            });
+        let internal = |error: &dyn std::fmt::Display| Refusal::Internal {
+            reason: error.to_string(),
         };
+        let known =
+            |kept: &Kept| kept.map == map.map().id && kept.policy == policy && kept.footprint == model.footprint;
+        let mut kept = match self.kept.iter().position(known).and_then(|at| self.kept.remove(at)) {
+            Some(kept) => kept,
+            None => Kept {
+                map: map.map().id.clone(),
+                footprint: model.footprint.clone(),
+                policy,
+                replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
+            },
+        };
+        kept.replanner.searcher.sampling.improving = IMPROVING;
         let options = PlanOptions {
             planner,
+            seed: request.seed,
             ..PlanOptions::default()
         };
-        let planned = plan(
-            space,
-            searcher,
-            request.start,
-            request.goal,
-            &options,
-            Budget {
-                max_expansions: MAX_EXPANSIONS,
-                cancel,
+        let budget = Budget {
+            max_expansions: if planner.grows_trees() {
+                MAX_SAMPLES
+            } else {
+                MAX_EXPANSIONS
             },
-        );
+            cancel,
+        };
+        let planned = kept
+            .replanner
+            .plan(&space, request.start, request.goal, &options, budget);
+        self.kept.push_front(kept);
+        self.kept.truncate(KEPT);
+        let planned = planned.map_err(|error| internal(&error))?;
+        self.grew = planner.grows_trees() && planned.origin == PlanOrigin::Searched;
         Ok(PlanReply {
             map: map.map().clone(),
             outcome: planned.outcome,
             search_ms: 0.0,
             expansions: planned.expansions,
+            origin: planned.origin,
         })
     }
 }

@@ -152,6 +152,7 @@ mod tests {
             planner: "astar".to_owned(),
             unknown_is_free: false,
             budget_ms: 5000,
+            seed: 1,
         };
         let mut trees = client.subscribe(&TREE, &["tiago"], 8).unwrap();
         let found = client.ask(&PLAN_SERVICE, &["*"], &question, DEADLINE).await.unwrap();

@@ -11,6 +11,7 @@ use super::bits::BitGrid;
 use super::distance::{DistanceField, MAX_REACH};
 use super::exact::for_each_row;
 use super::raster::CellMask;
+use super::sweep::Banded;
 use super::update::Marks;
 use super::zones::Zones;
 
@@ -47,9 +48,9 @@ pub struct ConfigurationSpace {
     /// What the zones keep the robot out of.
     pub(super) keep_out: Option<Arc<CellMask>>,
     /// Occupied cells and those of keep-out zones; under [`UnknownPolicy::Obstacle`] unknown ones as well.
-    pub(super) obstacles: Arc<BitGrid>,
+    pub(super) obstacles: Arc<Banded>,
     /// Under [`UnknownPolicy::Blocked`] the unknown cells, else without any cell.
-    pub(super) forbidden: Arc<BitGrid>,
+    pub(super) forbidden: Arc<Banded>,
     pub(super) field: DistanceField,
     pub(super) free: Arc<BitGrid>,
     /// Squared half cells that a free cell's distance exceeds.
@@ -104,11 +105,11 @@ impl ConfigurationSpace {
             keep_out,
             field: DistanceField::new(spec, &obstacles, (reach as u32).clamp(1, MAX_REACH)),
             free: Arc::new(BitGrid::new(spec.width, spec.height)),
-            obstacles: Arc::new(obstacles),
-            forbidden: Arc::new(forbidden),
+            obstacles: Arc::new(Banded::new(obstacles)),
+            forbidden: Arc::new(Banded::new(forbidden)),
             threshold: threshold(radius / spec.resolution),
         };
-        space.admit(0..space.obstacles.stride(), 0..spec.height);
+        space.admit(0..space.obstacles().stride(), 0..spec.height);
         space
     }
 
@@ -119,7 +120,7 @@ impl ConfigurationSpace {
 
     /// Decides which cells of a window are free, from their distances.
     pub(super) fn admit(&mut self, words: Range<usize>, rows: Range<u32>) {
-        let (obstacles, forbidden, field) = (&self.obstacles, &self.forbidden, &self.field);
+        let (obstacles, forbidden, field) = (self.obstacles.bits(), self.forbidden.bits(), &self.field);
         let free = Arc::make_mut(&mut self.free);
         let in_grid = |word: usize| u64::MAX >> (64 - (self.spec.width as usize - 64 * word).min(64));
         let permitted = |y: u32, word: usize| {
@@ -194,19 +195,25 @@ impl ConfigurationSpace {
     /// Obstacles as they stand in the map, and keep-out zones; not inflated.
     #[must_use]
     pub fn obstacles(&self) -> &BitGrid {
-        &self.obstacles
+        self.obstacles.bits()
     }
 
     /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`]; without any cell under the other policies.
     #[must_use]
     pub fn forbidden(&self) -> &BitGrid {
-        &self.forbidden
+        self.forbidden.bits()
     }
 
     /// Distances of cell centres to the nearest obstacle.
     #[must_use]
     pub fn field(&self) -> &DistanceField {
         &self.field
+    }
+
+    /// Memory of the bitmaps and distances, bytes, with those that copies of the space share.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.obstacles.bytes() + self.forbidden.bytes() + size_of_val(self.free.words()) + self.field.bytes()
     }
 
     /// Whether the robot fits at a cell's centre; `false` outside the grid.
@@ -233,7 +240,7 @@ impl ConfigurationSpace {
             let bound = self.field.distance(cell) + (point - self.spec.center(cell)).norm();
             limit = limit.min(bound);
         }
-        super::shapes::disc_clearance(&self.obstacles, &self.spec, point, limit)
+        super::shapes::disc_clearance(self.obstacles.bits(), &self.spec, point, limit)
     }
 
     /// The free cell centre nearest to a point, m; `None` when no cell is free or the point is not finite.

@@ -8,7 +8,7 @@ use zenav_protocol::grid::Cell;
 
 use super::bits::BitGrid;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
-use super::sweep::{HAIR, Strip, disc_touches, greater, less, whole, window_touches};
+use super::sweep::{Banded, HAIR, whole};
 
 /// A space in which straight ways are checked exactly. All coordinates are in cells: the centre of cell (0, 0) lies at (0.5, 0.5).
 pub trait Sight {
@@ -28,63 +28,9 @@ pub trait Sight {
 /// A point among free cells: all others are closed squares, and so is everything outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PointSight {
-    rows: Bands,
+    rows: Banded,
     /// The same turned over, for steep ways: spans are then along columns.
-    columns: Bands,
-}
-
-/// Blocked cells, and rows of them together.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Bands {
-    blocked: BitGrid,
-    /// Columns that are blocked in any row of a band.
-    bands: BitGrid,
-}
-
-/// Rows of a band: most of them are passed over in one look.
-const BAND: u32 = 8;
-
-impl Bands {
-    fn new(blocked: BitGrid) -> Self {
-        let mut bands = BitGrid::new(blocked.width(), blocked.height().div_ceil(BAND));
-        for y in 0..blocked.height() {
-            for (band, word) in bands.row_mut(y / BAND).iter_mut().zip(blocked.row(y)) {
-                *band |= word;
-            }
-        }
-        Self { blocked, bands }
-    }
-
-    /// Whether a point passes between two points inside the grid.
-    #[inline]
-    fn pass(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
-        let (left, right) = (less(a.x, b.x) - HAIR, greater(a.x, b.x) + HAIR);
-        let (bottom, top) = (whole(less(a.y, b.y) - HAIR), whole(greater(a.y, b.y) + HAIR));
-        let (first, last) = (bottom / BAND, top / BAND);
-        if last - first <= 1 {
-            // Short ways in the open need no more than a look at the box around them.
-            let is_blocked = |band| self.bands.any_set(band, whole(left), whole(right));
-            if !is_blocked(first) && !is_blocked(last) {
-                return true;
-            }
-        }
-        let strip = Strip::new(a, b, HAIR, left, right);
-        let is_blocked = |bits: &BitGrid, row, (first, last)| bits.any_set(row, first, last);
-        let mut band = first;
-        while band <= last {
-            let (mut y, end) = (bottom.max(band * BAND), top.min(band * BAND + BAND - 1));
-            if is_blocked(&self.bands, band, strip.columns(y, end)) {
-                while y <= end {
-                    if is_blocked(&self.blocked, y, strip.columns(y, y)) {
-                        return false;
-                    }
-                    y += 1;
-                }
-            }
-            band += 1;
-        }
-        true
-    }
+    columns: Banded,
 }
 
 impl PointSight {
@@ -93,15 +39,15 @@ impl PointSight {
     pub fn new(free: &BitGrid) -> Self {
         let blocked = free.complement();
         Self {
-            columns: Bands::new(blocked.transposed()),
-            rows: Bands::new(blocked),
+            columns: Banded::new(blocked.transposed()),
+            rows: Banded::new(blocked),
         }
     }
 }
 
 impl Sight for PointSight {
     fn size(&self) -> [u32; 2] {
-        [self.rows.blocked.width(), self.rows.blocked.height()]
+        [self.rows.bits().width(), self.rows.bits().height()]
     }
 
     #[inline]
@@ -112,9 +58,11 @@ impl Sight for PointSight {
             return false;
         }
         if (b.y - a.y).abs() > (b.x - a.x).abs() {
-            return self.columns.pass(Point2::new(a.y, a.x), Point2::new(b.y, b.x));
+            return !self
+                .columns
+                .is_touched_by_point(Point2::new(a.y, a.x), Point2::new(b.y, b.x));
         }
-        self.rows.pass(a, b)
+        !self.rows.is_touched_by_point(a, b)
     }
 }
 
@@ -129,7 +77,7 @@ impl Sight for ConfigurationSpace {
         let inside = |p: Point2<f64>| p.x >= 0.0 && p.x < right && p.y >= 0.0 && p.y < top;
         inside(a)
             && inside(b)
-            && (self.unknown_policy != UnknownPolicy::Blocked || !window_touches(&self.forbidden, a, b, 0.0))
+            && (self.unknown_policy != UnknownPolicy::Blocked || !self.forbidden.is_touched_by_window(a, b, 0.0))
             && disc_passes(self, a, b)
     }
 }
@@ -151,7 +99,7 @@ fn disc_passes(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bo
             return false;
         }
     }
-    !disc_touches(&space.obstacles, a, b, radius)
+    !space.obstacles.is_touched_by_disc(a, b, radius)
 }
 
 #[cfg(test)]

@@ -10,53 +10,136 @@ use super::bits::BitGrid;
 /// Shapes are larger by this all around, cells: rounding (some 1e-11 on the largest grids) never loses a square that is touched.
 pub(super) const HAIR: f64 = 1e-9;
 
-/// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell; what lies
-/// outside the grid is not asked. Numbers that are not finite touch.
-pub(super) fn window_touches(bits: &BitGrid, a: Point2<f64>, b: Point2<f64>, half: f64) -> bool {
-    any_row(bits, a, b, half + HAIR, |left, right| {
-        let strip = Strip::new(a, b, half + HAIR, left, right);
-        move |y| strip.columns(y, y)
-    })
+/// Set cells, also by bands of rows: most of what is empty is passed over in one look.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Banded {
+    bits: BitGrid,
+    /// Columns that are set in any row of a band.
+    bands: BitGrid,
 }
 
-/// Whether a disc, moved from `a` to `b`, touches the square of a set cell; what lies outside the grid is not asked. Numbers that are not
-/// finite touch.
-pub(super) fn disc_touches(bits: &BitGrid, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
-    any_row(bits, a, b, radius + HAIR, |left, right| {
-        let capsule = Capsule::new(a, b, radius + HAIR);
-        move |y| {
-            let (first, last) = capsule.span(f64::from(y));
-            columns(first, last, left, right)
+/// Rows of a band.
+const BAND: u32 = 8;
+
+impl Banded {
+    pub(super) fn new(bits: BitGrid) -> Self {
+        let bands = BitGrid::new(bits.width(), bits.height().div_ceil(BAND));
+        let mut banded = Self { bits, bands };
+        for band in 0..banded.bands.height() {
+            for word in 0..banded.bits.stride() {
+                banded.refresh(band, word);
+            }
         }
-    })
-}
+        banded
+    }
 
-/// Whether any row within `reach` has a set cell among the columns that `of(left, right)` tells for it; they lie between `left` and
-/// `right`.
-#[inline]
-fn any_row<F: Fn(u32) -> (u32, u32)>(
-    bits: &BitGrid,
-    a: Point2<f64>,
-    b: Point2<f64>,
-    reach: f64,
-    of: impl FnOnce(f64, f64) -> F,
-) -> bool {
-    let finite = |p: Point2<f64>| p.x.is_finite() && p.y.is_finite();
-    if !(finite(a) && finite(b) && reach.is_finite()) {
-        return true;
+    /// Memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.bits.words()) + size_of_val(self.bands.words())
     }
-    // The last column and row whole, none where there is none.
-    let [width, height] = [bits.width(), bits.height()].map(|cells| f64::from(cells).next_down());
-    let (left, right) = ((a.x.min(b.x) - reach).max(0.0), (a.x.max(b.x) + reach).min(width));
-    let (low, high) = ((a.y.min(b.y) - reach).max(0.0), (a.y.max(b.y) + reach).min(height));
-    if !(left <= right && low <= high) {
-        return false;
+
+    /// The cells.
+    #[inline]
+    pub(super) fn bits(&self) -> &BitGrid {
+        &self.bits
     }
-    let columns = of(left, right);
-    (whole(low)..whole(high) + 1).any(|y| {
-        let (first, last) = columns(y);
-        first <= last && bits.any_set(y, first, last)
-    })
+
+    /// Sets one word of a row.
+    pub(super) fn set_word(&mut self, y: u32, word: usize, value: u64) {
+        self.bits.row_mut(y)[word] = value;
+        self.refresh(y / BAND, word);
+    }
+
+    fn refresh(&mut self, band: u32, word: usize) {
+        let rows = band * BAND..self.bits.height().min(band * BAND + BAND);
+        self.bands.row_mut(band)[word] = rows.fold(0, |any, y| any | self.bits.row(y)[word]);
+    }
+
+    /// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell; what lies
+    /// outside the grid is not asked. Numbers that are not finite touch.
+    pub(super) fn is_touched_by_window(&self, a: Point2<f64>, b: Point2<f64>, half: f64) -> bool {
+        let reach = half + HAIR;
+        self.any_row(a, b, reach, |left, right| {
+            let strip = Strip::new(a, b, reach, left, right);
+            move |low, high| strip.columns(low, high)
+        })
+    }
+
+    /// Whether a disc, moved from `a` to `b`, touches the square of a set cell; what lies outside the grid is not asked. Numbers that are
+    /// not finite touch.
+    pub(super) fn is_touched_by_disc(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
+        let reach = radius + HAIR;
+        self.any_row(a, b, reach, |left, right| {
+            let capsule = Capsule::new(a, b, reach);
+            move |low, high| {
+                let (first, last) = capsule.span(f64::from(low), f64::from(high) + 1.0);
+                columns(first, last, left, right)
+            }
+        })
+    }
+
+    /// Whether any row within `reach` has a set cell among the columns that are told for it by what `of(left, right)` makes; they lie
+    /// between `left` and `right`.
+    #[inline]
+    fn any_row<F: Fn(u32, u32) -> (u32, u32)>(
+        &self,
+        a: Point2<f64>,
+        b: Point2<f64>,
+        reach: f64,
+        of: impl FnOnce(f64, f64) -> F,
+    ) -> bool {
+        let finite = |p: Point2<f64>| p.x.is_finite() && p.y.is_finite();
+        if !(finite(a) && finite(b) && reach.is_finite()) {
+            return true;
+        }
+        let [width, height] = [self.bits.width(), self.bits.height()].map(f64::from);
+        let (left, right) = (a.x.min(b.x) - reach, a.x.max(b.x) + reach);
+        let (low, high) = (a.y.min(b.y) - reach, a.y.max(b.y) + reach);
+        if right < 0.0 || left >= width || high < 0.0 || low >= height {
+            return false;
+        }
+        // From here on numbers are of a grid's size.
+        let (left, right) = (left.max(0.0), right.min(width.next_down()));
+        let (low, high) = (low.max(0.0), high.min(height.next_down()));
+        self.any(whole(low), whole(high), of(left, right))
+    }
+
+    /// Whether any of the rows `low` to `high` has a set cell among the columns told for it; `columns` tells them for a range of rows.
+    #[inline(always)]
+    fn any(&self, low: u32, high: u32, columns: impl Fn(u32, u32) -> (u32, u32)) -> bool {
+        let is_set = |bits: &BitGrid, row, (first, last)| first <= last && bits.any_set(row, first, last);
+        let mut band = low / BAND;
+        while band <= high / BAND {
+            let (mut y, end) = (low.max(band * BAND), high.min(band * BAND + BAND - 1));
+            if is_set(&self.bands, band, columns(y, end)) {
+                while y <= end {
+                    if is_set(&self.bits, y, columns(y, y)) {
+                        return true;
+                    }
+                    y += 1;
+                }
+            }
+            band += 1;
+        }
+        false
+    }
+
+    /// Whether a point moved between two points inside the grid touches the square of a set cell.
+    #[inline]
+    pub(super) fn is_touched_by_point(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
+        let (left, right) = (less(a.x, b.x) - HAIR, greater(a.x, b.x) + HAIR);
+        let (low, high) = (whole(less(a.y, b.y) - HAIR), whole(greater(a.y, b.y) + HAIR));
+        let (first, last) = (low / BAND, high / BAND);
+        if last - first <= 1 {
+            // Short ways in the open need no more than a look at the box around them.
+            let is_set = |band| self.bands.any_set(band, whole(left), whole(right));
+            if !is_set(first) && !is_set(last) {
+                return false;
+            }
+        }
+        let strip = Strip::new(a, b, HAIR, left, right);
+        self.any(low, high, |low, high| strip.columns(low, high))
+    }
 }
 
 /// The columns of a span as far as they lie between `left` and `right`; the first is greater where there are none.
@@ -64,7 +147,7 @@ fn any_row<F: Fn(u32) -> (u32, u32)>(
 fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
     // What is not a number loses.
     let (first, last) = (greater(first, left), less(last, right));
-    if first <= last {
+    if last >= left {
         (whole(first), whole(last))
     } else {
         (1, 0)
@@ -72,7 +155,7 @@ fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
 }
 
 /// A square window moved straight over a grid.
-pub(super) struct Strip {
+struct Strip {
     from: Point2<f64>,
     /// Columns a row; infinite or not a number for level ways.
     slope: f64,
@@ -86,7 +169,7 @@ impl Strip {
     /// A window that reaches `reach` cells to each side, between two points; columns are told between `left` and `right` only, which are
     /// not negative.
     #[inline(always)]
-    pub(super) fn new(a: Point2<f64>, b: Point2<f64>, reach: f64, left: f64, right: f64) -> Self {
+    fn new(a: Point2<f64>, b: Point2<f64>, reach: f64, left: f64, right: f64) -> Self {
         let slope = (b.x - a.x) / (b.y - a.y);
         Self {
             from: a,
@@ -99,7 +182,7 @@ impl Strip {
 
     /// The first and the last column that it meets in rows `low` to `high`; the first is greater where it meets none.
     #[inline(always)]
-    pub(super) fn columns(&self, low: u32, high: u32) -> (u32, u32) {
+    fn columns(&self, low: u32, high: u32) -> (u32, u32) {
         let at = |y: f64| self.from.x + (y - self.from.y) * self.slope;
         let (below, above) = (at(f64::from(low)), at(f64::from(high) + 1.0));
         // A level way's are not numbers: it meets all of its columns.
@@ -134,9 +217,9 @@ impl Capsule {
         }
     }
 
-    /// From where to where it reaches in row `y`.
-    #[inline]
-    fn span(&self, y: f64) -> (f64, f64) {
+    /// From where to where it reaches between two heights.
+    #[inline(always)]
+    fn span(&self, bottom: f64, top: f64) -> (f64, f64) {
         let [low, high] = self.ends;
         let (leftmost, rightmost) = if self.way.x >= 0.0 {
             (low.y, high.y)
@@ -144,8 +227,8 @@ impl Capsule {
             (high.y, low.y)
         };
         (
-            self.border(leftmost.clamp(y, y + 1.0), -1.0),
-            self.border(rightmost.clamp(y, y + 1.0), 1.0),
+            self.border(greater(bottom, less(top, leftmost)), -1.0),
+            self.border(greater(bottom, less(top, rightmost)), 1.0),
         )
     }
 
@@ -168,13 +251,13 @@ impl Capsule {
 
 /// The lesser; `b` where `a` is not a number.
 #[inline(always)]
-pub(super) fn less(a: f64, b: f64) -> f64 {
+fn less(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
 /// The greater; `b` where `a` is not a number.
 #[inline(always)]
-pub(super) fn greater(a: f64, b: f64) -> f64 {
+fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
@@ -233,30 +316,13 @@ pub(super) mod tests {
         (-40..4 * SIDE + 40, -40..4 * SIDE + 40)
     }
 
-    #[test]
-    fn the_far_half_of_the_last_column_and_row_is_not_missed() {
-        let bits = bits(&[(SIDE - 1, 9), (9, SIDE - 1)]);
-        for x in [69.51, 69.75, 69.99, 70.0] {
-            let (a, b) = (Point2::new(x, 5.0), Point2::new(x, 15.0));
-            assert!(
-                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
-                "{x}"
-            );
-            let (a, b) = (Point2::new(a.y, a.x), Point2::new(b.y, b.x));
-            assert!(
-                window_touches(&bits, a, b, 0.0) && disc_touches(&bits, a, b, 0.0),
-                "{x}"
-            );
-        }
-    }
-
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(1000))]
 
         #[test]
         fn a_moved_window_touches_what_it_sweeps_over(occupied in occupied(), a in around(), b in around(), half in 0_i64..20) {
             let expected = occupied.iter().any(|square| touches_exactly(a, b, half, *square));
-            prop_assert_eq!(window_touches(&bits(&occupied), quarters(a), quarters(b), half as f64 / 4.0), expected);
+            prop_assert_eq!(Banded::new(bits(&occupied)).is_touched_by_window(quarters(a), quarters(b), half as f64 / 4.0), expected);
         }
 
         #[test]
@@ -265,15 +331,42 @@ pub(super) mod tests {
             let clearance = capsule_clearance(&bits, a, b, radius + 1.0);
             // Whole numbers touch exactly.
             prop_assume!(clearance == radius || (clearance - radius).abs() > 1e-8);
-            prop_assert_eq!(disc_touches(&bits, a, b, radius), clearance <= radius);
+            prop_assert_eq!(Banded::new(bits).is_touched_by_disc(a, b, radius), clearance <= radius);
+        }
+
+        #[test]
+        fn the_outermost_cells_are_touched_like_all_others(x in prop::sample::select(vec![0, SIDE - 1]), y in 0..SIDE, turned in any::<bool>(), a in around(), b in around(), half in 0_i64..20) {
+            let square = if turned { (y, x) } else { (x, y) };
+            let cells = Banded::new(bits(&[square]));
+            prop_assert_eq!(cells.is_touched_by_window(quarters(a), quarters(b), half as f64 / 4.0), touches_exactly(a, b, half, square));
+            let (radius, clearance) = (half as f64 / 4.0, capsule_clearance(cells.bits(), quarters(a), quarters(b), 30.0));
+            prop_assume!(clearance == radius || (clearance - radius).abs() > 1e-8);
+            prop_assert_eq!(cells.is_touched_by_disc(quarters(a), quarters(b), radius), clearance <= radius);
         }
 
         #[test]
         fn no_numbers_from_outside_do_harm(ax in any::<f64>(), ay in any::<f64>(), bx in any::<f64>(), by in any::<f64>(), reach in any::<f64>()) {
-            let bits = bits(&[(3, 4)]);
+            let bits = Banded::new(bits(&[(3, 4)]));
             let (a, b, c) = (Point2::new(ax, ay), Point2::new(bx, by), Point2::new(5.5, 5.5));
-            let _ = (window_touches(&bits, a, b, reach), window_touches(&bits, a, c, reach));
-            let _ = (disc_touches(&bits, a, b, reach), disc_touches(&bits, c, b, reach));
+            let _ = (bits.is_touched_by_window(a, b, reach), bits.is_touched_by_window(a, c, reach));
+            let _ = (bits.is_touched_by_disc(a, b, reach), bits.is_touched_by_disc(c, b, reach));
+        }
+    }
+
+    #[test]
+    fn the_far_half_of_the_last_column_and_row_is_not_missed() {
+        let bits = Banded::new(bits(&[(SIDE - 1, 9), (9, SIDE - 1)]));
+        for x in [69.51, 69.75, 69.99, 70.0] {
+            let (a, b) = (Point2::new(x, 5.0), Point2::new(x, 15.0));
+            assert!(
+                bits.is_touched_by_window(a, b, 0.0) && bits.is_touched_by_disc(a, b, 0.0),
+                "{x}"
+            );
+            let (a, b) = (Point2::new(a.y, a.x), Point2::new(b.y, b.x));
+            assert!(
+                bits.is_touched_by_window(a, b, 0.0) && bits.is_touched_by_disc(a, b, 0.0),
+                "{x}"
+            );
         }
     }
 }

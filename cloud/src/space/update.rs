@@ -107,7 +107,7 @@ impl ConfigurationSpace {
         for (x, y) in tiles {
             let word = *x as usize;
             let rows = y.saturating_mul(TILE)..y.saturating_add(1).saturating_mul(TILE).min(self.spec.height);
-            if word >= self.obstacles.stride() {
+            if word >= self.obstacles().stride() {
                 continue;
             }
             let keep_out = self.keep_out.as_deref();
@@ -127,9 +127,9 @@ impl ConfigurationSpace {
     /// What a word means in this space.
     fn marks(&self, y: u32, word: usize) -> Marks {
         Marks {
-            obstacles: self.obstacles.row(y)[word],
+            obstacles: self.obstacles().row(y)[word],
             forbidden: match self.unknown_policy {
-                UnknownPolicy::Blocked => self.forbidden.row(y)[word],
+                UnknownPolicy::Blocked => self.forbidden().row(y)[word],
                 UnknownPolicy::Free | UnknownPolicy::Obstacle => 0,
             },
         }
@@ -144,21 +144,24 @@ impl ConfigurationSpace {
         for difference in differences {
             for y in difference.rows.clone() {
                 let marks = Marks::read(grid, self.unknown_policy, self.keep_out.as_deref(), y, difference.word);
-                obstacles.row_mut(y)[difference.word] = marks.obstacles;
+                obstacles.set_word(y, difference.word, marks.obstacles);
                 if self.unknown_policy == UnknownPolicy::Blocked {
-                    Arc::make_mut(&mut self.forbidden).row_mut(y)[difference.word] = marks.forbidden;
+                    Arc::make_mut(&mut self.forbidden).set_word(y, difference.word, marks.forbidden);
                 }
             }
         }
         for (words, rows) in self.around(differences) {
-            self.field
-                .refresh(&self.obstacles, words.clone(), rows.start as usize..rows.end as usize);
+            self.field.refresh(
+                self.obstacles.bits(),
+                words.clone(),
+                rows.start as usize..rows.end as usize,
+            );
             if !self.is_beyond_the_field() {
                 self.admit(words, rows);
             }
         }
         if self.is_beyond_the_field() {
-            self.admit(0..self.obstacles.stride(), 0..self.spec.height);
+            self.admit(0..self.obstacles().stride(), 0..self.spec.height);
         }
     }
 
@@ -169,7 +172,7 @@ impl ConfigurationSpace {
         let mut tiles: BTreeMap<(u32, usize), Range<u32>> = BTreeMap::new();
         for Difference { word, rows } in differences {
             let rows = rows.start.saturating_sub(reach)..(rows.end + reach).min(self.spec.height);
-            for word in word.saturating_sub(1)..(word + 2).min(self.obstacles.stride()) {
+            for word in word.saturating_sub(1)..(word + 2).min(self.obstacles().stride()) {
                 for row in rows.start / TILE..rows.end.div_ceil(TILE) {
                     let inside = rows.start.max(row * TILE)..rows.end.min((row + 1) * TILE);
                     tiles

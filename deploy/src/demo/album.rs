@@ -21,8 +21,9 @@ pub(super) struct Album {
     bus: Bus,
     robot: Id,
     folder: PathBuf,
-    /// What the planner has shown last.
+    /// What the planner shows.
     pub trees: Latest<SearchTree>,
+    /// What the planner has shown first of the present drive.
     tree: Option<SearchTree>,
     pages: JoinSet<Result<(), Failure>>,
     count: usize,
@@ -43,11 +44,10 @@ impl Album {
         })
     }
 
-    /// Takes in what the planner shows, if it is a way.
+    /// Takes in what the planner shows: of each drive its first way, the one that it set out on.
     pub fn see(&mut self) {
-        if let Some(tree) = self.trees.take().filter(|tree| !tree.path.is_empty()) {
-            self.tree = Some(tree);
-        }
+        let tree = self.trees.take().filter(|tree| !tree.path.is_empty());
+        self.tree = self.tree.take().or(tree);
     }
 
     /// Draws the end of a drive: `planned` is the motion it ended with, `driven` the true way since the start.

@@ -38,6 +38,7 @@ struct Sample {
 /// What the demo sees, as any client would, and the referee's truth.
 pub(super) struct Watch {
     referee: Referee,
+    places: Vec<(String, Point2<f64>)>,
     scans: Latest<Scan>,
     poses: Latest<PoseEstimate>,
     states: Latest<EdgeState>,
@@ -69,10 +70,17 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    pub fn new(bus: &Bus, id: &Id, referee: Referee) -> Result<Self, Failure> {
+    /// # Errors
+    /// When something cannot be subscribed to.
+    pub fn new(bus: &Bus, id: &Id, referee: Referee, world: &World) -> Result<Self, Failure> {
         let robot = &[id.as_str()];
         Ok(Self {
             referee,
+            places: world
+                .places()
+                .iter()
+                .map(|place| (place.name.to_string(), Point2::new(place.x, place.y)))
+                .collect(),
             scans: bus.latest(&topics::SCAN, robot)?,
             poses: bus.latest(&topics::POSE, robot)?,
             states: bus.latest(&topics::STATE, robot)?,
@@ -208,7 +216,12 @@ impl Watch {
             && let Some(leg) = goal.legs.iter().rfind(|leg| leg.ended.is_some())
         {
             let driven = self.samples.iter().map(|sample| sample.truth.map_from_base.position());
-            album.page(&leg.name, leg.goal, self.planned.clone(), driven.collect());
+            album.page(
+                &name_of(leg, &self.places),
+                leg.goal,
+                self.planned.clone(),
+                driven.collect(),
+            );
         }
     }
 
@@ -255,11 +268,11 @@ impl Watch {
     }
 
     /// The report: `end` is the mission's goal as it ended, `None` when it did not in time.
-    pub fn report(&self, script: &Script, args: &DemoArgs, world: &World, end: Option<GoalState>) -> DemoReport {
+    pub fn report(&self, script: &Script, args: &DemoArgs, end: Option<GoalState>) -> DemoReport {
         let truth = self.referee.truth();
         let goal = end.clone().or_else(|| self.goal.clone());
         let legs = goal.as_ref().map(|goal| goal.legs.clone()).unwrap_or_default();
-        let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg, world)).collect();
+        let goals: Vec<GoalReport> = legs.iter().map(|leg| self.leg_report(leg)).collect();
         let reason = match &end {
             None => Some("it did not come to an end in time".to_owned()),
             Some(goal) if goal.state != GoalPhase::Succeeded => {
@@ -297,11 +310,12 @@ impl Watch {
                 goal_to_motion_ms: Percentiles::of(&self.goal_to_motion),
             },
             energy_j: truth.drawn_j,
+            walls: None,
             notes,
         }
     }
 
-    fn leg_report(&self, leg: &Leg, world: &World) -> GoalReport {
+    fn leg_report(&self, leg: &Leg) -> GoalReport {
         let end = leg.ended.unwrap_or(Stamp(u64::MAX));
         let during: Vec<&Sample> = self
             .samples
@@ -318,7 +332,7 @@ impl Watch {
             .zip(last)
             .map(|(goal, pose)| (goal.x - pose.x).hypot(goal.y - pose.y));
         GoalReport {
-            name: place_of(leg, world).unwrap_or_else(|| leg.name.clone()),
+            name: name_of(leg, &self.places),
             outcome: if leg.state == GoalPhase::Succeeded {
                 "reached".to_owned()
             } else {
@@ -338,12 +352,14 @@ impl Watch {
     }
 }
 
-/// The name of the place that a drive went to by a node that has no name of its own.
-fn place_of(leg: &Leg, world: &World) -> Option<String> {
-    let goal = leg.goal.filter(|_| leg.name == "FollowPath")?;
-    let near = |x: f64, y: f64| (x - goal.x).hypot(y - goal.y) < SAME_PLACE;
-    let place = world.places().iter().find(|place| near(place.x, place.y))?;
-    Some(place.name.to_string())
+/// A drive's name: that of its node, or of the place that it went to where the node has none of its own.
+fn name_of(leg: &Leg, places: &[(String, Point2<f64>)]) -> String {
+    let goal = leg.goal.filter(|_| leg.name == "FollowPath");
+    let there = |goal: GoalPoint| {
+        let near = |(_, place): &&(String, Point2<f64>)| (place - Point2::new(goal.x, goal.y)).norm() < SAME_PLACE;
+        places.iter().find(near).map(|(name, _)| name.clone())
+    };
+    goal.and_then(there).unwrap_or_else(|| leg.name.clone())
 }
 
 /// Waits for a tree to look at; for ever where nobody looks.

@@ -27,10 +27,10 @@ pub(super) struct SubmitArgs {
     #[arg(allow_negative_numbers = true, value_parser = finite)]
     yaw: Option<f64>,
     /// A place named in the world or deployment
-    #[arg(long, conflicts_with_all = ["tree", "waypoint"])]
+    #[arg(long, conflicts_with = "waypoint")]
     place: Option<String>,
-    /// A behaviour tree: an XML file, or the name of a shipped one
-    #[arg(long, value_name = "FILE", conflicts_with = "waypoint")]
+    /// A behaviour tree: an XML file, or the name of a shipped one; it runs for the place or waypoints, where there are such
+    #[arg(long, value_name = "FILE")]
     tree: Option<String>,
     /// A place to pass, in order; may be repeated
     #[arg(long, value_name = "X,Y[,YAW]", allow_hyphen_values = true, value_parser = waypoint)]

@@ -18,7 +18,8 @@ pub struct GoalPoint {
     pub yaw: Option<f64>,
 }
 
-/// A goal: exactly one of (`x`, `y`), `place`, `waypoints` or `tree`.
+/// A goal: exactly one of (`x`, `y`), `place`, `waypoints`, or a `tree`, alone or with one of them: the tree then finds it in
+/// its entry `goal`, or `goals`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalRequest {
     /// Name of the goal, made by the asker: a repeated id is the same goal.

@@ -206,6 +206,9 @@ pub struct PlanRequest {
     pub unknown_is_free: bool,
     /// Time the search may take, ms.
     pub budget_ms: u64,
+    /// Seed of planners that draw samples.
+    #[serde(default)]
+    pub seed: u64,
 }
 
 /// Answer to a [`PlanRequest`].
@@ -219,6 +222,22 @@ pub struct PlanReply {
     pub search_ms: f64,
     /// Nodes expanded.
     pub expansions: u64,
+    /// How the answer came about.
+    #[serde(default)]
+    pub origin: PlanOrigin,
+}
+
+/// How an answer to a [`PlanRequest`] came about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PlanOrigin {
+    /// By a search for it.
+    #[default]
+    Searched,
+    /// An earlier answer, or the rest of it, which is still as good as a search would find.
+    Reused,
+    /// An earlier answer of which a piece was replaced, or which is a few hundredths longer than need be.
+    Repaired,
 }
 
 /// What came out of a search.

@@ -9,6 +9,7 @@ mod decorators;
 mod extensions;
 mod guards;
 mod nav2;
+mod nav2_gates;
 mod navigation;
 mod properties;
 mod rig;

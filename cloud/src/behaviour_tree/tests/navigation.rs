@@ -4,53 +4,7 @@ use crate::behaviour_tree::simulate::{Outcome, Script, registry, simulate};
 use crate::behaviour_tree::{Limits, Status, check};
 
 /// The shape of Nav2's default tree for NavigateToPose, rewritten for this test.
-const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="Navigate"><BehaviorTree ID="Navigate">
-<RecoveryNode number_of_retries="6" name="NavigateRecovery">
-  <PipelineSequence>
-    <ControllerSelector selected_controller="{controller}" default_controller="FollowPath"/>
-    <PlannerSelector selected_planner="{planner}" default_planner="GridBased"/>
-    <RateController hz="1.0"><RecoveryNode name="Plan">
-      <Fallback>
-        <ReactiveSequence>
-          <Inverter><GlobalUpdatedGoal/></Inverter>
-          <IsGoalNearby path="{path}" proximity_threshold="4.0"/>
-          <TruncatePathLocal input_path="{path}" output_path="{rest}" distance_forward="-1"/>
-          <ValidatePath path="{rest}"/>
-        </ReactiveSequence>
-        <ComputePathToPose goal="{goal}" path="{path}" planner_id="{planner}" error_code_id="{plan_code}"/>
-      </Fallback>
-      <Sequence>
-        <WouldAPlannerRecoveryHelp error_code="{plan_code}"/>
-        <ClearEntireCostmap name="ClearGlobal-Context"/>
-      </Sequence>
-    </RecoveryNode></RateController>
-    <RecoveryNode name="Follow">
-      <FollowPath path="{path}" controller_id="{controller}" error_code_id="{follow_code}"/>
-      <Sequence>
-        <WouldAControllerRecoveryHelp error_code="{follow_code}"/>
-        <ClearEntireCostmap name="ClearLocal-Context"/>
-      </Sequence>
-    </RecoveryNode>
-  </PipelineSequence>
-  <Sequence>
-    <Fallback>
-      <WouldAControllerRecoveryHelp error_code="{follow_code}"/>
-      <WouldAPlannerRecoveryHelp error_code="{plan_code}"/>
-    </Fallback>
-    <ReactiveFallback>
-      <GoalUpdated/>
-      <RoundRobin name="RecoveryActions">
-        <Sequence>
-          <ClearEntireCostmap name="ClearLocal"/>
-          <ClearEntireCostmap name="ClearGlobal"/>
-        </Sequence>
-        <Spin spin_dist="1.57"/>
-        <Wait wait_duration="5.0"/>
-        <BackUp backup_dist="0.30" backup_speed="0.15"/>
-      </RoundRobin>
-    </ReactiveFallback>
-  </Sequence>
-</RecoveryNode></BehaviorTree></root>"#;
+const TREE: &str = include_str!("navigate.xml");
 
 fn run(tree: &str, script: &str) -> Outcome {
     let script: Script = serde_json::from_str(script).unwrap();

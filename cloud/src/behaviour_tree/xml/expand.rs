@@ -360,6 +360,12 @@ impl<C> Ports for Site<'_, '_, C> {
         self.builder.board.resolve(self.scope, key)
     }
 
+    fn root_slot(&mut self, port: &str) -> Slot {
+        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
+        let key = pointer(&text, port).unwrap_or(text.trim());
+        self.builder.board.resolve(0, key.trim_start_matches('@'))
+    }
+
     fn program(&mut self, port: &str) -> Program {
         let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
         self.bind(&text)

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
 use zenav_protocol::time::Stamp;
 
+use super::ports::number;
 use super::{fail, no_error, step};
 use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
@@ -13,8 +14,27 @@ use crate::mission::exchange::{Answer, Ask, NoAnswer, Ticket};
 const PATIENCE: f64 = 10.0;
 /// How often the robot is asked how it goes, s.
 const PERIOD: f64 = 0.2;
-/// Nav2's code: something else.
-const UNKNOWN: i64 = 700;
+
+/// Nav2's codes of why a motion was not carried out, by registration id.
+#[derive(Clone, Copy)]
+struct Codes {
+    unknown: i64,
+    timeout: i64,
+}
+
+impl Codes {
+    fn of(id: &str) -> Self {
+        let unknown = match id {
+            "Spin" => 700,
+            "BackUp" => 710,
+            _ => 720,
+        };
+        Self {
+            unknown,
+            timeout: unknown + 1,
+        }
+    }
+}
 
 /// One motion of the robot's own.
 #[derive(Default)]
@@ -23,6 +43,7 @@ pub struct Behaviour {
     since: Stamp,
     next_ask: Stamp,
     asked: bool,
+    cancels: u64,
 }
 
 /// The execution, stored before its effect.
@@ -30,33 +51,50 @@ pub struct Behaviour {
 struct Execution {
     id: String,
     action: BehaviourAction,
+    /// It is given up then, s of the tree's time.
+    #[serde(default)]
+    until: Option<f64>,
 }
 
 impl Leaf<Context> for Behaviour {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let action = match action(io) {
-            Ok(action) => action,
-            Err(why) => return fail(io, ctx, Some(UNKNOWN), why),
+        let codes = Codes::of(io.id());
+        let allowance = number(io, "time_allowance", f64::INFINITY);
+        let (action, allowance) = match (action(io), allowance) {
+            (Ok(action), Ok(allowance)) => (action, allowance),
+            (Err(why), _) | (_, Err(why)) => return fail(io, ctx, Some(codes.unknown), why),
         };
         *self = Self {
             since: ctx.now,
+            cancels: ctx.cancels(io.id()),
             ..Self::default()
         };
         let execution = Execution {
             id: ctx.execution_id(),
             action,
+            until: Some(io.now().as_secs_f64() + allowance).filter(|until| until.is_finite()),
         };
         if let Err(error) = io.remember(&execution) {
-            return fail(io, ctx, Some(UNKNOWN), error.to_string());
+            return fail(io, ctx, Some(codes.unknown), error.to_string());
         }
         // The ask follows in the next tick, when the execution's id is stored.
         step(io, ctx, "begins")
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let codes = Codes::of(io.id());
         let Some(execution) = io.recall::<Execution>() else {
-            return fail(io, ctx, Some(UNKNOWN), "the execution is not known");
+            return fail(io, ctx, Some(codes.unknown), "the execution is not known");
         };
+        if ctx.cancels(io.id()) != self.cancels {
+            self.halt(io, ctx);
+            io.say("canceled by the tree");
+            return Status::Success;
+        }
+        if execution.until.is_some_and(|until| io.now().as_secs_f64() > until) {
+            self.halt(io, ctx);
+            return fail(io, ctx, Some(codes.timeout), "not done within its `time_allowance`");
+        }
         let Some(epoch) = ctx.lease.epoch() else {
             self.since = ctx.now;
             return step(io, ctx, "waits for the lease");
@@ -80,9 +118,9 @@ impl Leaf<Context> for Behaviour {
                     }
                 }
                 Ok(_) => {}
-                Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(UNKNOWN), refusal.to_string()),
+                Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(codes.unknown), refusal.to_string()),
                 Err(NoAnswer::Silent(why)) if ctx.now.secs_since(self.since) > PATIENCE => {
-                    return fail(io, ctx, Some(UNKNOWN), why);
+                    return fail(io, ctx, Some(codes.unknown), why);
                 }
                 Err(NoAnswer::Silent(_)) => {}
             }
@@ -106,6 +144,7 @@ impl Leaf<Context> for Behaviour {
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self {
             since: ctx.now,
+            cancels: ctx.cancels(io.id()),
             ..Self::default()
         };
         self.tick(io, ctx)
@@ -166,7 +205,8 @@ fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Op
                 .reason
                 .clone()
                 .unwrap_or_else(|| format!("{:?}", report.state).to_lowercase());
-            Some(fail(io, ctx, Some(UNKNOWN), why))
+            let code = Codes::of(io.id()).unknown;
+            Some(fail(io, ctx, Some(code), why))
         }
     }
 }

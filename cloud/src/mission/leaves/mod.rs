@@ -2,32 +2,49 @@
 //!
 //! | file | leaves |
 //! |---|---|
-//! | `ports` | how goals and lists of waypoints are written in a tree |
-//! | `compute_path` | ComputePathToPose |
+//! | `ports`, [`path`] | how goals, lists of them and paths are written in a tree; what there is to know of a path |
+//! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
+//! | `smooth_path` | SmoothPath |
 //! | `follow_path` | FollowPath |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
+//! | `looks` | TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
+//! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
+//! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
+//! | `selectors` | PlannerSelector, ControllerSelector, … |
+//! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
+//! | `navigate` | NavigateToPose, NavigateThroughPoses |
+//! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
 //!
-//! Names and ports are Nav2's where Nav2 has the node. Nav2's other nodes can stand in a tree too: those that only look
-//! at the blackboard work, the rest fails and names what is missing.
+//! Names and ports are Nav2's where Nav2 has the node, so that every tree of Nav2's can be loaded. A node whose job nobody
+//! does here fails when it is ticked and names what is missing.
 
 mod behaviours;
 mod compute_path;
 mod follow_path;
 mod follow_waypoints;
+mod goal_leaves;
+mod looks;
 mod mapping;
+mod missing;
+pub mod path;
+mod path_leaves;
 mod ports;
 mod progress;
+mod selectors;
+mod services;
 mod simple;
+mod smooth_path;
 
 use super::context::Context;
 use crate::behaviour_tree::{
-    DuplicateNode, Leaf, LeafIo, NodeSpec, PortType, Registry, Status, nav2_condition, nav2_nodes,
+    DuplicateNode, Leaf, LeafIo, LeafSite, Measure, NodeSpec, PortType, Registry, Status, Travel, Value,
+    nav2_condition, nav2_decorator, nav2_nodes,
 };
 
-pub use ports::{goal_text, parse_goal, parse_points};
+pub use ports::{goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes that a mission's trees may use.
 #[must_use]
@@ -85,7 +102,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
         Box::<mapping::SaveMap>::default()
     })?;
-    registry.leaf(known("Wait", "Waits, s."), |_| Box::new(simple::Wait))?;
+    registry.leaf(known("Wait", "Waits, s."), |_| Box::<simple::Wait>::default())?;
     registry.leaf(
         known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional(
             "tolerance",
@@ -110,12 +127,10 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         if registry.spec(&spec.id).is_some() {
             continue;
         }
-        if nav2_condition::<Context>(&spec.id).is_some() {
-            registry.leaf(spec, |site| {
-                nav2_condition(site.id).unwrap_or_else(|| Box::new(Missing))
-            })?;
+        if let Some(make) = nav2_decorator(&spec.id) {
+            registry.decorator(spec, move |_| make())?;
         } else if spec.category.is_leaf() {
-            registry.leaf(spec, |_| Box::new(Missing))?;
+            registry.leaf(spec, nav2_leaf)?;
         } else {
             registry.declare(spec);
         }
@@ -123,13 +138,89 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     Ok(())
 }
 
-/// A node of Nav2 whose job nobody does here.
-struct Missing;
+/// The leaf that does what one of Nav2's nodes stands for.
+fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
+    fn at_once<T: AtOnce + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
+        Box::new(Prompt(leaf))
+    }
+    if let Some(condition) = nav2_condition(site.id) {
+        return condition;
+    }
+    if let Some(choice) = selectors::Choice::of_selector(site.id) {
+        return at_once(selectors::Selector(choice));
+    }
+    if let Some(id) = services::canceled_by(site.id) {
+        return at_once(services::Cancel(id));
+    }
+    match site.id {
+        "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
+        "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
+        "ValidatePath" => at_once(path_leaves::ValidatePath),
+        "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
+        "TruncatePath" => at_once(path_leaves::TruncatePath),
+        "TruncatePathLocal" => at_once(path_leaves::TruncatePathLocal::default()),
+        "GetPoseFromPath" => at_once(path_leaves::GetPoseFromPath),
+        "ConcatenatePaths" => at_once(path_leaves::ConcatenatePaths),
+        "PathExpiringTimer" => at_once(path_leaves::PathExpiringTimer::default()),
+        "IsWithinPathTrackingBounds" => at_once(path_leaves::IsWithinPathTrackingBounds),
+        "RemovePassedGoals" => at_once(goal_leaves::RemovePassedGoals),
+        "RemoveInCollisionGoals" => at_once(goal_leaves::RemoveInCollisionGoals),
+        "AppendGoalPoseToGoals" => at_once(goal_leaves::AppendGoalPoseToGoals),
+        "GetNextFewGoals" => at_once(goal_leaves::GetNextFewGoals),
+        "GetCurrentPose" => at_once(goal_leaves::GetCurrentPose),
+        "ArePosesNear" => at_once(goal_leaves::ArePosesNear),
+        "CheckPoseOccupancy" => at_once(goal_leaves::CheckPoseOccupancy),
+        "TimeExpired" => at_once(looks::TimeExpired::default()),
+        "DistanceTraveled" => at_once(looks::DistanceTraveled::default()),
+        "IsStuck" => at_once(looks::IsStuck),
+        "TransformAvailable" => at_once(looks::TransformAvailable),
+        "CheckStopStatus" => Box::<looks::CheckStopStatus>::default(),
+        "ToggleCollisionMonitor" => at_once(services::ToggleCollisionMonitor),
+        "ClearEntireCostmap" | "ClearCostmapExceptRegion" | "ClearCostmapAroundRobot" | "ClearCostmapAroundPose" => {
+            Box::<services::ClearCostmap>::default()
+        }
+        _ => Box::new(missing::Missing),
+    }
+}
 
-impl Leaf<Context> for Missing {
+/// A leaf that answers at once, or says why it cannot: that is a failure.
+trait AtOnce: Send {
+    /// The answer.
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String>;
+}
+
+/// Makes a leaf of what answers at once.
+struct Prompt<T>(T);
+
+impl<T: AtOnce> Leaf<Context> for Prompt<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let why = format!("{}: this stack does not have what the node stands for", io.id());
-        fail(io, ctx, None, why)
+        match self.0.answer(io, ctx) {
+            Ok(status) => status,
+            Err(why) => io.fail(why),
+        }
+    }
+}
+
+impl Travel for Context {
+    fn position(&self) -> Option<[f64; 2]> {
+        self.robot.pose().map(|pose| [pose.x, pose.y])
+    }
+
+    fn speed(&self) -> f64 {
+        self.robot.velocity().v.abs()
+    }
+
+    fn measure(&self, path: &Value) -> Option<Measure> {
+        let data = parse_path(path).ok()?;
+        let end = data.points.last()?;
+        let pose = self.robot.pose()?;
+        let length = path::length(&data.points);
+        let near = path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY)?;
+        Some(Measure {
+            end: [end.x, end.y],
+            length,
+            left: length - near.along,
+        })
     }
 }
 

@@ -1,9 +1,18 @@
-//! How are goals and waypoints written in a tree? `x;y` or `x;y;yaw`, places separated by `|`, or JSON.
+//! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, separated by `|`, or JSON; a
+//! path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
+
+use std::sync::Arc;
 
 use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::robot::RobotModel;
 
-use crate::behaviour_tree::Value;
+use super::path;
+use crate::behaviour_tree::{LeafIo, Status, Value};
+use crate::mission::context::Context;
+use crate::mission::route::RouteData;
+use crate::space::ConfigurationSpace;
 
 /// Places in one list.
 const MAX_POINTS: usize = 10_000;
@@ -63,15 +72,38 @@ pub fn goal_text(goal: &GoalPoint) -> String {
     }
 }
 
-/// Waypoints from a port's value, `laps` times.
+/// The goal on a port.
 ///
 /// # Errors
 /// What was expected.
-pub fn parse_points(value: &Value, laps: u64) -> Result<Vec<Point2<f64>>, String> {
+pub fn goal_on(io: &LeafIo<'_>, port: &str) -> Result<GoalPoint, String> {
+    io.value(port).map_err(|error| error.to_string()).and_then(parse_goal)
+}
+
+/// Goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_goals(value: &Value) -> Result<Vec<GoalPoint>, String> {
     let goals: Vec<GoalPoint> = match value {
-        Value::Data(data) => serde_json::from_value((**data).clone()).map_err(|error| format!("waypoints: {error}"))?,
+        Value::Data(data) => {
+            let items = data.as_array().ok_or("goals: expected a list")?;
+            items
+                .iter()
+                .take(MAX_POINTS + 1)
+                .map(|item| {
+                    let goal = Value::from_json(item).ok_or("goals: expected no null")?;
+                    parse_goal(&goal)
+                })
+                .collect::<Result<_, String>>()?
+        }
         other => {
             let text = other.to_string();
+            let json = text.trim_start().strip_prefix("json:").unwrap_or(text.trim_start());
+            if json.starts_with('[') {
+                let list: serde_json::Value = serde_json::from_str(json).map_err(|error| format!("goals: {error}"))?;
+                return parse_goals(&Value::from(list));
+            }
             let places = text.split('|').map(str::trim).filter(|place| !place.is_empty());
             places
                 .take(MAX_POINTS + 1)
@@ -79,6 +111,137 @@ pub fn parse_points(value: &Value, laps: u64) -> Result<Vec<Point2<f64>>, String
                 .collect::<Result<_, _>>()?
         }
     };
+    if goals.len() > MAX_POINTS {
+        return Err(format!("more than {MAX_POINTS} goals: expected fewer"));
+    }
+    Ok(goals)
+}
+
+/// The goals on a port.
+///
+/// # Errors
+/// What was expected.
+pub fn goals_on(io: &LeafIo<'_>, port: &str) -> Result<Vec<GoalPoint>, String> {
+    io.value(port).map_err(|error| error.to_string()).and_then(parse_goals)
+}
+
+/// Goals as they stand on the blackboard: a list of texts, which `LoopString` can go through.
+///
+/// # Errors
+/// None in practice: texts have a stored form.
+pub fn goals_value(goals: &[GoalPoint]) -> Result<Value, String> {
+    let texts: Vec<String> = goals.iter().map(goal_text).collect();
+    Value::data(&texts).map_err(|error| error.to_string())
+}
+
+/// A path from a port's value: what is not a route's is a list of points, `[[x, y], …]`.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_path(value: &Value) -> Result<RouteData, String> {
+    let data = value.to_json();
+    let data = match &data {
+        serde_json::Value::String(text) => {
+            serde_json::from_str(text.trim_start().strip_prefix("json:").unwrap_or(text))
+                .map_err(|error| format!("path: {error}"))?
+        }
+        _ => data,
+    };
+    let route = if data.is_array() {
+        let points: Vec<Point2<f64>> = serde_json::from_value(data).map_err(|error| format!("path: {error}"))?;
+        RouteData::of(points, None)
+    } else {
+        serde_json::from_value(data).map_err(|error| format!("path: {error}"))?
+    };
+    let finite = |point: &Point2<f64>| point.x.is_finite() && point.y.is_finite();
+    if route.points.len() > MAX_POINTS || !route.points.iter().all(finite) {
+        return Err(format!("path: expected at most {MAX_POINTS} points, all finite"));
+    }
+    Ok(route)
+}
+
+/// The path on a port.
+///
+/// # Errors
+/// What was expected.
+pub fn path_on(io: &LeafIo<'_>, port: &str) -> Result<RouteData, String> {
+    io.value(port).map_err(|error| error.to_string()).and_then(parse_path)
+}
+
+impl RouteData {
+    /// A path that is nobody's route, to its last point. `yaw` is the heading wanted there.
+    #[must_use]
+    pub fn of(points: Vec<Point2<f64>>, yaw: Option<f64>) -> Self {
+        let end = points.last().copied().unwrap_or_else(Point2::origin);
+        Self {
+            route: 0,
+            goal: GoalPoint {
+                x: end.x,
+                y: end.y,
+                yaw,
+            },
+            length: path::length(&points),
+            points,
+            via: Vec::new(),
+        }
+    }
+
+    /// As it stands on the blackboard.
+    ///
+    /// # Errors
+    /// None in practice: numbers have a stored form.
+    pub fn value(&self) -> Result<Value, String> {
+        Value::data(self).map_err(|error| error.to_string())
+    }
+}
+
+/// A goal as a pose; one without a heading faces along x.
+#[must_use]
+pub fn pose_of(goal: &GoalPoint) -> Pose2 {
+    Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0))
+}
+
+/// The number on a port; `otherwise` where there is none.
+///
+/// # Errors
+/// What was expected.
+pub fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
+    let value = io.get_optional(port).map_err(|error| error.to_string())?;
+    Ok(value.unwrap_or(otherwise))
+}
+
+/// Puts a value on a port: SUCCESS.
+///
+/// # Errors
+/// What the entry behind the port expects.
+pub fn write(io: &mut LeafIo<'_>, port: &str, value: Result<Value, String>) -> Result<Status, String> {
+    io.set(port, value?).map_err(|error| error.to_string())?;
+    Ok(Status::Success)
+}
+
+/// Where the robot is.
+///
+/// # Errors
+/// It has not been heard.
+pub fn here(ctx: &Context) -> Result<Pose2, String> {
+    ctx.robot
+        .pose()
+        .ok_or_else(|| "nobody knows where the robot is".to_owned())
+}
+
+/// The robot's build and where it may be by its map; `None` while one of them is not known.
+pub fn ground(ctx: &mut Context) -> Option<(RobotModel, Arc<ConfigurationSpace>)> {
+    let model = ctx.robot.model().cloned()?;
+    let space = ctx.map.space(&model.footprint)?;
+    Some((model, space))
+}
+
+/// Waypoints from a port's value, `laps` times.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_points(value: &Value, laps: u64) -> Result<Vec<Point2<f64>>, String> {
+    let goals = parse_goals(value)?;
     if goals.is_empty() || goals.len().saturating_mul(usize::try_from(laps).unwrap_or(usize::MAX)) > MAX_POINTS {
         return Err(format!(
             "{} waypoints {laps} times: expected 1 to {MAX_POINTS} in all",
@@ -111,6 +274,34 @@ mod tests {
         assert_eq!(parse_goal(&Value::text("1;2;0.5")).unwrap().yaw, Some(0.5));
         for bad in ["", "1", "1;2;3;4", "a;b", "NaN;1", "1;inf"] {
             assert!(parse_goal(&Value::text(bad)).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn goals_and_paths_come_back_as_they_were_written() {
+        let goals = vec![
+            GoalPoint {
+                x: 1.0,
+                y: -2.5,
+                yaw: None,
+            },
+            GoalPoint {
+                x: 0.1,
+                y: 0.2,
+                yaw: Some(-1.5),
+            },
+        ];
+        assert_eq!(parse_goals(&goals_value(&goals).unwrap()).unwrap(), goals);
+        assert_eq!(parse_goals(&Value::text("1;-2.5|0.1;0.2;-1.5")).unwrap(), goals);
+        assert_eq!(
+            parse_goals(&Value::text(r#"[{"x":1,"y":-2.5},"0.1;0.2;-1.5"]"#)).unwrap(),
+            goals
+        );
+        let path = parse_path(&Value::text("json:[[0,0],[3,4]]")).unwrap();
+        assert_eq!((path.length, path.goal.x, path.route), (5.0, 3.0, 0));
+        assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
+        for bad in ["", "[[0]]", "{}", "[[0,1e999]]"] {
+            assert!(parse_path(&Value::text(bad)).is_err(), "{bad}");
         }
     }
 

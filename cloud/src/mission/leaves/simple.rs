@@ -6,7 +6,10 @@ use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
 
 /// Waits `wait_duration` seconds.
-pub struct Wait;
+#[derive(Default)]
+pub struct Wait {
+    cancels: u64,
+}
 
 impl Leaf<Context> for Wait {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
@@ -17,6 +20,7 @@ impl Leaf<Context> for Wait {
         if !secs.is_finite() {
             return fail(io, ctx, Some(0), "`wait_duration`: expected a finite number");
         }
+        self.cancels = ctx.cancels(io.id());
         let until = io.now().as_secs_f64() + secs.max(0.0);
         if let Err(error) = io.remember(&until) {
             return fail(io, ctx, Some(0), error.to_string());
@@ -25,12 +29,21 @@ impl Leaf<Context> for Wait {
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if ctx.cancels(io.id()) != self.cancels {
+            io.say("canceled by the tree");
+            return Status::Success;
+        }
         let left = io.recall::<f64>().unwrap_or(0.0) - io.now().as_secs_f64();
         if left <= 0.0 {
             no_error(io);
             return Status::Success;
         }
         step(io, ctx, &format!("waits {:.0} s", left.ceil()))
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.cancels = ctx.cancels(io.id());
+        self.tick(io, ctx)
     }
 }
 

@@ -5,5 +5,6 @@
 mod drives;
 mod intake;
 mod kitchen;
+mod nav2_trees;
 mod rig;
 mod survival;

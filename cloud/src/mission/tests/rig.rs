@@ -221,6 +221,7 @@ impl Edge {
             guard: GuardZone::Clear,
             battery: 1.0,
             behaviour: None,
+            wall_follower: None,
             missed_ticks: 0,
         }
     }
@@ -581,6 +582,7 @@ impl Rig {
                     outcome,
                     search_ms: 1.0,
                     expansions: 1,
+                    origin: PlanOrigin::Searched,
                 }))
             }
             Ask::Smooth(_) if !self.smoother_up => silent(),

@@ -40,8 +40,8 @@ impl Frontier {
             }
         } else {
             self.touched.clear();
-            self.covered.clear();
-            self.covered.resize(len, 0);
+            // Fresh zeros cost nothing until they are touched.
+            self.covered = vec![0; len];
         }
         self.exits.clear();
     }

@@ -80,7 +80,7 @@ pub struct Search<'a> {
 impl Search<'_> {
     /// Counts a sample; whether it is to lead a tree out of what it has covered.
     fn next(&mut self) -> Result<bool, NotFound> {
-        if self.samples >= self.budget.max_expansions.min(self.options.max_samples) || self.budget.is_cancelled() {
+        if self.samples >= self.budget.max_expansions || self.budget.is_cancelled() {
             return Err(NotFound::TimedOut);
         }
         self.samples += 1;
@@ -155,7 +155,7 @@ fn find<S: Sight>(
             rrt_connect::meet(ground, &mut memory.trees, search)?
         }
     };
-    shortcut::prune(ground.sight, &mut way);
+    shortcut::prune(ground.sight, &mut way, || search.budget.is_cancelled());
     if growth == Growth::Optimal {
         memory.trees.iter_mut().for_each(Tree::clear);
         way = rrt_star::improve(ground, &mut memory.costs, way, search);

@@ -15,8 +15,8 @@ pub struct Options {
     pub exits: usize,
     /// Share of samples at the corners of obstacles once a way is known: shortest ways bend nowhere else (default 0.5).
     pub corners: f64,
-    /// Samples after which a search ends, whatever its budget (default a million): with a way it is not improved any more.
-    pub max_samples: u64,
+    /// Samples with which a way is improved at most, whatever the budget (default a million, about 100 MB).
+    pub improving: u64,
     /// Low and high corner of the box that samples are drawn from, cells (default the whole map). Start and goal may lie outside.
     pub domain: Option<[Point2<f64>; 2]>,
 }
@@ -29,7 +29,7 @@ impl Default for Options {
             patience: 64,
             exits: 8,
             corners: 0.5,
-            max_samples: 1_000_000,
+            improving: 1_000_000,
             domain: None,
         }
     }

@@ -15,6 +15,12 @@ const LEAST_DISTANCE: f64 = 0.125;
 /// Gains below this are rounding, cells.
 const ROUNDING: f64 = 1e-9;
 
+/// How many of the nearest vertices are looked at, where points are denser than the radius expects: the least number that optimality in the limit
+/// asks for (k-nearest RRT*), and a tenth.
+fn neighbours(vertices: usize) -> usize {
+    (1.1 * 1.5 * std::f64::consts::E * (vertices as f64).ln()).ceil() as usize
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Vertex {
     point: Point2<f64>,
@@ -101,8 +107,8 @@ impl CostTree {
             .filter_map(move |vertex| Some([parent(vertex)?, vertex.point]))
     }
 
-    /// Adds a point by the cheapest parent within a radius, or a step towards it from the nearest vertex; other vertices within the radius
-    /// take it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
+    /// Adds a point by the cheapest parent among the nearest vertices within a radius, or a step towards it from the nearest one; the others take
+    /// it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
     pub fn insert(&mut self, sight: &impl Sight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
         let mut point = point;
         self.nearest.within(point, radius, &mut self.near);
@@ -119,6 +125,11 @@ impl CostTree {
             if self.near.is_empty() {
                 self.near.push((0.0, nearest));
             }
+        }
+        let enough = neighbours(self.len());
+        if self.near.len() > enough {
+            self.near.select_nth_unstable_by(enough, |a, b| a.0.total_cmp(&b.0));
+            self.near.truncate(enough);
         }
         let goal = self.vertices[1].point;
         let left = (goal - point).norm();

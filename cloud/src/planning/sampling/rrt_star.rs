@@ -35,8 +35,9 @@ pub fn improve<S: Sight>(
     let mut bound = length(&best);
     tree.plant(ground.sight.size(), &best);
     search.sampler.narrow(Ellipse::new([start, goal], bound));
+    let last = search.samples.saturating_add(search.options.improving);
     // Nothing is shorter than straight.
-    while bound > (goal - start).norm() * (1.0 + 1e-9) && search.next().is_ok() {
+    while bound > (goal - start).norm() * (1.0 + 1e-9) && search.samples < last && search.next().is_ok() {
         let corner = search.sampler.unit() < search.options.corners;
         let sample = if corner {
             search.sampler.corner(ground.lattice)

@@ -21,11 +21,14 @@ pub fn length(way: &[Point2<f64>]) -> f64 {
 }
 
 /// Leaves out corners, from the front and from the back: from each corner that is kept the way goes to the farthest one that is seen, as far as
-/// a search in doubling steps finds it.
-pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>) {
+/// a search in doubling steps finds it. Ends soon after `stops` says so.
+pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
+    if way.len() < 3 {
+        return;
+    }
     for _ in 0..2 {
         let (mut at, mut kept) = (0, 1);
-        while at + 1 < way.len() {
+        while at + 1 < way.len() && !stops() {
             let sees = |to: usize| to < way.len() && sight.sees(way[at], way[to]);
             let (mut to, mut step) = (at + 1, 1);
             while sees(to + step) {
@@ -39,12 +42,12 @@ pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>) {
                 step /= 2;
             }
             let next = way[to];
-            // Kept corners never come before those that are still to be looked at.
             way[kept] = next;
             kept += 1;
             at = to;
         }
-        way.truncate(kept);
+        // What was not looked at any more stays as it is.
+        way.drain(kept..=at);
         way.reverse();
     }
 }
@@ -53,7 +56,7 @@ pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>) {
 pub fn tighten(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     for _ in 0..ROUNDS {
         let before = length(way);
-        prune(sight, way);
+        prune(sight, way, &stops);
         let mut i = 1;
         while i + 1 < way.len() {
             if stops() {
@@ -81,7 +84,7 @@ pub fn tighten(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() 
             break;
         }
     }
-    prune(sight, way);
+    prune(sight, way, &stops);
 }
 
 /// The last point from `a` towards `b` that is seen, as far as halving finds it.

@@ -4,19 +4,29 @@
 //! from where it stands; one that moves otherwise is waited for. Smoothing never fails a plan: without it the way goes
 //! out with a safe time law.
 
+mod begin;
+mod quest;
+mod room;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Context;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
-use super::motion::{Course, Standing};
-use crate::planning::Planner;
+use super::leaves::path;
+use super::motion::Course;
 use crate::smoothing::unsmoothed;
 use crate::smoothing::worker::PERIOD;
+use begin::{Begin, predicted};
+use quest::Legs;
+use room::Room;
+
+pub use begin::sample;
+pub use quest::Quest;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -24,6 +34,8 @@ pub mod error_code {
     pub const NONE: i64 = 0;
     /// Something else.
     pub const UNKNOWN: i64 = 200;
+    /// There is no such planner.
+    pub const INVALID_PLANNER: i64 = 201;
     /// The start lies outside the map.
     pub const OUTSIDE_MAP: i64 = 204;
     /// The robot does not fit where it stands.
@@ -42,8 +54,6 @@ const RETRY: f64 = 0.5;
 const MAP_PATIENCE: f64 = 20.0;
 /// Time to wait for the robot to stand, s.
 const REST_PATIENCE: f64 = 10.0;
-/// Less than this left of a motion is driven to its end before the next begins, s.
-const SHORT_REST: f64 = 0.4;
 /// A way shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
 /// A start that the map has occupied may be left by this much, m.
@@ -77,6 +87,9 @@ pub struct RouteData {
     pub points: Vec<Point2<f64>>,
     /// Length, m.
     pub length: f64,
+    /// Goals that it passes on the way, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub via: Vec<GoalPoint>,
 }
 
 /// Why there is no route.
@@ -112,77 +125,30 @@ pub enum Searching {
     Failed(NoRoute),
 }
 
-/// The state that a route begins in.
-#[derive(Clone, Debug, PartialEq)]
-struct Begin {
-    pose: Pose2,
-    twist: Twist2,
-    splice: Option<Splice>,
-}
-
 #[derive(Clone, Debug)]
 enum Stage {
     /// Until this time nothing is asked.
     Idle(Stamp),
     Plan(Ticket, Begin),
-    Smooth(Ticket, Begin, MapRef, Vec<Point2<f64>>, Box<PlanStatistics>),
+    Smooth(Ticket, Box<Smoothing>),
 }
 
-/// Between the disc that fits inside the robot's body and the one around it: shares of the difference that are tried one after the other.
-const SHARES: [f64; 3] = [0.0, 0.5, 1.0];
-
-/// How large a disc stands for the robot. A planner knows it as one; whether its body fits shows when the way is made a motion.
+/// A way that is being smoothed.
 #[derive(Clone, Debug)]
-struct Room {
-    /// Which of [`SHARES`] is planned for.
-    index: usize,
-    /// A planner whose ways pass obstacles as close as they may begins with the largest disc; one that keeps away by itself with the
-    /// smallest.
-    narrows: bool,
-    /// Why a way was found that cannot be driven, if one was.
-    undrivable: Option<String>,
-}
-
-impl Room {
-    fn new(planner: &str) -> Self {
-        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_away());
-        Self {
-            index: if narrows { SHARES.len() - 1 } else { 0 },
-            narrows,
-            undrivable: None,
-        }
-    }
-
-    /// The robot for the planner.
-    fn disc(&self, footprint: &Footprint) -> Footprint {
-        let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
-        match SHARES.get(self.index) {
-            Some(share) if *share > 0.0 && inner < outer => Footprint::Radius(inner + share * (outer - inner)),
-            _ => footprint.clone(),
-        }
-    }
-
-    /// Goes over to the next disc; `false` after the last one.
-    fn change(&mut self) -> bool {
-        let next = if self.narrows {
-            self.index.checked_sub(1)
-        } else {
-            Some(self.index + 1).filter(|index| *index < SHARES.len())
-        };
-        self.index = next.unwrap_or(self.index);
-        next.is_some()
-    }
-
-    /// Goes over to a smaller disc, where that is the way to go.
-    fn narrow(&mut self) -> bool {
-        self.narrows && self.change()
-    }
+struct Smoothing {
+    begin: Begin,
+    /// The question.
+    request: SmoothRequest,
+    /// Length of the way, m.
+    length: f64,
+    /// What the planner said.
+    planned: PlanStatistics,
 }
 
 /// A search for a route.
 #[derive(Clone, Debug)]
 pub struct Search {
-    goal: GoalPoint,
+    legs: Legs,
     planner: String,
     unknown_is_free: bool,
     stage: Stage,
@@ -198,12 +164,12 @@ pub struct Search {
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
-    pub fn new(ctx: &Context, goal: GoalPoint, planner: Option<String>, from: Stamp) -> Self {
+    pub fn new(ctx: &Context, quest: Quest, planner: Option<String>, from: Stamp) -> Self {
         let planner = planner
             .filter(|name| !name.is_empty())
             .unwrap_or_else(|| ctx.config.planner.clone());
         Self {
-            goal,
+            legs: Legs::of(quest),
             unknown_is_free: ctx.config.unknown_is_free,
             stage: Stage::Idle(from),
             begun: from,
@@ -240,9 +206,9 @@ impl Search {
                 None => Searching::Wait("plans"),
                 Some(answer) => self.planned(ctx, begin, answer),
             },
-            Stage::Smooth(ticket, begin, map, path, statistics) => match ctx.asks.take(ticket) {
+            Stage::Smooth(ticket, smoothing) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("smooths"),
-                Some(answer) => self.smoothed(ctx, begin, map, path, *statistics, answer),
+                Some(answer) => self.smoothed(ctx, *smoothing, answer),
             },
         }
     }
@@ -254,11 +220,16 @@ impl Search {
         let Some(map) = ctx.map.newest() else {
             return Searching::Wait("waits for a map");
         };
-        let begin = match predicted(ctx, self.from_rest) {
+        let begin = self.legs.begin().map_or_else(|| predicted(ctx, self.from_rest), Ok);
+        let begin = match begin {
             Ok(begin) => begin,
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
             Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
+        if let Some(path) = self.legs.join(&begin) {
+            return self.ask_smooth(ctx, model, begin, map, path, PlanStatistics::default());
+        }
+        let goal = self.legs.goal();
         let start = self
             .escape
             .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
@@ -268,10 +239,11 @@ impl Search {
             model: RobotModel { footprint, ..model },
             map,
             start,
-            goal: Pose2::new(self.goal.x, self.goal.y, self.goal.yaw.unwrap_or(0.0)),
+            goal: Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0)),
             planner: self.planner.clone(),
             unknown_is_free: self.unknown_is_free,
             budget_ms: ctx.config.search_budget_ms,
+            seed: 1,
         };
         self.stage = Stage::Plan(ctx.asks.ask(Ask::Plan(Box::new(request))), begin);
         Searching::Wait("plans")
@@ -312,22 +284,17 @@ impl Search {
                 if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
                     return self.failed(error_code::UNKNOWN, "the planner's way is not one".to_owned());
                 }
+                let Some(path) = self.legs.take(path) else {
+                    self.escape = None;
+                    return self.ask_plan(ctx);
+                };
+                if self.legs.is_only_a_way() {
+                    return self.found(begin, path, reply.map, Vec::new(), statistics);
+                }
                 let Some(model) = ctx.robot.model().cloned() else {
                     return Searching::Wait("waits for the robot's description");
                 };
-                let request = SmoothRequest {
-                    robot: ctx.config.robot.to_string(),
-                    model,
-                    map: reply.map.clone(),
-                    path: path.clone(),
-                    start: begin.pose,
-                    start_velocity: begin.twist,
-                    goal_yaw: self.goal.yaw,
-                    unknown_is_free: self.unknown_is_free,
-                };
-                let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request)));
-                self.stage = Stage::Smooth(ticket, begin, reply.map, path, Box::new(statistics));
-                Searching::Wait("smooths")
+                self.ask_smooth(ctx, model, begin, reply.map, path, statistics)
             }
             PlanOutcome::StartOccupied {
                 nearest_free: Some(free),
@@ -345,10 +312,12 @@ impl Search {
             }
             // Where a large disc has no way, a smaller one may; where the body did not fit through, no other way has more room.
             PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
-                if !is_round(ctx) && self.room.narrow() =>
+                if ctx
+                    .robot
+                    .model()
+                    .is_some_and(|model| self.room.narrow(&model.footprint)) =>
             {
-                self.escape = None;
-                self.stage = Stage::Idle(ctx.now);
+                self.begin_anew(ctx);
                 Searching::Wait("plans a narrower way")
             }
             PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
@@ -387,35 +356,33 @@ impl Search {
         }
     }
 
-    fn smoothed(
-        &mut self,
-        ctx: &mut Context,
-        begin: Begin,
-        map: MapRef,
-        path: Vec<Point2<f64>>,
-        planned: PlanStatistics,
-        answer: Result<Answer, NoAnswer>,
-    ) -> Searching {
-        let length: f64 = path
-            .windows(2)
-            .map(|pair| pair.first().zip(pair.last()).map_or(0.0, |(a, b)| (b - a).norm()))
-            .sum();
+    fn smoothed(&mut self, ctx: &mut Context, smoothing: Smoothing, answer: Result<Answer, NoAnswer>) -> Searching {
         let (map, trajectory, statistics) = match answer {
             // Where there is no way, none can be driven: the goal itself is the one waypoint.
-            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && length < AT_GOAL => (map, Vec::new(), planned),
+            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && smoothing.length < AT_GOAL => {
+                (reply.map, Vec::new(), smoothing.planned)
+            }
+            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && self.legs.drop_given() => {
+                tracing::info!(
+                    goal = ctx.goal.id,
+                    why = reply.statistics.status,
+                    "the given way cannot be driven"
+                );
+                self.begin_anew(ctx);
+                return Searching::Wait("plans another way: the given one cannot be driven");
+            }
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
                 self.room.undrivable = Some(reply.statistics.status);
-                if is_round(ctx) || !self.room.change() {
+                if !self.room.change(&smoothing.request.model.footprint) {
                     return self.undrivable();
                 }
-                self.escape = None;
-                self.stage = Stage::Idle(ctx.now);
+                self.begin_anew(ctx);
                 return Searching::Wait("plans another way: the robot does not fit through");
             }
             Ok(Answer::Smooth(reply)) => {
                 let statistics = PlanStatistics {
-                    planner: planned.planner,
-                    search_ms: planned.search_ms,
+                    planner: smoothing.planned.planner,
+                    search_ms: smoothing.planned.search_ms,
                     ..reply.statistics
                 };
                 (reply.map, reply.trajectory, statistics)
@@ -425,20 +392,66 @@ impl Search {
                     Err(NoAnswer::Refused(_)) => "fallback:smoother_refused",
                     _ => "fallback:no_smoother",
                 };
-                let Some(model) = ctx.robot.model() else {
-                    return Searching::Wait("waits for the robot's description");
-                };
-                let safe = unsmoothed(&path, begin.pose, begin.twist, self.goal.yaw, model);
+                let (request, begin) = (&smoothing.request, &smoothing.begin);
+                let safe = unsmoothed(
+                    &request.path,
+                    begin.pose,
+                    begin.twist,
+                    self.legs.last().yaw,
+                    &request.model,
+                );
                 let statistics = PlanStatistics {
-                    planner: planned.planner,
-                    search_ms: planned.search_ms,
-                    length,
+                    planner: smoothing.planned.planner,
+                    search_ms: smoothing.planned.search_ms,
+                    length: smoothing.length,
                     status: why.to_owned(),
                     ..safe.statistics
                 };
-                (map, safe.motion.trajectory(PERIOD), statistics)
+                (request.map.clone(), safe.motion.trajectory(PERIOD), statistics)
             }
         };
+        self.found(smoothing.begin, smoothing.request.path, map, trajectory, statistics)
+    }
+
+    fn ask_smooth(
+        &mut self,
+        ctx: &mut Context,
+        model: RobotModel,
+        begin: Begin,
+        map: MapRef,
+        path: Vec<Point2<f64>>,
+        planned: PlanStatistics,
+    ) -> Searching {
+        let length = path::length(&path);
+        let request = SmoothRequest {
+            robot: ctx.config.robot.to_string(),
+            model,
+            map,
+            path,
+            start: begin.pose,
+            start_velocity: begin.twist,
+            goal_yaw: self.legs.last().yaw,
+            unknown_is_free: self.unknown_is_free,
+        };
+        let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request.clone())));
+        let smoothing = Smoothing {
+            begin,
+            request,
+            length,
+            planned,
+        };
+        self.stage = Stage::Smooth(ticket, Box::new(smoothing));
+        Searching::Wait("smooths")
+    }
+
+    fn found(
+        &self,
+        begin: Begin,
+        path: Vec<Point2<f64>>,
+        map: MapRef,
+        trajectory: Vec<TrajectoryPoint>,
+        statistics: PlanStatistics,
+    ) -> Searching {
         let course = Course {
             map,
             waypoints: path.iter().skip(1).copied().collect(),
@@ -448,12 +461,18 @@ impl Search {
         };
         Searching::Found(Box::new(Route {
             id: 0,
-            goal: self.goal,
+            goal: self.legs.last(),
+            length: path::length(&path),
             path,
-            length,
             begin: begin.pose,
             course,
         }))
+    }
+
+    fn begin_anew(&mut self, ctx: &Context) {
+        self.escape = None;
+        self.legs.begin_anew();
+        self.stage = Stage::Idle(ctx.now);
     }
 
     fn again(&mut self, ctx: &Context) {
@@ -468,96 +487,11 @@ impl Search {
 
     /// The goal, in words.
     fn place(&self) -> String {
-        format!("({:.2}, {:.2})", self.goal.x, self.goal.y)
+        let goal = self.legs.goal();
+        format!("({:.2}, {:.2})", goal.x, goal.y)
     }
 
     fn failed(&mut self, code: i64, reason: String) -> Searching {
         Searching::Failed(NoRoute { code, reason })
-    }
-}
-
-/// Whether all discs that stand for the robot are the same.
-fn is_round(ctx: &Context) -> bool {
-    let footprint = ctx.robot.model().map(|model| &model.footprint);
-    footprint.is_none_or(|footprint| matches!(footprint, Footprint::Radius(_)))
-}
-
-/// The state that the robot will be in when a plan made now comes into force.
-fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'static str> {
-    let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
-        return Err("waits for the robot");
-    };
-    // Also in the middle of a motion: something may hold the robot there.
-    if ctx.robot.is_at_rest() {
-        return Ok(Begin {
-            pose,
-            twist: Twist2::ZERO,
-            splice: None,
-        });
-    }
-    let ahead = ctx
-        .motion
-        .time(state, ctx.robot.state_age(ctx.now))
-        .filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
-    // A motion that is held runs on to where the new one begins, if slower.
-    let follows = state.mode == Mode::Follow && !from_rest;
-    if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
-        let time = (time + ctx.config.latency_budget).max(0.0);
-        let end = plan.trajectory.last().map_or(0.0, |point| point.t);
-        if time + SHORT_REST < end {
-            let point = sample(&plan.trajectory, time);
-            let splice = Splice {
-                trajectory_id: plan.trajectory_id,
-                time,
-            };
-            return Ok(Begin {
-                pose: point.pose(),
-                twist: point.twist(),
-                splice: Some(splice),
-            });
-        }
-    }
-    Err("waits for the robot to stand")
-}
-
-/// Where a trajectory is at a time, linear between its points; held at both ends.
-#[must_use]
-pub fn sample(trajectory: &[TrajectoryPoint], t: f64) -> TrajectoryPoint {
-    let after = trajectory.partition_point(|point| point.t <= t);
-    let (Some(from), to) = (trajectory.get(after.saturating_sub(1)), trajectory.get(after)) else {
-        return TrajectoryPoint::default();
-    };
-    let Some(to) = to.filter(|to| after > 0 && to.t > from.t) else {
-        return *from;
-    };
-    let share = (t - from.t) / (to.t - from.t);
-    let between = |a: f64, b: f64| a + share * (b - a);
-    let turn = zenav_protocol::geometry::wrap_angle(to.yaw - from.yaw);
-    TrajectoryPoint {
-        t,
-        x: between(from.x, to.x),
-        y: between(from.y, to.y),
-        yaw: zenav_protocol::geometry::wrap_angle(from.yaw + share * turn),
-        v: between(from.v, to.v),
-        w: between(from.w, to.w),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_trajectory_is_held_at_both_ends() {
-        let points = [0.0, 1.0].map(|t| TrajectoryPoint {
-            t,
-            x: 2.0 * t,
-            ..TrajectoryPoint::default()
-        });
-        assert!((sample(&points, 0.25).x - 0.5).abs() < 1e-12);
-        assert_eq!(
-            (sample(&points, -1.0).x, sample(&points, 5.0).x, sample(&[], 1.0).x),
-            (0.0, 2.0, 0.0)
-        );
     }
 }
