@@ -70,7 +70,10 @@ pub fn walls(run: &[Point2<f64>], bend: f64) -> Vec<Wall> {
     while let Some(piece) = left.pop() {
         let [first, inner @ .., last] = piece else { continue };
         // A run around the robot ends where it began: its chord is a point.
-        let chord = Wall { from: *first, to: *last };
+        let chord = Wall {
+            from: *first,
+            to: *last,
+        };
         let off = |point: &Point2<f64>| (chord.nearest(*point) - point).norm();
         let farthest = inner.iter().map(off).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
         match farthest {
