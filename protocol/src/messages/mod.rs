@@ -9,6 +9,7 @@ mod map;
 mod mission;
 mod plan;
 mod refusal;
+mod remote;
 mod sense;
 
 pub use edge::*;
@@ -17,4 +18,5 @@ pub use map::*;
 pub use mission::*;
 pub use plan::*;
 pub use refusal::*;
+pub use remote::*;
 pub use sense::*;
