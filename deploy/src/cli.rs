@@ -57,7 +57,7 @@ enum Command {
     Plan(batch::PlanArgs),
     /// Smooth many queries offline
     Smooth(batch::SmoothArgs),
-    /// Simulator benches
+    /// The simulator: benches, and worlds for robots on several machines
     Sim(batch::SimArgs),
     /// What this machine holds
     Bench(batch::BenchArgs),

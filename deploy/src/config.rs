@@ -88,6 +88,9 @@ pub struct RobotSection {
     /// What to do with an accepted plan when the lease has expired.
     #[serde(default)]
     pub on_lost: LostPolicy,
+    /// Whether it is a robot of the world that `zenav sim serve` serves, instead of one simulated in the edge's process.
+    #[serde(default)]
+    pub attach: bool,
     /// Start in the world; without it, the world's own.
     #[serde(default)]
     pub start: Option<Pose2>,

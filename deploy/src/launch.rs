@@ -11,11 +11,12 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use tokio::task::JoinSet;
 use zenav_cloud::{mapping, mission, planning, smoothing};
-use zenav_edge::{EdgeConfig, Referee, ServiceConfig, SimBody};
+use zenav_edge::{Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Router, RouterConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPoint, exit_code};
+use zenav_protocol::messages::{AttachRequest, GoalPoint, exit_code};
+use zenav_protocol::robot::RobotModel;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::config::{self, Deployment, RobotSection};
@@ -86,6 +87,9 @@ pub struct EdgeArgs {
     /// The robot's own endpoint, instead of the deployment's
     #[arg(long)]
     listen: Option<String>,
+    /// Drive robots of the world that `zenav sim serve` serves
+    #[arg(long)]
+    attach: bool,
     /// Simulated seconds a second of wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
@@ -163,48 +167,89 @@ impl Parts {
         });
     }
 
-    /// Starts a simulated robot; returns its referee.
+    /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in the order of their ids.
     ///
     /// # Errors
     /// Bad files, or a start where something stands.
-    pub fn edge(
+    pub fn edges(&mut self, deployment: &Deployment, world: &World) -> Result<Vec<Referee>, Failure> {
+        let mut here = Vec::new();
+        let mut specs = Vec::new();
+        for (id, section) in deployment.robot_ids()? {
+            let model = files::robot(&section.model)?;
+            let start = section.start.map(|start| Pose2::new(start.x, start.y, start.yaw));
+            if section.attach {
+                self.attached(deployment, id, section, model, start);
+                continue;
+            }
+            specs.push(RobotSpec {
+                id: id.clone(),
+                model,
+                start: start.unwrap_or_else(|| world.start()),
+            });
+            here.push((id, section));
+        }
+        if specs.is_empty() {
+            return Ok(Vec::new());
+        }
+        let simulation = Simulation::new(world, specs.clone(), deployment.simulation.seed)
+            .map_err(|error| Failure::usage(format!("{error}; each robot of a deployment may have a `start`")))?;
+        let mut referees = Vec::new();
+        for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
+            let service = ServiceConfig {
+                edge: edge_config(&id, section, spec.model, spec.start),
+                state_dir: deployment.robot_dir(&id),
+                speed: deployment.simulation.speed,
+                gives_the_time: referees.is_empty(),
+            };
+            referees.push(referee);
+            self.spawn(
+                format!("edge {id}"),
+                edge_bus(deployment, &id, section),
+                move |bus, shutdown| run_edge(bus, service, Box::new(body), shutdown),
+            );
+        }
+        Ok(referees)
+    }
+
+    /// Starts the one robot of a deployment that is simulated here; returns its referee.
+    ///
+    /// # Errors
+    /// As [`edges`](Self::edges), or when there is none.
+    pub fn edge(&mut self, deployment: &Deployment, world: &World) -> Result<Referee, Failure> {
+        let referee = self.edges(deployment, world)?.pop();
+        referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))
+    }
+
+    /// Starts a robot of the world that `zenav sim serve` serves on the deployment's bus.
+    fn attached(
         &mut self,
         deployment: &Deployment,
-        world: &World,
-        id: &Id,
+        id: Id,
         section: &RobotSection,
-    ) -> Result<Referee, Failure> {
-        let model = files::robot(&section.model)?;
-        let start = section.start.unwrap_or_else(|| world.start());
-        let start = Pose2::new(start.x, start.y, start.yaw);
-        let spec = RobotSpec {
-            id: id.clone(),
-            model: model.clone(),
-            start,
-        };
-        let simulation = Simulation::new(world, vec![spec], deployment.simulation.seed)
-            .map_err(|error| Failure::usage(error.to_string()))?;
-        let (body, referee) = SimBody::new(simulation, 0).map_err(|error| Failure::failed(error.to_string()))?;
-        let mut edge = EdgeConfig::new(id.clone(), model, start);
-        edge.on_lost = section.on_lost;
-        let service = ServiceConfig {
-            edge,
-            state_dir: deployment.robot_dir(id),
-            speed: deployment.simulation.speed,
-            simulated: true,
-        };
-        let bus = BusConfig {
-            listen: vec![section.listen.clone()],
-            ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect)
-        };
+        model: RobotModel,
+        start: Option<Pose2>,
+    ) {
+        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
+        let bus = edge_bus(deployment, &id, &section);
         self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
-            let endpoints = bus.endpoints().await;
-            tracing::info!(?endpoints, "the robot's own endpoint");
-            zenav_edge::run(bus, service, Box::new(body), shutdown)
+            let request = AttachRequest {
+                robot: id.to_string(),
+                model: model.clone(),
+                start,
+            };
+            let (body, reply) = RemoteBody::attach(&bus, &request)
                 .await
-                .map_err(|error| Failure::failed(error.to_string()))
+                .map_err(|error| Failure::new(error.exit_code(), error.to_string()))?;
+            let mut edge = edge_config(&id, &section, model, reply.start);
+            edge.tick = reply.tick_secs;
+            let service = ServiceConfig {
+                edge,
+                state_dir,
+                speed: reply.speed,
+                gives_the_time: false,
+            };
+            run_edge(bus, service, Box::new(body), shutdown).await
         });
-        Ok(referee)
     }
 
     /// Starts the mapping of a robot.
@@ -333,6 +378,27 @@ impl Parts {
             tracing::warn!("some parts did not end in time");
         }
     }
+}
+
+fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
+    let mut edge = EdgeConfig::new(id.clone(), model, start);
+    edge.on_lost = section.on_lost;
+    edge
+}
+
+fn edge_bus(deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConfig {
+    BusConfig {
+        listen: vec![section.listen.clone()],
+        ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect)
+    }
+}
+
+async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), Failure> {
+    let endpoints = bus.endpoints().await;
+    tracing::info!(?endpoints, "the robot's own endpoint");
+    zenav_edge::run(bus, service, body, shutdown)
+        .await
+        .map_err(|error| Failure::failed(error.to_string()))
 }
 
 /// A world's places as named goals.
@@ -467,9 +533,7 @@ pub fn up(args: &UpArgs) -> Outcome {
 }
 
 fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
-    for (id, section) in deployment.robot_ids()? {
-        parts.edge(deployment, world, &id, section)?;
-    }
+    parts.edges(deployment, world)?;
     parts.cloud(deployment, world, CloudPart::All, "worker")
 }
 
@@ -504,15 +568,15 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     let mut deployment = args.part.deployment()?;
     deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
     deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
+    for section in deployment.robots.values_mut() {
+        section.model = args.model.clone().unwrap_or(std::mem::take(&mut section.model));
+        section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
+        section.attach |= args.attach;
+    }
     let world = files::world(&deployment.simulation.world)?;
     runtime()?.block_on(async {
         let mut parts = Parts::default();
-        for (id, section) in deployment.robot_ids()? {
-            let mut section = section.clone();
-            section.model = args.model.clone().unwrap_or(section.model);
-            section.listen = args.listen.clone().unwrap_or(section.listen);
-            parts.edge(&deployment, &world, &id, &section)?;
-        }
+        parts.edges(&deployment, &world)?;
         until_interrupted(parts).await
     })
 }

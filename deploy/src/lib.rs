@@ -7,12 +7,14 @@
 //! | `launch` | how the parts start and end, in one process or in many |
 //! | `router` | the router |
 //! | `receivers` | how many threads receive, in a process with a router |
+//! | `served_world` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
 //! | `batch` | planning, smoothing and mapping offline |
+//! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
@@ -32,6 +34,8 @@ pub mod output;
 pub mod receivers;
 pub mod report;
 pub mod router;
+pub mod served_world;
+pub mod wall_following;
 
 /// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
 #[must_use]

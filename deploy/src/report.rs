@@ -1,7 +1,11 @@
 //! How did a scenario go? The report for people and programs, from the simulator's truth.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use zenav_protocol::messages::GoalPoint;
+
+use crate::wall_following::score::Kept;
 
 /// What became of a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -48,8 +52,69 @@ pub struct DemoReport {
     pub latency: Latency,
     /// Energy drawn, J.
     pub energy_j: f64,
+    /// How walls were followed, where they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub walls: Option<WallReport>,
     /// What does not hold at this speed of simulation.
     pub notes: Vec<String>,
+}
+
+/// How walls were followed: distances by the simulator's truth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WallReport {
+    /// Distance to be kept, m.
+    pub target_m: f64,
+    /// How it was kept.
+    #[serde(flatten)]
+    pub kept: Kept,
+    /// Contacts that the bumper told of.
+    pub bumps: u64,
+    /// Way driven, m.
+    pub driven_m: f64,
+    /// Share of the time along walls.
+    pub following: f64,
+    /// Transitions of the state machine, with how often each came.
+    pub transitions: BTreeMap<String, u64>,
+    /// Whether the event log has every event of the run, and each transition begins where the one before ended.
+    pub complete: bool,
+    /// Control ticks that came too late.
+    pub missed_ticks: u64,
+}
+
+impl WallReport {
+    fn text(&self) -> String {
+        let kept = &self.kept;
+        let metres = |value: f64| format!("{value:.4}");
+        let mut rows = vec![
+            ("distance to keep, m", format!("{:.3}", self.target_m)),
+            ("error on straight walls, p95, m", metres(kept.straight_p95_m)),
+            ("error on straight walls, greatest, m", metres(kept.straight_max_m)),
+            ("error on straight walls, mean, m", metres(kept.straight_mean_m)),
+            ("error along walls and corners, rms, m", metres(kept.rms_m)),
+            (
+                "samples, on straight walls and all",
+                format!("{} {}", kept.straight_samples, kept.samples),
+            ),
+            ("bumps", self.bumps.to_string()),
+            ("driven, m", format!("{:.1}", self.driven_m)),
+            ("time along walls, %", format!("{:.1}", 100.0 * self.following)),
+            (
+                "event log",
+                if self.complete { "complete" } else { "has gaps" }.to_owned(),
+            ),
+            ("control ticks missed", self.missed_ticks.to_string()),
+        ];
+        let transitions = self
+            .transitions
+            .iter()
+            .map(|(name, count)| (name.as_str(), count.to_string()));
+        rows.extend(transitions);
+        let rows: Vec<Vec<String>> = rows
+            .into_iter()
+            .map(|(what, value)| vec![what.to_owned(), value])
+            .collect();
+        crate::output::table(&["WHAT", "VALUE"], &rows)
+    }
 }
 
 /// A goal that was refused.
@@ -148,10 +213,12 @@ impl DemoReport {
                 ]
             })
             .collect();
-        let mut lines = vec![crate::output::table(
-            &["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"],
-            &rows,
-        )];
+        let header = ["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"];
+        let table = self
+            .walls
+            .as_ref()
+            .map_or_else(|| crate::output::table(&header, &rows), WallReport::text);
+        let mut lines = vec![table];
         let latency = &self.latency;
         lines.push(String::new());
         let map = if self.map_found { ", with a stored map" } else { "" };

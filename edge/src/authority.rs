@@ -239,7 +239,13 @@ impl Authority {
         if self.stopped {
             link::Motive::Brake
         } else {
-            link::motive(self.book.is_live(now), self.book.role(), plan_valid, self.policy)
+            link::motive(
+                self.book.is_live(now),
+                self.book.role(),
+                plan_valid,
+                self.policy,
+                self.link,
+            )
         }
     }
 

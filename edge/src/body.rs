@@ -17,6 +17,11 @@ pub trait Body: Send {
     /// # Errors
     /// [`BodyError`] when the hardware does not answer.
     fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError>;
+
+    /// Whether [`read`](Self::read) itself waits for the next tick, a few of them at most; else the caller keeps time.
+    fn gives_the_pace(&self) -> bool {
+        false
+    }
 }
 
 /// The hardware did not answer.

@@ -1,5 +1,5 @@
-//! When does the pilot step? On a thread of its own, at absolute deadlines; a missed tick is skipped and counted, never
-//! caught up. It never waits for the network.
+//! When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick is skipped and
+//! counted, never caught up. It never waits for the network.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,24 +25,49 @@ impl Drop for Wheels {
     }
 }
 
-/// Runs the loop until `halt` is set and the robot is at rest. `period` is wall time between ticks.
-pub fn run(body: Box<dyn Body>, mut pilot: Pilot, exchange: &Arc<Exchange>, period: Duration, halt: &Arc<AtomicBool>) {
+/// Ticks at absolute deadlines.
+struct Beat {
+    period: Duration,
+    deadline: Instant,
+}
+
+impl Beat {
+    /// Waits for the next tick; returns how many had to be left out.
+    fn wait(&mut self) -> u64 {
+        self.deadline += self.period;
+        let now = Instant::now();
+        if let Some(left) = self.deadline.checked_duration_since(now) {
+            std::thread::sleep(left);
+            return 0;
+        }
+        let late = now.duration_since(self.deadline);
+        let skipped = u32::try_from(late.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u32::MAX);
+        self.deadline += self.period.saturating_mul(skipped);
+        u64::from(skipped)
+    }
+}
+
+/// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, `speed` its time against wall
+/// time.
+pub fn run(
+    body: Box<dyn Body>,
+    mut pilot: Pilot,
+    exchange: &Arc<Exchange>,
+    (tick, speed): (f64, f64),
+    halt: &Arc<AtomicBool>,
+) {
     let mut body = Wheels(body);
-    let mut deadline = Instant::now();
+    let mut beat = (!body.0.gives_the_pace()).then(|| Beat {
+        period: Duration::from_secs_f64(tick / speed),
+        deadline: Instant::now(),
+    });
+    let mut last = None;
     let mut missed_ticks = 0;
     let mut halting = 0;
     let mut failing = false;
     loop {
-        deadline += period;
-        let now = Instant::now();
-        match deadline.checked_duration_since(now) {
-            Some(left) => std::thread::sleep(left),
-            None => {
-                let late = now.duration_since(deadline);
-                let skipped = u32::try_from(late.as_nanos() / period.as_nanos().max(1)).unwrap_or(u32::MAX);
-                missed_ticks += u64::from(skipped);
-                deadline += period.saturating_mul(skipped);
-            }
+        if let Some(beat) = &mut beat {
+            missed_ticks += beat.wait();
         }
         let readings = match body.0.read() {
             Ok(readings) => readings,
@@ -58,6 +83,9 @@ pub fn run(body: Box<dyn Body>, mut pilot: Pilot, exchange: &Arc<Exchange>, peri
             }
         };
         failing = false;
+        if let Some(last) = last.replace(readings.stamp).filter(|_| beat.is_none()) {
+            missed_ticks += ((readings.stamp.secs_since(last) / tick).round() as u64).saturating_sub(1);
+        }
         let mut inbox = exchange.take_inbox();
         inbox.missed_ticks = missed_ticks;
         inbox.halt = halt.load(Ordering::Relaxed);

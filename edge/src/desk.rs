@@ -60,10 +60,11 @@ impl Pilot {
                 return Err(Refusal::bad_request("a value needs the `name` of its parameter"));
             };
             self.authority.admit(now, request.epoch)?;
-            params::write(&mut self.gains, name, value)?;
+            let reach = self.config.model.footprint.circumscribed_radius();
+            params::write(&mut self.gains, &mut self.wall_following, reach, name, value)?;
             self.guard.margin = self.gains.guard_margin;
         }
-        params::read(&self.gains, request.name.as_deref())
+        params::read(&self.gains, &self.wall_following, request.name.as_deref())
     }
 
     fn behaviour(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {

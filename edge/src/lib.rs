@@ -11,13 +11,13 @@
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`teleop`] | what moves it without a plan? |
+//! | [`behaviours`], [`recoveries`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`exchange`] | when does the pilot step, and how does it meet the network? |
 //! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
-//! | `sim_body` (feature `sim`) | how is a simulated robot a body? |
+//! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
 pub mod acceptance;
 pub mod authority;
@@ -39,6 +39,7 @@ pub mod mailbox;
 pub mod params;
 pub mod pilot;
 pub mod recoveries;
+pub mod remote_body;
 pub mod service;
 #[cfg(feature = "sim")]
 pub mod sim_body;
@@ -47,11 +48,13 @@ pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
 pub mod trackers;
+pub mod wall_follower;
 
 pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
 pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
+pub use remote_body::{AttachError, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};
 #[cfg(feature = "sim")]
 pub use sim_body::{Referee, SimBody};

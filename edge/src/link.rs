@@ -6,6 +6,7 @@
 //! | live, a mission's | expired or none | at rest |
 //! | expired | valid | `finish_horizon`: follow to the expiry; `stop`: brake now |
 //! | expired | expired or none | at rest |
+//! | expired, the link lost | expired or none | `wall_follow`: follow walls |
 //! | live, an operator's | any | teleop only |
 
 use std::time::Duration;
@@ -19,6 +20,8 @@ pub enum Motive {
     Plan,
     /// The operator's twists.
     Teleop,
+    /// The wall follower.
+    WallFollow,
     /// Nothing: at rest, or on the way there within the normal limits.
     Rest,
     /// Nothing: brake as hard as possible.
@@ -27,12 +30,13 @@ pub enum Motive {
 
 /// Reads the motion table. `plan_valid`: there is an accepted plan that has not expired.
 #[must_use]
-pub fn motive(lease_live: bool, role: Option<LeaseRole>, plan_valid: bool, policy: LostPolicy) -> Motive {
+pub fn motive(lease_live: bool, role: Option<LeaseRole>, plan_valid: bool, policy: LostPolicy, link: Link) -> Motive {
     match (lease_live, role) {
         (true, Some(LeaseRole::Operator)) => Motive::Teleop,
         (true, _) if plan_valid => Motive::Plan,
-        (false, _) if plan_valid && policy == LostPolicy::FinishHorizon => Motive::Plan,
-        (false, _) if plan_valid => Motive::Brake,
+        (false, _) if plan_valid && policy == LostPolicy::Stop => Motive::Brake,
+        (false, _) if plan_valid => Motive::Plan,
+        (false, _) if policy == LostPolicy::WallFollow && link == Link::Lost => Motive::WallFollow,
         _ => Motive::Rest,
     }
 }
@@ -54,8 +58,9 @@ mod tests {
     #[test]
     fn the_motion_table_is_as_written() {
         use LeaseRole::{Mission, Operator};
-        use LostPolicy::{FinishHorizon, Stop};
-        for policy in [FinishHorizon, Stop] {
+        use LostPolicy::{FinishHorizon, Stop, WallFollow};
+        let motive = |live, role, plan_valid, policy| motive(live, role, plan_valid, policy, Link::Stale);
+        for policy in [FinishHorizon, Stop, WallFollow] {
             assert_eq!(motive(true, Some(Mission), true, policy), Motive::Plan);
             assert_eq!(motive(true, Some(Mission), false, policy), Motive::Rest);
             assert_eq!(motive(false, Some(Mission), false, policy), Motive::Rest);
@@ -64,6 +69,10 @@ mod tests {
         }
         assert_eq!(motive(false, Some(Mission), true, FinishHorizon), Motive::Plan);
         assert_eq!(motive(false, Some(Mission), true, Stop), Motive::Brake);
+        assert_eq!(motive(false, Some(Mission), true, WallFollow), Motive::Plan);
+        let lost = |live, plan_valid| super::motive(live, Some(Mission), plan_valid, WallFollow, Link::Lost);
+        assert_eq!(lost(false, false), Motive::WallFollow);
+        assert_eq!((lost(false, true), lost(true, false)), (Motive::Plan, Motive::Rest));
     }
 
     #[test]

@@ -5,11 +5,11 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use miette::{Report, miette};
-use zenav_edge::{Body, EdgeConfig, ServiceConfig};
+use zenav_edge::{Body, EdgeConfig, RemoteBody, ServiceConfig};
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::exit_code;
+use zenav_protocol::messages::{AttachRequest, exit_code};
 use zenav_protocol::robot::{RobotModel, SHIPPED, shipped};
 
 /// The robot's side of zenav.
@@ -34,6 +34,9 @@ struct Arguments {
     /// Where the robot stands: X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
+    /// Drive the robot of this name in the world that `zenav sim serve` serves.
+    #[arg(long)]
+    attach: bool,
     #[cfg(feature = "sim")]
     #[command(flatten)]
     simulation: SimulationArguments,
@@ -44,7 +47,7 @@ struct Arguments {
 #[derive(Debug, clap::Args)]
 struct SimulationArguments {
     /// Drive a simulated robot in this world: a shipped one's name, or a TOML file.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "attach")]
     world: Option<String>,
     /// Simulated time against wall time.
     #[arg(long, default_value_t = 1.0)]
@@ -112,12 +115,11 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
     };
     let model = model.map_err(Failure::usage)?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
-    let (body, start, speed, simulated) = body(&arguments, &model, &id)?;
-    let config = ServiceConfig {
-        edge: EdgeConfig::new(id, model, start),
-        state_dir: arguments.state_dir,
-        speed,
-        simulated,
+    // Bad files are told before anybody waits for a router.
+    let here = if arguments.attach {
+        None
+    } else {
+        Some(simulated(&arguments, &model, &id)?)
     };
     let bus = BusConfig {
         connect: arguments.connect,
@@ -130,25 +132,41 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(|error| Failure::new(exit_code::FAILED, error))?;
-    runtime.block_on(serve(bus, config, body))
-}
-
-async fn serve(bus: BusConfig, config: ServiceConfig, body: Box<dyn Body>) -> Result<(), Failure> {
-    let bus = Bus::open(bus)
-        .await
-        .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?;
-    tracing::info!(endpoints = ?bus.endpoints().await, "listening");
-    let shutdown = Shutdown::new();
-    tokio::spawn({
-        let shutdown = shutdown.clone();
-        async move {
-            interrupted().await;
-            shutdown.trigger();
-        }
-    });
-    let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
-    bus.close().await;
-    result.map_err(|error| Failure::new(exit_code::FAILED, error))
+    runtime.block_on(async {
+        let bus = Bus::open(bus)
+            .await
+            .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?;
+        tracing::info!(endpoints = ?bus.endpoints().await, "listening");
+        let gives_the_time = here.is_some();
+        let Started {
+            body,
+            start,
+            tick,
+            speed,
+        } = match here {
+            Some(here) => here,
+            None => attached(&bus, id.as_str(), &model, arguments.start).await?,
+        };
+        let mut edge = EdgeConfig::new(id, model, start);
+        edge.tick = tick.unwrap_or(edge.tick);
+        let config = ServiceConfig {
+            edge,
+            state_dir: arguments.state_dir,
+            speed,
+            gives_the_time,
+        };
+        let shutdown = Shutdown::new();
+        tokio::spawn({
+            let shutdown = shutdown.clone();
+            async move {
+                interrupted().await;
+                shutdown.trigger();
+            }
+        });
+        let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
+        bus.close().await;
+        result.map_err(|error| Failure::new(exit_code::FAILED, error))
+    })
 }
 
 /// Waits for Ctrl-C, or the service manager's request to end.
@@ -163,15 +181,40 @@ async fn interrupted() {
     let _ = tokio::signal::ctrl_c().await;
 }
 
-/// The body, where it stands, its speed against wall time, and whether it is simulated.
-type Started = (Box<dyn Body>, Pose2, f64, bool);
+/// A body, and how it begins.
+struct Started {
+    body: Box<dyn Body>,
+    start: Pose2,
+    /// Time between its readings, where it is not the default.
+    tick: Option<f64>,
+    speed: f64,
+}
+
+async fn attached(bus: &Bus, robot: &str, model: &RobotModel, start: Option<Pose2>) -> Result<Started, Failure> {
+    let request = AttachRequest {
+        robot: robot.to_owned(),
+        model: model.clone(),
+        start,
+    };
+    let (body, reply) = RemoteBody::attach(bus, &request)
+        .await
+        .map_err(|error| Failure::new(error.exit_code(), error))?;
+    tracing::info!(world = reply.world, "attached");
+    Ok(Started {
+        body: Box::new(body),
+        start: reply.start,
+        tick: Some(reply.tick_secs),
+        speed: reply.speed,
+    })
+}
 
 #[cfg(feature = "sim")]
-fn body(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Started, Failure> {
+fn simulated(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Started, Failure> {
     use zenav_sim::{RobotSpec, Simulation, World, world};
     let simulation = &arguments.simulation;
     let Some(name) = &simulation.world else {
-        let reason = "no driver for a real body is built in: name a simulated `--world`";
+        let reason =
+            "no driver for a real body is built in: name a simulated `--world`, or `--attach` to one that is served";
         return Err(Failure::usage(reason));
     };
     let world = if world::shipped(name).is_some() {
@@ -188,12 +231,17 @@ fn body(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Started, F
         start,
     };
     let simulated = Simulation::new(&world, vec![spec], simulation.seed).map_err(Failure::usage)?;
-    let (body, _) = zenav_edge::SimBody::new(simulated, 0).map_err(Failure::usage)?;
-    Ok((Box::new(body), start, simulation.speed, true))
+    let (body, _) = zenav_edge::SimBody::all(simulated).remove(0);
+    Ok(Started {
+        body: Box::new(body),
+        start,
+        tick: None,
+        speed: simulation.speed,
+    })
 }
 
 #[cfg(not(feature = "sim"))]
-fn body(_: &Arguments, _: &RobotModel, _: &Id) -> Result<Started, Failure> {
-    let reason = "no driver for a real body is built in, and this binary was built without the feature `sim`";
+fn simulated(_: &Arguments, _: &RobotModel, _: &Id) -> Result<Started, Failure> {
+    let reason = "no driver for a real body is built in, and this binary was built without the feature `sim`: `--attach` to a served world";
     Err(Failure::usage(reason))
 }

@@ -22,6 +22,7 @@ use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
 use crate::teleop::Stick;
+use crate::wall_follower::{Sight, WallFollower};
 
 /// A tick longer than this is not integrated by controllers and limiters, s.
 const LONGEST_TICK: f64 = 0.1;
@@ -42,6 +43,8 @@ pub struct Pilot {
     pub(crate) around: Surroundings,
     pub(crate) guard: Guard,
     pub(crate) course: Option<Course>,
+    pub(crate) wall_following: zenav_protocol::wall_following::WallFollowing,
+    follower: WallFollower,
     limiter: Limiter,
     stick: Stick,
     telemetry: Telemetry,
@@ -69,6 +72,8 @@ impl Pilot {
             around: Surroundings::new(&model.lidar),
             guard: Guard::new(model, config.tick, config.scan_timeout),
             course: None,
+            wall_following: model.wall_following.clone(),
+            follower: WallFollower::new(model),
             limiter: Limiter::new(&model.drive),
             stick: Stick::new(config.dead_man),
             telemetry: Telemetry::default(),
@@ -113,8 +118,17 @@ impl Pilot {
         let (wanted, braking) = if inbox.halt {
             (Twist2::ZERO, Braking::Hard)
         } else {
-            self.choose(now, dt)
+            self.choose(now, dt, &readings.bump)
         };
+        if self.mode != Mode::WallFollow && self.authority.policy() == LostPolicy::WallFollow {
+            self.follower.stand_by(
+                now,
+                self.mode == Mode::Teleop,
+                &readings.bump,
+                self.estimator.odom_from_base(),
+                &mut self.journal,
+            );
+        }
         out.wheels = self.command(now, dt, wanted, braking, readings);
         self.notice(now);
         self.report(now, readings, &mut out.publications);
@@ -138,6 +152,12 @@ impl Pilot {
     #[must_use]
     pub fn mode(&self) -> Mode {
         self.mode
+    }
+
+    /// Where the wall follower stands.
+    #[must_use]
+    pub fn wall_follower(&self) -> WallFollowerState {
+        self.follower.state()
     }
 
     fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
@@ -278,7 +298,7 @@ impl Pilot {
     }
 
     /// What moves the robot, and how it brakes.
-    fn choose(&mut self, now: Stamp, dt: f64) -> (Twist2, Braking) {
+    fn choose(&mut self, now: Stamp, dt: f64, bump: &Bump) -> (Twist2, Braking) {
         let plan_valid = self.course.as_ref().is_some_and(|course| course.is_valid(now));
         let motive = self.authority.motive(now, plan_valid);
         if self.behaviours.running().is_some() {
@@ -311,6 +331,19 @@ impl Pilot {
             Motive::Rest => {
                 self.mode = Mode::Idle;
                 (Twist2::ZERO, Braking::Normal)
+            }
+            Motive::WallFollow => {
+                self.mode = Mode::WallFollow;
+                let sight = Sight {
+                    now,
+                    dt,
+                    settings: &self.wall_following,
+                    around: &self.around,
+                    odom_from_base: self.estimator.odom_from_base(),
+                    bump,
+                    stopped: self.guard.zone() == GuardZone::Stop,
+                };
+                (self.follower.step(&sight, &mut self.journal), Braking::Normal)
             }
             Motive::Teleop => {
                 self.mode = Mode::Teleop;
@@ -389,13 +422,22 @@ impl Pilot {
     fn report(&mut self, now: Stamp, readings: &Readings, out: &mut Vec<Publication>) {
         let events = self.journal.take();
         out.extend(events.into_iter().map(Publication::Event));
-        if self.telemetry.marker_due(now) && self.mode == Mode::Follow {
-            out.extend(
-                self.course
+        if self.telemetry.marker_due(now) {
+            let markers = match self.mode {
+                Mode::Follow => self
+                    .course
                     .as_ref()
                     .and_then(|course| course.marker(now))
-                    .map(Publication::Marker),
-            );
+                    .into_iter()
+                    .collect(),
+                Mode::WallFollow => {
+                    let (map_from_odom, odom_from_base) =
+                        (self.estimator.map_from_odom(), self.estimator.odom_from_base());
+                    self.follower.markers(now, map_from_odom, odom_from_base)
+                }
+                _ => Vec::new(),
+            };
+            out.extend(markers.into_iter().map(Publication::Marker));
         }
         if self.telemetry.state_due(now) {
             out.push(Publication::State(Box::new(self.state(now, readings))));
@@ -415,6 +457,7 @@ impl Pilot {
             guard: self.guard.zone(),
             battery: readings.battery.charge,
             behaviour: self.behaviours.last().cloned(),
+            wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.follower.state()),
             missed_ticks: self.missed_ticks,
         }
     }
@@ -424,3 +467,5 @@ impl Pilot {
 mod rig;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod wall_tests;

@@ -36,8 +36,8 @@ pub struct ServiceConfig {
     pub state_dir: PathBuf,
     /// Simulated time against wall time; 1 for a real body.
     pub speed: f64,
-    /// Whether the body's time is simulated: then it is published as the clock of all.
-    pub simulated: bool,
+    /// Whether this edge publishes its body's time as the clock of all: one edge of a simulated world does.
+    pub gives_the_time: bool,
 }
 
 /// Why an edge did not start or ended early.
@@ -175,15 +175,15 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     )?;
 
     let mut output = JoinSet::new();
-    let publishers = Publishers::new(&bus, &robot, config.simulated)?;
+    let publishers = Publishers::new(&bus, &robot, config.gives_the_time)?;
     output.spawn(publish(publishers, Arc::clone(&exchange)));
     output.spawn(clerk(file, Arc::clone(&exchange)));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
 
     let halt = Arc::new(AtomicBool::new(false));
-    let period = Duration::from_secs_f64(config.edge.tick / config.speed);
+    let pace = (config.edge.tick, config.speed);
     let pilot = Pilot::new(config.edge, new_boot_id(), stored);
-    let ended = spawn_control(body, pilot, Arc::clone(&exchange), period, Arc::clone(&halt))?;
+    let ended = spawn_control(body, pilot, Arc::clone(&exchange), pace, Arc::clone(&halt))?;
     tracing::info!(robot, "edge is up");
 
     let result = supervise(ended, &halt, &shutdown).await;
@@ -208,12 +208,12 @@ fn spawn_control(
     body: Box<dyn Body>,
     pilot: Pilot,
     exchange: Arc<Exchange>,
-    period: Duration,
+    pace: (f64, f64),
     halt: Arc<AtomicBool>,
 ) -> Result<oneshot::Receiver<()>, EdgeError> {
     let (done, ended) = oneshot::channel();
     let control = move || {
-        control::run(body, pilot, &exchange, period, &halt);
+        control::run(body, pilot, &exchange, pace, &halt);
         let _ = done.send(());
     };
     std::thread::Builder::new()
@@ -294,7 +294,7 @@ struct Publishers {
 }
 
 impl Publishers {
-    fn new(bus: &Bus, robot: &str, simulated: bool) -> Result<Self, BusError> {
+    fn new(bus: &Bus, robot: &str, gives_the_time: bool) -> Result<Self, BusError> {
         let robot = &[robot];
         Ok(Self {
             scan: bus.publisher(&topics::SCAN, robot)?,
@@ -307,7 +307,9 @@ impl Publishers {
             state: bus.publisher(&topics::STATE, robot)?,
             event: bus.publisher(&topics::EVENT, robot)?,
             marker: bus.publisher(&topics::MARKER, robot)?,
-            clock: simulated.then(|| bus.publisher(&topics::SIM_CLOCK, &[])).transpose()?,
+            clock: gives_the_time
+                .then(|| bus.publisher(&topics::SIM_CLOCK, &[]))
+                .transpose()?,
         })
     }
 

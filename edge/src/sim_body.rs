@@ -1,6 +1,8 @@
-//! How is a simulated robot a [`Body`]? Each read advances its world by one tick.
+//! How is a simulated robot a [`Body`]? All robots of a process share one world, which moves on when each of them has asked for its next
+//! readings: none ever acts on another time than the others.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
@@ -8,55 +10,126 @@ use zenav_sim::{Simulation, Truth};
 
 use crate::body::{Body, BodyError};
 
-/// A robot in a world of its own process. The world holds further robots only as bystanders: this body moves time.
+/// Wall time that a robot waits for the others before it says so; its wheels are stopped then.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// A robot in a world of its own process.
 pub struct SimBody {
-    shared: Arc<Mutex<Simulation>>,
+    shared: Arc<Shared>,
     robot: usize,
+    /// Whether the world waits for this robot no more until it moves on: the robot has asked for its next readings.
+    asked: Option<u64>,
 }
 
 /// A look at the true world, for a referee. It never goes to the pilot.
 #[derive(Clone)]
 pub struct Referee {
-    shared: Arc<Mutex<Simulation>>,
+    shared: Arc<Shared>,
     robot: usize,
 }
 
-impl SimBody {
-    /// The robot with this index in the simulation, and its referee.
-    ///
-    /// # Errors
-    /// [`BodyError`] when the simulation has no such robot.
-    pub fn new(simulation: Simulation, robot: usize) -> Result<(Self, Referee), BodyError> {
-        if robot >= simulation.robots() {
-            return Err(BodyError(format!(
-                "the simulation has {} robots, not a number {robot}",
-                simulation.robots()
-            )));
+struct Shared {
+    world: Mutex<Turn>,
+    stepped: Condvar,
+}
+
+struct Turn {
+    simulation: Simulation,
+    /// Steps made.
+    steps: u64,
+    /// Robots that are driven.
+    driven: usize,
+    /// Those that have asked for the next step.
+    asked: usize,
+}
+
+impl Turn {
+    /// Makes the step that all have asked for. Returns whether it was made.
+    fn step(&mut self) -> bool {
+        let everybody = self.asked >= self.driven && self.driven > 0;
+        if everybody {
+            self.simulation.step();
+            self.steps += 1;
+            self.asked = 0;
         }
-        let shared = Arc::new(Mutex::new(simulation));
-        Ok((
-            Self {
+        everybody
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Turn> {
+        self.world.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl SimBody {
+    /// All robots of a simulation in their order, each with its referee. The world stands still until each of them is driven or dropped.
+    #[must_use]
+    pub fn all(simulation: Simulation) -> Vec<(Self, Referee)> {
+        let robots = simulation.robots();
+        let turn = Turn {
+            simulation,
+            steps: 0,
+            driven: robots,
+            asked: 0,
+        };
+        let shared = Arc::new(Shared {
+            world: Mutex::new(turn),
+            stepped: Condvar::new(),
+        });
+        let one = |robot| {
+            let body = Self {
                 shared: Arc::clone(&shared),
                 robot,
-            },
-            Referee { shared, robot },
-        ))
+                asked: None,
+            };
+            let referee = Referee {
+                shared: Arc::clone(&shared),
+                robot,
+            };
+            (body, referee)
+        };
+        (0..robots).map(one).collect()
     }
 }
 
 impl Body for SimBody {
     fn read(&mut self) -> Result<Readings, BodyError> {
-        let mut simulation = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
-        simulation.step();
-        Ok(simulation.readings(self.robot))
+        let mut turn = self.shared.lock();
+        let before = *self.asked.get_or_insert_with(|| {
+            turn.asked += 1;
+            turn.steps
+        });
+        if turn.steps == before && turn.step() {
+            self.shared.stepped.notify_all();
+        }
+        let (turn, _) = self
+            .shared
+            .stepped
+            .wait_timeout_while(turn, PATIENCE, |turn| turn.steps == before)
+            .unwrap_or_else(PoisonError::into_inner);
+        if turn.steps == before {
+            return Err(BodyError("another robot of this world does not move on".to_owned()));
+        }
+        self.asked = None;
+        Ok(turn.simulation.readings(self.robot))
     }
 
     fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
-        self.shared
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .drive(self.robot, wheels);
+        self.shared.lock().simulation.drive(self.robot, wheels);
         Ok(())
+    }
+}
+
+impl Drop for SimBody {
+    /// The robot stays where it is, as an obstacle to the others, who wait for it no more.
+    fn drop(&mut self) {
+        let mut turn = self.shared.lock();
+        turn.driven -= 1;
+        turn.asked -= usize::from(self.asked == Some(turn.steps));
+        if turn.step() {
+            self.shared.stepped.notify_all();
+        }
     }
 }
 
@@ -64,15 +137,68 @@ impl Referee {
     /// The truth now.
     #[must_use]
     pub fn truth(&self) -> Truth {
-        self.shared
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .truth(self.robot)
+        self.shared.lock().simulation.truth(self.robot)
     }
 
     /// Simulated time.
     #[must_use]
     pub fn now(&self) -> Stamp {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner).now()
+        self.shared.lock().simulation.now()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::id::Id;
+    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_sim::{RobotSpec, World};
+
+    use super::*;
+
+    fn bodies(count: usize) -> Vec<(SimBody, Referee)> {
+        let model = RobotModel::from_toml(shipped("turtlebot3_waffle").unwrap(), "robot").unwrap();
+        let robot = |i: usize| RobotSpec {
+            id: Id::new(format!("robot{i}")).unwrap(),
+            model: model.clone(),
+            start: Pose2::new(2.0 + 2.0 * i as f64, 3.0, 0.0),
+        };
+        let world = World::from_toml("name = \"hall\"\nsize = [20.0, 6.0]\n", "hall", &|_: &str| {
+            Err(String::new())
+        })
+        .unwrap();
+        SimBody::all(Simulation::new(&world, (0..count).map(robot).collect(), 1).unwrap())
+    }
+
+    #[test]
+    fn robots_of_one_world_live_in_the_same_time_and_one_that_ends_holds_nobody_up() {
+        let (mut first, second) = {
+            let mut all = bodies(2).into_iter();
+            (all.next().unwrap(), all.next().unwrap())
+        };
+        let other = std::thread::spawn(move || {
+            let (mut body, _) = second;
+            (0..50).map(|_| body.read().unwrap().stamp).collect::<Vec<_>>()
+        });
+        let stamps: Vec<_> = (0..80).map(|_| first.0.read().unwrap().stamp).collect();
+        let others = other.join().unwrap();
+        assert_eq!(&stamps[..50], &others[..]);
+        assert!(
+            stamps
+                .windows(2)
+                .all(|pair| pair[1].since(pair[0]) == stamps[0].since(Stamp::ZERO))
+        );
+        assert_eq!(first.1.now(), stamps[79]);
+    }
+
+    #[test]
+    fn a_robot_that_waits_in_vain_is_told_and_goes_on_when_the_other_does() {
+        let mut all = bodies(2);
+        let (mut second, _) = all.pop().unwrap();
+        let (mut first, _) = all.pop().unwrap();
+        assert!(first.read().is_err() && first.read().is_err());
+        let other = std::thread::spawn(move || second.read().unwrap().stamp);
+        assert_eq!(first.read().unwrap().stamp, other.join().unwrap());
     }
 }

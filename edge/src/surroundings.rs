@@ -103,6 +103,12 @@ impl Surroundings {
         self.stamp.map(|stamp| now.secs_since(stamp))
     }
 
+    /// When the newest sweep was taken.
+    #[must_use]
+    pub fn stamp(&self) -> Option<Stamp> {
+        self.stamp
+    }
+
     /// All known points in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = odom_from_base.inverse();

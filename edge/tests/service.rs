@@ -36,12 +36,12 @@ impl Edge {
             model: model.clone(),
             start: world.start(),
         };
-        let (body, referee) = SimBody::new(Simulation::new(&world, vec![spec], 1).unwrap(), 0).unwrap();
+        let (body, referee) = SimBody::all(Simulation::new(&world, vec![spec], 1).unwrap()).remove(0);
         let config = ServiceConfig {
             edge: EdgeConfig::new(id, model, world.start()),
             state_dir: state_dir.to_owned(),
             speed: 2.0,
-            simulated: true,
+            gives_the_time: true,
         };
         let listen = BusConfig {
             connect: Vec::new(),

@@ -12,6 +12,7 @@
 //! | [`messages`] | everything that crosses the wire |
 //! | [`lease`] | who may command a robot |
 //! | [`topics`] | the key table |
+//! | [`wall_following`] | how a robot follows walls |
 //! | [`codec`] | JSON and CBOR by encoding |
 //! | `bus` | typed Zenoh (feature `bus`) |
 
@@ -28,6 +29,7 @@ pub mod readings;
 pub mod robot;
 pub mod time;
 pub mod topics;
+pub mod wall_following;
 
 /// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
 pub const SCHEMA_VERSION: u32 = 1;

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::geometry::Pose2;
+use crate::wall_following::WallFollowing;
 
 /// A robot: what its file says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,6 +38,9 @@ pub struct RobotModel {
     /// Gains of the trackers.
     #[serde(default)]
     pub controller: ControllerGains,
+    /// Distances, speeds and gains of the wall follower.
+    #[serde(default)]
+    pub wall_following: WallFollowing,
 }
 
 /// Outline on the floor, in the base frame.
@@ -425,6 +429,14 @@ pub enum RobotError {
         /// What it should be.
         expected: &'static str,
     },
+    /// Settings of the wall follower that do not fit.
+    #[error("{name}: `wall_following`: {reason}")]
+    WallFollowing {
+        /// The file.
+        name: String,
+        /// Which, and what was expected.
+        reason: String,
+    },
     /// The footprint's corners do not make a convex polygon around the base.
     #[error(
         "{name}: `footprint.polygon`: expected at least 3 corners of a convex polygon around the base, counter-clockwise"
@@ -575,6 +587,12 @@ impl RobotModel {
         }
         if self.lidar.range_min >= self.lidar.range_max {
             return fail("lidar.range_min", self.lidar.range_min, "less than range_max");
+        }
+        if let Err(reason) = self.wall_following.check(self.footprint.circumscribed_radius()) {
+            return Err(RobotError::WallFollowing {
+                name: name.to_owned(),
+                reason,
+            });
         }
         if let Footprint::Polygon(corners) = &self.footprint {
             let edges: Vec<_> = corners

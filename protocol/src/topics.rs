@@ -6,6 +6,7 @@ use std::marker::PhantomData;
 
 use crate::codec::Encoding;
 use crate::messages::*;
+use crate::readings::Readings;
 
 /// How a topic is carried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +41,8 @@ pub enum Producer {
     Operator,
     /// The simulator.
     Sim,
+    /// What carries the robot's sensors and motors, where that is another process than its edge.
+    Body,
 }
 
 /// A key that carries `T`. `{robot}`, `{id}` and `{worker}` in the pattern are filled by [`Topic::key`].
@@ -188,6 +191,8 @@ macro_rules! key_table {
 
 key_table! {
     topics {
+        READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, 256 * KIB;
+        WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, KIB;
         SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
         ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
         IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
@@ -224,6 +229,7 @@ key_table! {
         BEHAVIOUR: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", Edge, 16 * KIB;
         EDGE_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", Edge, 4 * KIB;
         PLAN_SERVICE: PlanRequest => PlanReply = "zenav/svc/plan/{worker}", Planning, 4 * MIB;
+        ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
         SMOOTH_SERVICE: SmoothRequest => SmoothReply = "zenav/svc/smooth/{worker}", Smoothing, 4 * MIB;
     }
 }

@@ -3,7 +3,7 @@
 //! A step moves the movers, then the robots in their order, each against what stands where it stands by then; when all
 //! have moved, clearances are computed and sensors measure. Robots see and hit one another.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -80,9 +80,10 @@ pub struct Simulation {
     bodies: Vec<Body>,
     /// Movers first, then robots.
     crowd: Crowd,
-    ids: Vec<Id>,
+    ids: BTreeMap<Id, usize>,
     tick: Duration,
     now: Stamp,
+    seed: u64,
 }
 
 impl Simulation {
@@ -102,57 +103,74 @@ impl Simulation {
         if !(Duration::from_millis(1)..=Duration::from_secs(1)).contains(&tick) {
             return Err(SimError::Tick(tick));
         }
-        if robots.len() > MAX_ROBOTS {
-            return Err(SimError::TooMany(robots.len()));
-        }
         let (movers, solids): (Vec<Mover>, Vec<Solid>) = world
             .movers()
             .iter()
             .enumerate()
             .map(|(index, model)| Mover::new(model, walker_stream(seed, index)))
             .unzip();
-        let mut crowd = Crowd::new(solids);
-        let mut ids: Vec<Id> = Vec::with_capacity(robots.len());
-        let mut names = BTreeSet::new();
-        let mut bodies = Vec::with_capacity(robots.len());
-        for RobotSpec { id, model, start } in robots {
-            let model = model.checked(id.as_str())?;
-            if !names.insert(id.clone()) {
-                return Err(SimError::Duplicate(id));
-            }
-            if !start.is_finite() {
-                return Err(SimError::NotFinite(id));
-            }
-            let start = Pose2::new(start.x, start.y, start.yaw);
-            let around = Surroundings {
-                scene: world.scene(),
-                crowd: &crowd,
-                own: usize::MAX,
-            };
-            if world.is_solid(start.position())
-                || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT
-            {
-                return Err(SimError::Occupied {
-                    robot: id,
-                    x: start.x,
-                    y: start.y,
-                });
-            }
-            crowd.push(Solid::new(Shape::from(&model.footprint), start));
-            bodies.push(Body::new(&id, model, start, seed));
-            ids.push(id);
-        }
         let mut simulation = Self {
             scene: world.shared_scene(),
             movers,
-            bodies,
-            crowd,
-            ids,
+            bodies: Vec::with_capacity(robots.len()),
+            crowd: Crowd::new(solids),
+            ids: BTreeMap::new(),
             tick,
             now: Stamp::ZERO,
+            seed,
         };
+        if robots.len() > MAX_ROBOTS {
+            return Err(SimError::TooMany(robots.len()));
+        }
+        for robot in robots {
+            simulation.place(world, robot)?;
+        }
         simulation.sense();
         Ok(simulation)
+    }
+
+    /// Puts a further robot into the world, which is the one that the simulation began with; its sensors say something from the next step
+    /// on. Returns its place in all calls that take one.
+    ///
+    /// # Errors
+    /// [`SimError`]: a name, a model or a start that cannot be.
+    pub fn add(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
+        let index = self.place(world, robot)?;
+        self.crowd.refresh();
+        Ok(index)
+    }
+
+    fn place(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
+        let RobotSpec { id, model, start } = robot;
+        let index = self.bodies.len();
+        if index >= MAX_ROBOTS {
+            return Err(SimError::TooMany(index + 1));
+        }
+        let model = model.checked(id.as_str())?;
+        if self.ids.contains_key(&id) {
+            return Err(SimError::Duplicate(id));
+        }
+        if !start.is_finite() {
+            return Err(SimError::NotFinite(id));
+        }
+        let start = Pose2::new(start.x, start.y, start.yaw);
+        let around = Surroundings {
+            scene: &self.scene,
+            crowd: &self.crowd,
+            own: usize::MAX,
+        };
+        if world.is_solid(start.position()) || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT
+        {
+            return Err(SimError::Occupied {
+                robot: id,
+                x: start.x,
+                y: start.y,
+            });
+        }
+        self.crowd.push(Solid::new(Shape::from(&model.footprint), start));
+        self.bodies.push(Body::new(&id, model, start, self.seed));
+        self.ids.insert(id, index);
+        Ok(index)
     }
 
     /// Simulated time since the beginning.
@@ -176,7 +194,7 @@ impl Simulation {
     /// The place of a robot in all calls that take one.
     #[must_use]
     pub fn find(&self, id: &Id) -> Option<usize> {
-        self.ids.iter().position(|known| known == id)
+        self.ids.get(id).copied()
     }
 
     /// Commands a robot's wheels (left, right; rad/s), until the next command. Bounded by its limits; what is not a

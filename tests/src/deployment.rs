@@ -151,6 +151,29 @@ impl Deployment {
         self.start(&["up", "deployment.toml"])
     }
 
+    /// `zenav sim serve`: the world, and the router.
+    #[must_use]
+    pub fn start_served_world(&self) -> Process {
+        let speed = self.speed.to_string();
+        let world = ["--world", &self.world, "--speed", &speed];
+        self.start(&[&["sim", "serve", "--listen", &self.router][..], &world].concat())
+    }
+
+    /// `zenav up` for robots of the served world; `robots` is their part of a deployment file.
+    ///
+    /// # Panics
+    /// When the file cannot be written.
+    #[must_use]
+    pub fn start_up_attached(&self, robots: &str) -> Process {
+        let file = self.folder().join("attached.toml");
+        let (world, router) = (&self.world, &self.router);
+        let text = format!(
+            "[router]\nenabled = false\n[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\n[data]\ndir = \"attached\"\n{robots}"
+        );
+        std::fs::write(file, text).expect("a deployment file");
+        self.start(&["up", "attached.toml"])
+    }
+
     /// Runs a command to its end.
     #[must_use]
     pub fn zenav(&self, arguments: &[&str]) -> Output {

@@ -12,6 +12,7 @@
 //! | `records` | what does a search note about cells, of which it sees few? |
 //! | [`theta`] | a short way in any direction? |
 //! | [`taut`] | which corners of a way are needed? |
+//! | `oriented` | is there a way for the true footprint of a robot that is longer than wide? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -27,6 +28,7 @@ pub mod jump_grid;
 pub mod lattice;
 mod lines;
 mod open;
+mod oriented;
 pub mod plan;
 pub mod planner;
 mod records;

@@ -4,9 +4,11 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
+use zenav_protocol::robot::Footprint;
 
 use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
+use super::oriented;
 use super::planner::PlanOptions;
 use super::searcher::{Query, Searched, Searcher};
 use crate::space::{ConfigurationSpace, DistanceCost, Sight as _};
@@ -25,7 +27,8 @@ pub struct Planned {
 /// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
 ///
 /// The way leads from the exact start to the exact goal: over cell centres where the planner's search is on a grid, straight from the ends
-/// where it grows trees. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// where it grows trees. The true footprint can drive it as it stands: legs straight, turns on the spot at the corners, the first one from
+/// the start's heading. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
 /// refused only where it stands in an obstacle.
 pub fn plan(
     space: &ConfigurationSpace,
@@ -35,20 +38,80 @@ pub fn plan(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Planned {
-    answer(space, start, goal, |first, last| {
+    answer(space, start, goal, options, budget, |first, last| {
         let searched = between(space, searcher, first, last, options, budget);
         (searched, PlanOrigin::Searched)
     })
 }
 
 /// A way between two poses, where `find` gives one between two ends on the grid.
+///
+/// That one is for the inscribed disc; where the true footprint cannot drive it, one that it can drive takes its place.
 pub(super) fn answer(
     space: &ConfigurationSpace,
     start: Pose2,
     goal: Pose2,
+    options: &PlanOptions,
+    budget: Budget<'_>,
     find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
 ) -> Planned {
-    let (start, goal) = (start.position(), goal.position());
+    let (from, to) = (start.position(), goal.position());
+    let mut planned = for_disc(space, from, to, find);
+    if matches!(space.footprint(), Footprint::Polygon(_)) {
+        let heading = (!options.any_heading).then_some(start.yaw);
+        let query = oriented::Query {
+            start: from,
+            heading,
+            goal: to,
+        };
+        fit_footprint(space, &query, options, budget, &mut planned);
+    }
+    planned
+}
+
+/// Puts a way that the true footprint can drive, if there is one, in place of one that only the inscribed disc can.
+fn fit_footprint(
+    space: &ConfigurationSpace,
+    query: &oriented::Query,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+    planned: &mut Planned,
+) {
+    let is_fine = match &planned.outcome {
+        PlanOutcome::Found { path, .. } => oriented::is_drivable(space, path, query.heading),
+        PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
+        _ => true,
+    };
+    // A robot that stands where it does not fit by the map leaves by the disc's way, as far as it gets.
+    if is_fine
+        || !oriented::can_stand(space, query.start, query.heading)
+        || !oriented::can_stand(space, query.goal, None)
+    {
+        return;
+    }
+    let searched = oriented::search(space, &comfort(space, options), query, budget);
+    planned.expansions += searched.expansions;
+    planned.origin = PlanOrigin::Searched;
+    match (searched.result, &planned.outcome) {
+        (Ok(path), _) => planned.outcome = found(path),
+        (Err(NotFound::TimedOut), _) => planned.outcome = PlanOutcome::TimedOut,
+        (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
+        (Err(_), _) => {}
+    }
+}
+
+fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
+    let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    PlanOutcome::Found { path, length }
+}
+
+/// A way for the inscribed disc.
+fn for_disc(
+    space: &ConfigurationSpace,
+    start: Point2<f64>,
+    goal: Point2<f64>,
+    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+) -> Planned {
     let without_search = |outcome| Planned {
         outcome,
         expansions: 0,
@@ -83,8 +146,7 @@ pub(super) fn answer(
                 corners.filter(|corner| (corner - start).norm() > ROUNDING && (corner - goal).norm() > ROUNDING),
             );
             path.push(goal);
-            let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-            PlanOutcome::Found { path, length }
+            self::found(path)
         }
         Err(NotFound::TimedOut) => PlanOutcome::TimedOut,
         // Both ends were found free above; a searcher of another map says so by the last three.

@@ -102,6 +102,8 @@ pub struct PlanOptions {
     pub comfort_weight: f64,
     /// Seed of planners that draw samples.
     pub seed: u64,
+    /// The robot may begin with any heading, whatever the start says.
+    pub any_heading: bool,
 }
 
 impl Default for PlanOptions {
@@ -111,6 +113,7 @@ impl Default for PlanOptions {
             comfort: 0.4,
             comfort_weight: 3.0,
             seed: 1,
+            any_heading: false,
         }
     }
 }
@@ -124,6 +127,7 @@ impl PlanOptions {
             comfort: 0.0,
             comfort_weight: 0.0,
             seed: 1,
+            any_heading: false,
         }
     }
 }

@@ -113,7 +113,7 @@ impl Replanner {
         budget: Budget<'_>,
     ) -> Result<Planned, TooManyCells> {
         self.follow(space)?;
-        Ok(answer(space, start, goal, |first, last| {
+        Ok(answer(space, start, goal, options, budget, |first, last| {
             self.find(space, first, last, options, budget)
         }))
     }

@@ -90,7 +90,7 @@ fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
         if bound >= least {
             break;
         }
-        least = least.min(space.sweep_min_clearance(chunk));
+        least = space.sweep_clearance_within(chunk, least);
     }
     least
 }

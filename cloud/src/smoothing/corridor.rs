@@ -1,18 +1,21 @@
 //! How much room is there around a way? A chain of overlapping convex polygons, each free for the robot's centre.
 //!
 //! Around a straight piece of the way every obstacle nearby is cut off by a line at right angles to the shortest connection between the
-//! two, the nearest obstacle first; obstacles that a line has cut off already need none of their own. A line keeps the robot's radius, and
-//! on top of it a comfortable distance, but no more than half of what the piece itself has: the other half is for the curve. A polygon is convex, so that a curve whose control points lie
-//! inside does not leave it: free between samples too.
+//! two, the nearest obstacle first; obstacles that a line has cut off already need none of their own. A line keeps what the robot reaches
+//! towards it (a disc its radius, a polygon what it has there with headings near the piece's), and on top of it a comfortable distance,
+//! but no more than half of what the piece itself has: the other half is for the curve. A polygon is convex, so that a curve whose control
+//! points lie inside does not leave it: free between samples too.
 //!
 //! Source: Liu, Watterson, Mohta, Sun, Bhattacharya, Taylor and Kumar, "Planning Dynamically Feasible Trajectories for Quadrotors Using
 //! Safe Flight Corridors in 3-D Complex Environments", RA-L 2017; with squares in place of points, and without the ellipsoid.
 
-use nalgebra::{Point2, Vector2};
-use zenav_protocol::grid::Cell;
+use std::f64::consts::{FRAC_PI_2, SQRT_2};
+
+use nalgebra::{Point2, Rotation2, Vector2};
+use zenav_protocol::robot::Footprint;
 
 use super::shortcut::HAIR;
-use crate::space::{BitGrid, ConfigurationSpace, UnknownPolicy};
+use crate::space::{ConfigurationSpace, UnknownPolicy};
 
 /// `normal · p <= offset`, with a normal of length one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +31,11 @@ impl HalfPlane {
     #[must_use]
     pub fn depth(&self, point: Point2<f64>) -> f64 {
         self.offset - self.normal.dot(&point.coords)
+    }
+
+    fn through(point: Point2<f64>, normal: Vector2<f64>) -> Self {
+        let offset = normal.dot(&point.coords);
+        Self { normal, offset }
     }
 }
 
@@ -50,35 +58,48 @@ impl Room {
     pub fn holds(&self, point: Point2<f64>, tolerance: f64) -> bool {
         self.sides.iter().all(|side| side.depth(point) >= -tolerance)
     }
+
+    /// Heading of the way through it, rad.
+    #[must_use]
+    pub fn heading(&self) -> f64 {
+        let along = self.to - self.from;
+        along.y.atan2(along.x)
+    }
 }
 
-/// Share of what a piece has beyond the radius that is kept clear.
+/// Share of what a piece has beyond the robot that is kept clear.
 const SHARE: f64 = 0.5;
 
 /// How large a room may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RoomSize {
-    /// Longest piece of the way in one room, m.
+    /// Longest piece of the way in one room at the ends of a leg, m; in the middle of a leg twice as long.
     pub length: f64,
     /// How far a room may reach beyond its piece, m.
     pub reach: f64,
-    /// Distance to obstacles beyond the robot's radius, m, where the way has it.
+    /// Distance to obstacles beyond the robot's own shape, m, where the way has it.
     pub comfort: f64,
 }
+
+/// How far a polygon's heading may differ from the piece's, rad, before anything is known about the curve.
+pub const SPREAD: f64 = 0.1;
 
 /// The rooms along a way (corner points, map frame), in order; neighbours share the point where the way goes from one to the next.
 #[must_use]
 pub fn corridor(space: &ConfigurationSpace, way: &[Point2<f64>], size: &RoomSize) -> Vec<Room> {
     let points = split(way, size.length);
+    let is_round = matches!(space.footprint(), Footprint::Radius(_));
     let mut rooms = Vec::new();
     let mut at = 0;
     while at + 1 < points.len() {
-        let mut room = room_around(space, points[at], points[at + 1], size);
+        let mut room = room(space, points[at], points[at + 1], size, SPREAD);
+        let along = points[at + 1] - points[at];
         at += 1;
-        // Short pieces that fit into the same room make one piece.
+        // Short pieces that fit into the same room make one piece; a polygon must go the same way in all of them.
         while let Some(next) = points.get(at + 1) {
-            let longer = room.length + (next - points[at]).norm();
-            if longer > size.length || !room.holds(*next, 0.0) {
+            let leg = next - points[at];
+            let longer = room.length + leg.norm();
+            if longer > size.length || !room.holds(*next, 0.0) || !(is_round || along.angle(&leg) < 0.5 * SPREAD) {
                 break;
             }
             (room.to, room.length) = (*next, longer);
@@ -89,157 +110,242 @@ pub fn corridor(space: &ConfigurationSpace, way: &[Point2<f64>], size: &RoomSize
     rooms
 }
 
-/// The way with points between its corners, so that no leg is longer than `length`.
+/// The way with points between its corners: pieces of at most `length` at the ends of a leg, where the way bends, and twice that between.
 fn split(way: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
     let mut points: Vec<Point2<f64>> = way.first().copied().into_iter().collect();
     for pair in way.windows(2) {
         let leg = pair[1] - pair[0];
-        let pieces = (leg.norm() / length).ceil().clamp(1.0, 1e5) as usize;
-        points.extend((1..pieces).map(|i| pair[0] + leg * (i as f64 / pieces as f64)));
+        // In lengths of a piece at an end.
+        let total = leg.norm() / length;
+        if total > 1.0 {
+            let end = (total / 3.0).min(1.0);
+            let middle = total - 2.0 * end;
+            let pieces = if total <= 2.0 {
+                0
+            } else {
+                (middle / 2.0).ceil().clamp(1.0, 1e5) as usize
+            };
+            if pieces == 0 {
+                points.push(pair[0] + leg * 0.5);
+            } else {
+                let share = |i: usize| (end + middle * i as f64 / pieces as f64) / total;
+                points.extend((0..=pieces).map(|i| pair[0] + leg * share(i)));
+            }
+        }
         points.push(pair[1]);
     }
     points
 }
 
-fn room_around(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, size: &RoomSize) -> Room {
-    let spec = space.spec();
-    let (mut low, mut high) = (
-        from.inf(&to) - Vector2::repeat(size.reach),
-        from.sup(&to) + Vector2::repeat(size.reach),
-    );
-    if space.unknown_policy() != UnknownPolicy::Free {
-        (low, high) = (low.sup(&spec.origin), high.inf(&spec.upper()));
+/// How far the robot reaches from its base, m, with headings near a piece's.
+enum Shape {
+    Disc(f64),
+    /// Each corner's distance, and where it is at the lowest and at the highest heading.
+    Polygon(Vec<(f64, Vector2<f64>, Vector2<f64>)>),
+}
+
+impl Shape {
+    fn new(space: &ConfigurationSpace, along: Vector2<f64>, spread: f64) -> Self {
+        match space.footprint() {
+            Footprint::Polygon(corners) if spread < FRAC_PI_2 && along.norm_squared() > 0.0 => {
+                let yaw = along.y.atan2(along.x);
+                let [low, high] = [yaw - spread, yaw + spread].map(Rotation2::new);
+                let fan = |corner: &Point2<f64>| (corner.coords.norm(), low * corner.coords, high * corner.coords);
+                Self::Polygon(corners.iter().map(fan).collect())
+            }
+            Footprint::Polygon(_) if spread >= FRAC_PI_2 => Self::Disc(space.footprint().circumscribed_radius()),
+            footprint => Self::Disc(footprint.inscribed_radius()),
+        }
     }
-    let side = |x: f64, y: f64, offset: f64| HalfPlane {
-        normal: Vector2::new(x, y),
-        offset,
-    };
-    let mut sides = vec![
-        side(1.0, 0.0, high.x),
-        side(0.0, 1.0, high.y),
-        side(-1.0, 0.0, -low.x),
-        side(0.0, -1.0, -low.y),
-    ];
-    let radius = space.radius() + HAIR;
-    let mut squares = Vec::new();
-    gather(
-        space,
-        space.obstacles(),
-        (from, to),
-        (low, high),
-        [radius, radius + size.comfort.max(0.0)],
-        &mut squares,
-    );
-    if space.unknown_policy() == UnknownPolicy::Blocked {
-        // The centre alone stays off these.
-        gather(
-            space,
-            space.forbidden(),
-            (from, to),
-            (low, high),
-            [HAIR, HAIR],
-            &mut squares,
-        );
+
+    /// In a direction (length one).
+    fn towards(&self, direction: Vector2<f64>) -> f64 {
+        match self {
+            Self::Disc(radius) => *radius,
+            Self::Polygon(corners) => {
+                let reach = |(radius, low, high): &(f64, Vector2<f64>, Vector2<f64>)| {
+                    // In between a corner turns through the direction itself.
+                    if low.perp(&direction) >= 0.0 && direction.perp(high) >= 0.0 {
+                        *radius
+                    } else {
+                        low.dot(&direction).max(high.dot(&direction))
+                    }
+                };
+                corners.iter().map(reach).fold(0.0, f64::max)
+            }
+        }
     }
-    let half = 0.5 * spec.resolution;
-    while let Some(closest) = (0..squares.len()).min_by(|a, b| squares[*a].slack().total_cmp(&squares[*b].slack())) {
-        let Square {
-            nearest,
-            outwards,
-            distance,
-            least,
-            wanted,
-            ..
-        } = squares.swap_remove(closest);
-        // The piece itself stays inside, however close it is.
-        let kept = wanted.min(least + (distance - least) * SHARE).min(distance);
-        let side = HalfPlane {
-            normal: outwards,
-            offset: outwards.dot(&nearest.coords) - kept,
-        };
-        squares.retain(|other| {
-            let nearest_corner = outwards.dot(&other.center.coords) - half * (outwards.x.abs() + outwards.y.abs());
-            nearest_corner < side.offset + other.least - 1e-9
-        });
-        sides.push(side);
-    }
-    Room {
-        sides: needed(&sides),
-        from,
-        to,
-        length: (to - from).norm(),
+
+    fn most(&self) -> f64 {
+        match self {
+            Self::Disc(radius) => *radius,
+            Self::Polygon(corners) => corners.iter().map(|corner| corner.0).fold(0.0, f64::max),
+        }
     }
 }
 
 /// An obstacle's square near a piece of the way, m.
 struct Square {
     center: Point2<f64>,
-    /// What is to be kept clear around it: at least, and better.
-    least: f64,
-    wanted: f64,
-    /// Its point nearest to the piece, the direction from the piece to it, and their distance.
+    /// Nobody has looked there: the robot's centre alone stays off.
+    is_unknown: bool,
+    /// What it is ordered by: not more than its distance beyond what is to be kept clear.
+    slack: f64,
+    connection: Option<Connection>,
+}
+
+/// The shortest connection from a piece to a square.
+#[derive(Clone, Copy)]
+struct Connection {
+    /// Its end on the square, its direction, its length.
     nearest: Point2<f64>,
     outwards: Vector2<f64>,
     distance: f64,
+    /// What is to be kept clear: at least, and better.
+    least: f64,
+    wanted: f64,
 }
 
-impl Square {
-    fn slack(&self) -> f64 {
-        self.distance - self.wanted
+/// The room around a straight piece of a way. A polygon's heading may differ by `spread` (rad) from the piece's.
+#[must_use]
+pub fn room(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, size: &RoomSize, spread: f64) -> Room {
+    let piece = (from, to);
+    let shape = Shape::new(space, to - from, spread);
+    let comfort = size.comfort.max(0.0);
+    let mut sides = frame(space, from, to, size.reach);
+    let half = 0.5 * space.spec().resolution;
+    // Nothing beyond this has a say in the room.
+    let wide = frame_corners(from, to, size.reach + shape.most() + HAIR + comfort);
+    let mut squares = Vec::new();
+    for is_unknown in [false, true] {
+        if is_unknown && space.unknown_policy() != UnknownPolicy::Blocked {
+            continue;
+        }
+        let kept = if is_unknown {
+            HAIR
+        } else {
+            shape.most() + HAIR + comfort
+        };
+        space.outer_cells(&wide, is_unknown, |center| {
+            squares.push(Square {
+                center,
+                is_unknown,
+                slack: (center - on_segment(piece, center)).norm() - half * SQRT_2 - kept,
+                connection: None,
+            });
+        });
+    }
+    while let Some(first) = (0..squares.len()).min_by(|a, b| squares[*a].slack.total_cmp(&squares[*b].slack)) {
+        let square = &mut squares[first];
+        let Some(connection) = square.connection else {
+            let connection = connect(piece, square, &shape, comfort, half);
+            match connection {
+                Some(found) => (square.slack, square.connection) = (found.distance - found.wanted, connection),
+                // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
+                None => drop(squares.swap_remove(first)),
+            }
+            continue;
+        };
+        squares.swap_remove(first);
+        let Connection {
+            nearest,
+            outwards,
+            distance,
+            least,
+            wanted,
+        } = connection;
+        // The piece itself stays inside, however close it is.
+        let kept = wanted.min(least + (distance - least) * SHARE).min(distance);
+        let side = HalfPlane {
+            normal: outwards,
+            offset: outwards.dot(&nearest.coords) - kept,
+        };
+        let reach = shape.towards(outwards) + HAIR;
+        squares.retain(|other| {
+            let nearest_corner = outwards.dot(&other.center.coords) - half * (outwards.x.abs() + outwards.y.abs());
+            let least = if other.is_unknown { HAIR } else { reach };
+            nearest_corner < side.offset + least - 1e-9
+        });
+        sides.push(side);
+    }
+    Room {
+        sides: needed(&sides, &frame_corners(from, to, size.reach)),
+        from,
+        to,
+        length: (to - from).norm(),
     }
 }
 
-/// Collects the squares of set cells that a room from `low` to `high` may come nearer to than `wanted`; only those with an unset
-/// neighbour, since whatever would come near another one comes near these first.
-fn gather(
-    space: &ConfigurationSpace,
-    bits: &BitGrid,
+/// Corners of the rectangle around a piece, counter-clockwise, `reach` beyond it on all sides.
+fn frame_corners(from: Point2<f64>, to: Point2<f64>, reach: f64) -> [Point2<f64>; 4] {
+    let along = (to - from).try_normalize(0.0).unwrap_or(Vector2::x()) * reach;
+    let left = Vector2::new(-along.y, along.x);
+    [
+        to + along - left,
+        to + along + left,
+        from - along + left,
+        from - along - left,
+    ]
+}
+
+/// Its sides, each from a corner on; then those of the map, where the robot may not leave it.
+fn frame(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, reach: f64) -> Vec<HalfPlane> {
+    let along = (to - from).try_normalize(0.0).unwrap_or(Vector2::x());
+    let left = Vector2::new(-along.y, along.x);
+    let mut sides = vec![
+        HalfPlane::through(to + along * reach, along),
+        HalfPlane::through(from + left * reach, left),
+        HalfPlane::through(from - along * reach, -along),
+        HalfPlane::through(from - left * reach, -left),
+    ];
+    if space.unknown_policy() != UnknownPolicy::Free {
+        let (low, high) = (space.spec().origin, space.spec().upper());
+        sides.extend([
+            HalfPlane::through(high, Vector2::x()),
+            HalfPlane::through(high, Vector2::y()),
+            HalfPlane::through(low, -Vector2::x()),
+            HalfPlane::through(low, -Vector2::y()),
+        ]);
+    }
+    sides
+}
+
+/// The shortest connection to a square; `None` where the piece touches it.
+fn connect(
     piece: (Point2<f64>, Point2<f64>),
-    (low, high): (Point2<f64>, Point2<f64>),
-    [least, wanted]: [f64; 2],
-    squares: &mut Vec<Square>,
-) {
-    let spec = space.spec();
-    let margin = Vector2::repeat(wanted);
-    let (Some(first), Some(last)) = (spec.clamped_cell(low - margin), spec.clamped_cell(high + margin)) else {
-        return;
+    square: &Square,
+    shape: &Shape,
+    comfort: f64,
+    half: f64,
+) -> Option<Connection> {
+    let (on_piece, nearest) = closest(piece, square.center, half);
+    let apart = nearest - on_piece;
+    let distance = apart.norm();
+    if distance <= 1e-9 {
+        return None;
+    }
+    let outwards = apart / distance;
+    let least = if square.is_unknown {
+        HAIR
+    } else {
+        shape.towards(outwards) + HAIR
     };
-    let half = 0.5 * spec.resolution;
-    for y in first.y..=last.y {
-        let row = bits.row(y);
-        let other = |y: Option<u32>, word: usize| y.filter(|y| *y < spec.height).map_or(0, |y| bits.row(y)[word]);
-        for (word, here) in row
-            .iter()
-            .copied()
-            .enumerate()
-            .take(last.x as usize / 64 + 1)
-            .skip(first.x as usize / 64)
-        {
-            // At a word's ends neighbours count as unset: a few squares too many.
-            let mut border = here & !(here << 1 & here >> 1 & other(y.checked_sub(1), word) & other(Some(y + 1), word));
-            while border != 0 {
-                let x = word as u32 * 64 + border.trailing_zeros();
-                border &= border - 1;
-                if x < first.x || x > last.x {
-                    continue;
-                }
-                let center = spec.center(Cell::new(x, y));
-                let (on_piece, nearest) = closest(piece, center, half);
-                let apart = nearest - on_piece;
-                let distance = apart.norm();
-                // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
-                if distance > 1e-9 {
-                    squares.push(Square {
-                        center,
-                        least,
-                        wanted,
-                        nearest,
-                        outwards: apart / distance,
-                        distance,
-                    });
-                }
-            }
-        }
+    Some(Connection {
+        nearest,
+        outwards,
+        distance,
+        least,
+        wanted: if square.is_unknown { least } else { least + comfort },
+    })
+}
+
+fn on_segment((a, b): (Point2<f64>, Point2<f64>), q: Point2<f64>) -> Point2<f64> {
+    let along = b - a;
+    let squared = along.norm_squared();
+    if squared > 0.0 {
+        a + along * ((q - a).dot(&along) / squared).clamp(0.0, 1.0)
+    } else {
+        a
     }
 }
 
@@ -251,18 +357,9 @@ fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -
             p.y.clamp(center.y - half, center.y + half),
         )
     };
-    let along = b - a;
-    let squared = along.norm_squared();
-    let on_segment = |q: Point2<f64>| {
-        if squared > 0.0 {
-            a + along * ((q - a).dot(&along) / squared).clamp(0.0, 1.0)
-        } else {
-            a
-        }
-    };
     let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].map(|(x, y)| center + Vector2::new(x, y) * half);
     let ends = [a, b].map(|p| (p, clamp(p)));
-    let pairs = corners.map(|q| (on_segment(q), q));
+    let pairs = corners.map(|q| (on_segment((a, b), q), q));
     let distance = |pair: &(Point2<f64>, Point2<f64>)| (pair.1 - pair.0).norm_squared();
     let mut best = ends[0];
     for pair in ends[1..].iter().chain(&pairs) {
@@ -273,19 +370,10 @@ fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -
     best
 }
 
-/// The half planes that make an edge of their common polygon.
-fn needed(sides: &[HalfPlane]) -> Vec<HalfPlane> {
-    // The first four are a rectangle.
-    let mut corners: Vec<(Point2<f64>, usize)> = match sides {
-        [right, top, left, bottom, ..] => vec![
-            (Point2::new(right.offset, -bottom.offset), 0),
-            (Point2::new(right.offset, top.offset), 1),
-            (Point2::new(-left.offset, top.offset), 2),
-            (Point2::new(-left.offset, -bottom.offset), 3),
-        ],
-        _ => return sides.to_vec(),
-    };
+/// The half planes that make an edge of their common polygon; the first four are those of the rectangle with the corners `frame`.
+fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
     // Each corner carries the side of the edge that leaves it, counter-clockwise.
+    let mut corners: Vec<(Point2<f64>, usize)> = frame.iter().copied().zip(0..4).collect();
     for (index, side) in sides.iter().enumerate().skip(4) {
         let mut clipped = Vec::with_capacity(corners.len() + 1);
         for (i, (corner, edge)) in corners.iter().enumerate() {
@@ -316,7 +404,7 @@ fn needed(sides: &[HalfPlane]) -> Vec<HalfPlane> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     const SIZE: RoomSize = RoomSize {
@@ -352,8 +440,10 @@ mod tests {
 
     #[test]
     fn a_long_leg_becomes_several_rooms_and_short_ones_share_one() {
-        let long = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(5.0, 1.0)], &SIZE);
+        let long = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(6.0, 1.0)], &SIZE);
         assert_eq!(long.len(), 3);
+        let halved = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(3.0, 1.0)], &SIZE);
+        assert_eq!(halved.len(), 2);
         assert!(long.windows(2).all(|pair| pair[0].to == pair[1].from));
         let short: Vec<_> = (0..10)
             .map(|i| Point2::new(1.0 + 0.1 * f64::from(i), 2.0 + 0.02 * f64::from(i % 2)))

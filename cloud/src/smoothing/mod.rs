@@ -4,7 +4,10 @@
 //! |---|---|
 //! | [`shortcut`] | which corners of a way are needed? |
 //! | [`corridor`] | how much room is there around it? |
-//! | [`curve`] | which curve through that room bends least? |
+//! | [`fit`] | which curve through that room bends least? |
+//! | [`curve`] | where does a curve run? |
+//! | `part` | which curve leads from one stop to the next, for the true footprint? |
+//! | `course` | where does the robot brake, stop and turn, and on which curves does it go between? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
 //! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
@@ -14,7 +17,10 @@
 
 pub mod certificate;
 pub mod corridor;
+mod course;
 pub mod curve;
+pub mod fit;
+mod part;
 pub mod service;
 pub mod shortcut;
 pub mod smoother;

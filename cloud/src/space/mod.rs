@@ -2,6 +2,7 @@
 //!
 //! | file | answers |
 //! |---|---|
+//! | [`body`] | has the true footprint room to drive straight, to turn on the spot, to move a little? |
 //! | [`bits`] | which cells of a grid have a property, 64 to a word? |
 //! | [`distance`] | how far is each cell's centre from the nearest occupied square, up to a reach? |
 //! | `bands` | how are truncated distances found fast? |
@@ -25,6 +26,7 @@
 
 mod bands;
 pub mod bits;
+pub mod body;
 pub mod cache;
 pub mod checker;
 pub mod configuration;

@@ -159,10 +159,6 @@ pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], li
     let fold = |pick: fn(&Point2<f64>) -> f64, start: f64, best: fn(f64, f64) -> f64| {
         outline.iter().map(pick).fold(start, best)
     };
-    let (left, right) = (
-        fold(|p| p.x, f64::INFINITY, f64::min),
-        fold(|p| p.x, f64::NEG_INFINITY, f64::max),
-    );
     let (low, high) = (
         fold(|p| p.y, f64::INFINITY, f64::min),
         fold(|p| p.y, f64::NEG_INFINITY, f64::max),
@@ -173,6 +169,10 @@ pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], li
         if f64::from(y) - high > least || low - f64::from(y) - 1.0 > least {
             continue;
         }
+        let near = (f64::from(y) - least, f64::from(y) + 1.0 + least);
+        let Some((left, right)) = columns_between(outline, near) else {
+            continue;
+        };
         let (from, to) = (column(left - least) - 1, column(right + least) + 1);
         for x in obstacles.set_in_row(y, from, to) {
             least = least.min(polygon_to_square(outline, x, y));
@@ -183,6 +183,94 @@ pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], li
     }
     least
 }
+
+/// The range of x over the part of a convex polygon whose y lies between two values; `None` where it has none.
+fn columns_between(outline: &[Point2<f64>], (low, high): (f64, f64)) -> Option<(f64, f64)> {
+    let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
+    let mut last = outline.last()?;
+    for point in outline {
+        let (below, above) = if point.y < last.y { (point, last) } else { (last, point) };
+        if below.y <= high && above.y >= low {
+            // A level edge has no slope: its ends are all there is.
+            let slope = (above.x - below.x) / (above.y - below.y).max(f64::MIN_POSITIVE);
+            let enter = if below.y < low {
+                below.x + (low - below.y) * slope
+            } else {
+                below.x
+            };
+            let leave = if above.y > high {
+                above.x + (high - above.y) * slope
+            } else {
+                above.x
+            };
+            left = left.min(enter.min(leave));
+            right = right.max(enter.max(leave));
+        }
+        last = point;
+    }
+    (left <= right).then_some((left, right))
+}
+
+/// Whether a convex polygon, in cells, touches the closed square of an obstacle, or comes nearer to one than rounding tells apart.
+pub(super) fn polygon_touches(obstacles: &BitGrid, outline: &[Point2<f64>]) -> bool {
+    let (low, high) = outline
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
+            (low.min(p.y), high.max(p.y))
+        });
+    rows_within(obstacles, low, high).any(|y| {
+        let row = (f64::from(y) - ROUNDING, f64::from(y) + 1.0 + ROUNDING);
+        columns_between(outline, row).is_some_and(|(left, right)| {
+            obstacles
+                .next_set(y, column(left - ROUNDING), column(right + ROUNDING))
+                .is_some()
+        })
+    })
+}
+
+/// Calls with every set cell that a convex polygon, in cells, touches, but for those with four set neighbours: whatever comes near one
+/// of those comes near another one first.
+pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: impl FnMut(u32, u32)) {
+    let (low, high) = outline
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
+            (low.min(p.y), high.max(p.y))
+        });
+    if !(low.is_finite() && high.is_finite() && bits.width() > 0) {
+        return;
+    }
+    let last_column = f64::from(bits.width() - 1);
+    for y in rows_within(bits, low, high) {
+        let Some((left, right)) = columns_between(outline, (f64::from(y), f64::from(y) + 1.0)) else {
+            continue;
+        };
+        if right < 0.0 || left > last_column + 1.0 {
+            continue;
+        }
+        let (first, last) = (
+            left.clamp(0.0, last_column) as u32,
+            right.clamp(0.0, last_column) as u32,
+        );
+        let row = bits.row(y);
+        let beside = |y: Option<u32>, word: usize| y.filter(|y| *y < bits.height()).map_or(0, |y| bits.row(y)[word]);
+        let words = row.iter().enumerate().take(last as usize / 64 + 1);
+        for (word, here) in words.skip(first as usize / 64).filter(|(_, here)| **here != 0) {
+            let mut here = *here;
+            // At a word's ends neighbours count as unset: a few squares too many.
+            here &= !(here << 1 & here >> 1 & beside(y.checked_sub(1), word) & beside(Some(y + 1), word));
+            while here != 0 {
+                let x = word as u32 * 64 + here.trailing_zeros();
+                here &= here - 1;
+                if (first..=last).contains(&x) {
+                    visit(x, y);
+                }
+            }
+        }
+    }
+}
+
+/// Nothing is nearer to an obstacle than this without touching it, cells.
+const ROUNDING: f64 = 1e-9;
 
 /// Exact distance from a convex polygon (counter-clockwise) to the closed square of a cell, cells.
 fn polygon_to_square(outline: &[Point2<f64>], x: u32, y: u32) -> f64 {

@@ -59,22 +59,33 @@ impl ConfigurationSpace {
     /// collision and for a non-finite pose.
     #[must_use]
     pub fn footprint_clearance(&self, pose: Pose2) -> f64 {
+        self.footprint_clearance_within(pose, self.reach())
+    }
+
+    /// As [`footprint_clearance`](Self::footprint_clearance), but at most `limit` (m): the less, the faster.
+    #[must_use]
+    pub fn footprint_clearance_within(&self, pose: Pose2, limit: f64) -> f64 {
         if !pose.is_finite() {
             return 0.0;
         }
-        match &self.footprint {
+        let at = pose.position();
+        let corners = match &self.footprint {
+            Footprint::Polygon(corners) => corners,
             Footprint::Radius(radius) => {
-                (disc_clearance(self.obstacles(), &self.spec, pose.position(), self.reach() + radius) - radius).max(0.0)
+                return (disc_clearance(self.obstacles(), &self.spec, at, limit + radius) - radius).max(0.0);
             }
-            Footprint::Polygon(corners) => {
-                let outline: Vec<Point2<f64>> = corners
-                    .iter()
-                    .map(|corner| self.spec.to_cells(pose.transform_point(*corner)))
-                    .collect();
-                polygon_clearance(self.obstacles(), &outline, self.reach() / self.spec.resolution)
-                    * self.spec.resolution
-            }
+        };
+        // What the disc around the footprint has, the footprint has.
+        let beside = |cell| self.field.distance(cell) - (self.spec.center(cell) - at).norm();
+        let around = self.footprint.circumscribed_radius();
+        if self.spec.cell_at(at).is_some_and(|cell| beside(cell) >= around + limit) {
+            return limit;
         }
+        let outline = corners
+            .iter()
+            .map(|corner| self.spec.to_cells(pose.transform_point(*corner)));
+        let outline: Vec<_> = outline.collect();
+        polygon_clearance(self.obstacles(), &outline, limit / self.spec.resolution) * self.spec.resolution
     }
 
     /// Whether a disc of `radius` (m) moved from `a` to `b` touches no obstacle. Unknown cells count only under
@@ -103,25 +114,37 @@ impl ConfigurationSpace {
     /// a safe bound is returned): zero means a collision or less than a millimetre to spare.
     #[must_use]
     pub fn sweep_min_clearance(&self, poses: &[Pose2]) -> f64 {
-        let mut least = self.reach();
+        self.sweep_clearance_within(poses, self.reach())
+    }
+
+    /// As [`sweep_min_clearance`](Self::sweep_min_clearance), but at most `limit` (m): the less, the faster.
+    #[must_use]
+    pub fn sweep_clearance_within(&self, poses: &[Pose2], limit: f64) -> f64 {
+        let mut least = limit.min(self.reach());
         if let Footprint::Radius(radius) = &self.footprint {
-            let limit = (self.reach() + radius) / self.spec.resolution;
             let steps = poses.iter().zip(poses.iter().skip(1).chain(poses.last()));
             for (a, b) in steps {
                 let clearance = capsule_clearance(
                     self.obstacles(),
                     self.spec.to_cells(a.position()),
                     self.spec.to_cells(b.position()),
-                    limit,
+                    (least.max(0.0) + radius) / self.spec.resolution,
                 );
                 least = least.min(clearance * self.spec.resolution - radius);
             }
             return least.max(0.0);
         }
+        let around = self.footprint.circumscribed_radius();
+        let moved = |a: &Pose2, b: &Pose2| a.distance(b) + wrap_angle(b.yaw - a.yaw).abs() * around;
+        // With more than this beyond the least there is nothing to be found half a step away.
+        let step = poses
+            .windows(2)
+            .map(|pair| moved(&pair[0], &pair[1]))
+            .fold(0.0, f64::max);
         let mut pending: Vec<(Pose2, f64, Pose2, f64)> = Vec::new();
         let mut before: Option<(Pose2, f64)> = None;
         for pose in poses {
-            let clearance = self.footprint_clearance(*pose);
+            let clearance = self.footprint_clearance_within(*pose, least + step);
             least = least.min(clearance);
             if let Some((last, last_clearance)) = before.replace((*pose, clearance)) {
                 pending.push((last, last_clearance, *pose, clearance));
@@ -133,7 +156,7 @@ impl ConfigurationSpace {
         let mut budget = SWEEP_BISECTIONS + 16 * poses.len();
         while let Some((a, at_a, b, at_b)) = pending.pop() {
             let turn = wrap_angle(b.yaw - a.yaw);
-            let motion = a.distance(&b) + turn.abs() * self.footprint.circumscribed_radius();
+            let motion = moved(&a, &b);
             let bound = 0.5 * (at_a + at_b - motion);
             if bound >= certain {
                 continue;
@@ -145,7 +168,7 @@ impl ConfigurationSpace {
             }
             budget -= 1;
             let middle = Pose2::new(0.5 * (a.x + b.x), 0.5 * (a.y + b.y), a.yaw + 0.5 * turn);
-            let clearance = self.footprint_clearance(middle);
+            let clearance = self.footprint_clearance_within(middle, least + motion);
             least = least.min(clearance);
             if least <= 0.0 {
                 return 0.0;

@@ -9,11 +9,12 @@ use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
+use crate::served_world::{self, ServeArgs};
 
 /// Most robots in one world here.
 const MAX_ROBOTS: usize = 100_000;
 
-/// Simulator benches.
+/// The simulator.
 #[derive(Debug, clap::Args)]
 pub struct SimArgs {
     #[command(subcommand)]
@@ -24,6 +25,8 @@ pub struct SimArgs {
 enum SimCommand {
     /// Measure rays a second and the real-time factor
     Bench(SimBenchArgs),
+    /// Hold one world for robots on several machines
+    Serve(ServeArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -48,12 +51,18 @@ struct SimBenchArgs {
     output: Format,
 }
 
-/// Runs a simulator bench.
+/// Runs a command of the simulator.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for a world, robot or number that cannot be.
+/// [`exit_code::USAGE`] for a world, robot or number that cannot be; a taken port.
 pub fn sim(args: &SimArgs) -> Outcome {
-    let SimCommand::Bench(args) = &args.command;
+    match &args.command {
+        SimCommand::Bench(args) => bench_simulator(args),
+        SimCommand::Serve(args) => served_world::serve(args),
+    }
+}
+
+fn bench_simulator(args: &SimBenchArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let mut model = files::robot(&args.robot)?;
     if let Some(beams) = args.beams {

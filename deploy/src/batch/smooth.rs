@@ -92,6 +92,10 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
             ..PlanOptions::default()
         }
     };
+    let options = PlanOptions {
+        any_heading: true,
+        ..options
+    };
     let watchdog = args
         .time_limit_ms
         .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
@@ -167,7 +171,7 @@ impl Workshop {
         }
         let settings = SmoothSettings::default();
         // A query has no heading: the robot stands as its way begins, without the grid's own corners.
-        let corners = shortcut(&self.space, &path, settings.rooms.comfort);
+        let corners = shortcut(&self.space, &path, settings.rooms.comfort, None);
         if let Some(along) = corners
             .iter()
             .map(|point| point - start.position())

@@ -11,4 +11,5 @@ pub(super) const SCRIPT: Script = Script {
     uses_stored_map: true,
     impossible: &[],
     drawn: false,
+    alone: false,
 };

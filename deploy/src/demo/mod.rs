@@ -6,6 +6,7 @@
 //! | file | answers |
 //! |---|---|
 //! | `kitchen`, `online` | what is each scenario made of? (a new one is a `Script` beside them) |
+//! | `wall_follow` | how does a robot follow walls by itself, without a cloud? |
 //! | `watch` | how did it go, as a client and the referee saw it? |
 //! | `refusals` | is a goal that nobody can reach refused, and with which words? |
 //! | `album`, `picture` | what did the robot know, look for and drive? pictures |
@@ -15,6 +16,7 @@ mod kitchen;
 mod online;
 mod picture;
 mod refusals;
+mod wall_follow;
 mod watch;
 
 use std::io::IsTerminal as _;
@@ -61,6 +63,8 @@ struct Script {
     impossible: &'static [Impossible],
     /// Pictures are drawn at the end of every drive.
     drawn: bool,
+    /// The robot follows walls by itself: there is no cloud and no goal.
+    alone: bool,
 }
 
 /// Scenarios.
@@ -68,6 +72,9 @@ struct Script {
 pub enum Scenario {
     /// Map a kitchen, then drive to its corner and to the sink
     Kitchen,
+    /// Follow the walls of a room for ten minutes, without a cloud
+    #[value(name = "wall_follow", alias = "wall-follow")]
+    WallFollow,
     /// Drive to four rooms of an unknown house, planning while the map grows
     Online,
 }
@@ -76,6 +83,7 @@ impl Scenario {
     const fn script(self) -> Script {
         match self {
             Self::Kitchen => kitchen::SCRIPT,
+            Self::WallFollow => wall_follow::SCRIPT,
             Self::Online => online::SCRIPT,
         }
     }
@@ -141,9 +149,14 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     deployment.data.dir = state.to_path_buf();
     let (id, model) = script.robot;
     let robot = RobotSection {
+        attach: false,
         model: model.to_owned(),
         listen: "tcp/127.0.0.1:0".to_owned(),
-        on_lost: LostPolicy::default(),
+        on_lost: if script.alone {
+            LostPolicy::WallFollow
+        } else {
+            LostPolicy::default()
+        },
         start: None,
     };
     deployment.robots = [(id.to_owned(), robot)].into();
@@ -191,7 +204,11 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         let deployment = deployment(args, &script, &endpoint, &state)?;
         let world = files::world(&deployment.simulation.world)?;
         let mut parts = Parts::default();
-        let played = play(args, &script, &deployment, &world, &mut parts, &endpoint).await;
+        let played = if script.alone {
+            wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint).await
+        } else {
+            play(args, &script, &deployment, &world, &mut parts, &endpoint).await
+        };
         parts.end().await;
         router.close().await;
         played
@@ -215,10 +232,10 @@ async fn play(
     endpoint: &str,
 ) -> Result<DemoReport, Failure> {
     let robots = deployment.robot_ids()?;
-    let (id, section) = robots
+    let (id, _) = robots
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
-    let referee = parts.edge(deployment, world, id, section)?;
+    let referee = parts.edge(deployment, world)?;
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
@@ -236,7 +253,7 @@ async fn play(
         reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
     };
-    if !args.no_ui && std::io::stderr().is_terminal() {
+    if shows_bar(args) {
         watch.bar = Some(progress_bar());
     }
     watch.narrate(&format!("goal {} accepted", reply.id));
@@ -272,6 +289,11 @@ async fn play(
         None => {}
     }
     Ok(report)
+}
+
+/// Whether there is a live display.
+fn shows_bar(args: &DemoArgs) -> bool {
+    !args.no_ui && std::io::stderr().is_terminal()
 }
 
 fn progress_bar() -> ProgressBar {

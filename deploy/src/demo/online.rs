@@ -24,4 +24,5 @@ pub(super) const SCRIPT: Script = Script {
         },
     ],
     drawn: true,
+    alone: false,
 };

@@ -310,6 +310,7 @@ impl Watch {
                 goal_to_motion_ms: Percentiles::of(&self.goal_to_motion),
             },
             energy_j: truth.drawn_j,
+            walls: None,
             notes,
         }
     }

@@ -313,6 +313,7 @@ pub(super) mod tests {
             guard: GuardZone::Clear,
             battery: 0.9,
             behaviour: None,
+            wall_follower: None,
             missed_ticks: 0,
         }
     }

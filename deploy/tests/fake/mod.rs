@@ -146,6 +146,7 @@ impl Memory {
             guard: GuardZone::Clear,
             battery: 1.0,
             behaviour: None,
+            wall_follower: None,
             missed_ticks: 0,
         }
     }

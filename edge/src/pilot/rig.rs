@@ -32,6 +32,9 @@ pub struct Rig {
     pub inbox: Inbox,
     pub heartbeat: Option<u64>,
     pub scanning: bool,
+    /// What the bumper touches: a direction, base frame.
+    pub bump: Option<f64>,
+    pub markers: Vec<Marker>,
     counter: u64,
     ticks: u64,
 }
@@ -54,6 +57,8 @@ impl Rig {
             inbox: Inbox::default(),
             heartbeat: None,
             scanning: true,
+            bump: None,
+            markers: Vec::new(),
             counter: 0,
             ticks: 0,
         };
@@ -90,6 +95,7 @@ impl Rig {
             match publication {
                 Publication::Event(event) => self.events.push(event.kind.clone()),
                 Publication::State(state) => self.state = Some((**state).clone()),
+                Publication::Marker(marker) => self.markers.push(marker.clone()),
                 _ => {}
             }
         }
@@ -127,8 +133,8 @@ impl Rig {
             sweep,
             bump: Bump {
                 stamp: self.now,
-                pressed: false,
-                bearing: None,
+                pressed: self.bump.is_some(),
+                bearing: self.bump,
             },
             battery: Battery {
                 stamp: self.now,

@@ -32,8 +32,41 @@ pub enum Mode {
     Teleop,
     /// A behaviour of the edge's own (spin, back up, …) runs.
     Behaviour,
+    /// Follows walls on its own, without a cloud.
+    WallFollow,
     /// Stopped by hand until resumed.
     Stopped,
+}
+
+/// Where the wall follower stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WallFollowerState {
+    /// Turns towards the nearest wall.
+    #[default]
+    WallSearch,
+    /// Drives up to it.
+    Approach,
+    /// Turns until the way ahead is clear.
+    Turn,
+    /// Drives along it.
+    WallFollow,
+    /// Has touched something: waits until an operator drives it away.
+    Bump,
+}
+
+impl WallFollowerState {
+    /// Its name on the wire.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::WallSearch => "wall_search",
+            Self::Approach => "approach",
+            Self::Turn => "turn",
+            Self::WallFollow => "wall_follow",
+            Self::Bump => "bump",
+        }
+    }
 }
 
 /// How near something is.
@@ -112,6 +145,9 @@ pub struct EdgeState {
     /// The behaviour that runs or ran last.
     #[serde(default)]
     pub behaviour: Option<BehaviourReport>,
+    /// Where the wall follower stands, on a robot that follows walls when nobody commands it.
+    #[serde(default)]
+    pub wall_follower: Option<WallFollowerState>,
     /// Control ticks that came too late, since start.
     #[serde(default)]
     pub missed_ticks: u64,
@@ -327,6 +363,8 @@ pub enum LostPolicy {
     FinishHorizon,
     /// Brake now.
     Stop,
+    /// As `finish_horizon`; once the link is lost and no plan is left, follow walls.
+    WallFollow,
 }
 
 /// The mode.

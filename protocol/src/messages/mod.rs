@@ -3,6 +3,7 @@
 //! Every message carries the stamp of its writer's own clock. Unknown fields are ignored; missing optional ones take
 //! their default. Numbers are SI units; yaw in (-pi, pi].
 
+mod body;
 mod edge;
 mod goal;
 mod map;
@@ -12,6 +13,7 @@ mod refusal;
 mod remote;
 mod sense;
 
+pub use body::*;
 pub use edge::*;
 pub use goal::*;
 pub use map::*;
@@ -20,3 +22,5 @@ pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
 pub use sense::*;
+
+pub(crate) use sense::no_return_as_null;

@@ -80,7 +80,7 @@ impl Scan {
 }
 
 /// JSON has no infinity: a beam without a return is `null`.
-mod no_return_as_null {
+pub(crate) mod no_return_as_null {
     use serde::ser::SerializeSeq;
     use serde::{Deserialize, Deserializer, Serializer};
 

@@ -221,6 +221,7 @@ impl Edge {
             guard: GuardZone::Clear,
             battery: 1.0,
             behaviour: None,
+            wall_follower: None,
             missed_ticks: 0,
         }
     }

@@ -1,0 +1,503 @@
+//! Which curve through a corridor bends least? Bezier pieces of degree five whose control points lie in their rooms.
+//!
+//! With `p`, `v`, `a` (place, first and second derivative by a parameter that runs as fast as the way's length) at every joint, a piece of
+//! length `T` has the control points `p`, `p + vT/5`, `p + 2vT/5 + aT²/20` and the same from its end: joints are C² by construction. The
+//! curve minimises `∫ |p'|² + l² |p''|² + l⁴ |p'''|²` (length, curvature, change of curvature; `l` is the length over which the robot
+//! likes to turn) under `normal · control <= offset` for every side of the piece's room. A Bezier curve lies in the convex hull of its
+//! control points, so it does not leave the room. The way itself is always such a curve.
+//!
+//! The quadratic program is solved by the interior point method of Clarabel. Of some two thousand sides and control points fewer than a
+//! tenth matter in the end: only those near the way are asked for at first, then those that the curve has crossed.
+//!
+//! Sources: Gao, Wu, Lin and Shen, "Online Safe Trajectory Generation for Quadrotors Using Fast Marching Method and Bernstein Basis
+//! Polynomial", ICRA 2018; Goulart and Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024;
+//! Kelley, "The Cutting-Plane Method for Solving Convex Programs", 1960.
+
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{
+    DefaultSettings, DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT,
+};
+use nalgebra::{Matrix6, Point2, Vector2, Vector6};
+
+use super::corridor::Room;
+use super::curve::{Curve, CurveError};
+
+/// Heading and curvature that an end of the curve must have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EndTangent {
+    /// Length one.
+    pub direction: Vector2<f64>,
+    /// Curvature, 1/m; free without.
+    pub curvature: Option<f64>,
+}
+
+/// What a curve is asked to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ends {
+    /// At the start; free without.
+    pub start: Option<EndTangent>,
+    /// At the end; free without.
+    pub end: Option<EndTangent>,
+}
+
+/// Variables a joint: `px py vx vy ax ay`.
+const JOINT: usize = 6;
+/// Sides this near to the way are asked for at first, in turning lengths.
+const NEAR: f64 = 2.0;
+/// A control point may lie so far outside of its room, m: a fifth of the hair that rooms keep.
+const OUTSIDE: f64 = 1e-4;
+/// Solutions with some of the sides only; then all are asked for.
+const ROUNDS: usize = 4;
+
+/// The best curve through rooms, from the first room's `from` to the last one's `to`. `turning_length` in m, `max_iterations` of the solver.
+///
+/// # Errors
+/// [`CurveError::Solver`]: the rooms do not admit the ends' tangents, or the solver failed.
+pub fn fit(rooms: &[Room], ends: &Ends, turning_length: f64, max_iterations: u32) -> Result<Curve, CurveError> {
+    let program = Program::new(rooms, ends, turning_length)?;
+    let mut asked = program.near(NEAR * turning_length);
+    let mut iterations = 0;
+    for _ in 0..ROUNDS {
+        let solved = program.solve(&asked, max_iterations, false, &mut iterations)?;
+        if !solved.is_solved() {
+            break;
+        }
+        if program.ask_for_crossed(&solved.x, &mut asked) <= OUTSIDE {
+            return Ok(program.curve(solved, iterations));
+        }
+    }
+    asked.fill(true);
+    let solved = program.solve(&asked, max_iterations, true, &mut iterations)?;
+    if !solved.is_solved() {
+        return Err(CurveError::Solver(format!("{:?}", solved.status)));
+    }
+    if program.ask_for_crossed(&solved.x, &mut asked) > OUTSIDE {
+        return Err(CurveError::Solver("Inaccurate".to_owned()));
+    }
+    Ok(program.curve(solved, iterations))
+}
+
+/// A sum of six variables with factors, and what it may be at most.
+struct Row {
+    terms: [(usize, f64); 6],
+    bound: f64,
+}
+
+impl Row {
+    fn slack(&self, x: &[f64]) -> f64 {
+        let sum: f64 = self.terms.iter().map(|(variable, factor)| factor * x[*variable]).sum();
+        self.bound - sum
+    }
+
+    /// One or two variables.
+    fn short(terms: &[(usize, f64)], bound: f64) -> Self {
+        let mut row = Self {
+            terms: [(0, 0.0); 6],
+            bound,
+        };
+        for (to, term) in row.terms.iter_mut().zip(terms) {
+            *to = *term;
+        }
+        row
+    }
+}
+
+/// The quadratic program. Places are relative to the first one.
+struct Program<'a> {
+    rooms: &'a [Room],
+    origin: Point2<f64>,
+    cost: CscMatrix<f64>,
+    /// What holds exactly: both ends.
+    given: Vec<Row>,
+    /// What holds at most: every control point of a piece, but for the ends, on every side of its room.
+    walls: Vec<Row>,
+}
+
+struct Solved {
+    /// Relative duality gap.
+    gap: f64,
+    status: SolverStatus,
+    x: Vec<f64>,
+}
+
+impl Solved {
+    fn is_solved(&self) -> bool {
+        matches!(self.status, SolverStatus::Solved | SolverStatus::AlmostSolved)
+    }
+}
+
+impl<'a> Program<'a> {
+    fn new(rooms: &'a [Room], ends: &Ends, turning_length: f64) -> Result<Self, CurveError> {
+        let (Some(first), Some(last)) = (rooms.first(), rooms.last()) else {
+            return Err(CurveError::Solver("no rooms".to_owned()));
+        };
+        let origin = first.from;
+        let end = JOINT * rooms.len();
+        let mut given = Vec::new();
+        for (joint, place, tangent) in [(0, first.from, ends.start), (end, last.to, ends.end)] {
+            let place = place - origin;
+            given.push(Row::short(&[(joint, 1.0)], place.x));
+            given.push(Row::short(&[(joint + 1, 1.0)], place.y));
+            let Some(EndTangent { direction, curvature }) = tangent else {
+                continue;
+            };
+            given.push(Row::short(&[(joint + 2, 1.0)], direction.x));
+            given.push(Row::short(&[(joint + 3, 1.0)], direction.y));
+            if let Some(k) = curvature {
+                // At a speed of one along the parameter, curvature is the second derivative across.
+                given.push(Row::short(&[(joint + 4, -direction.y), (joint + 5, direction.x)], k));
+            }
+        }
+        let mut walls = Vec::new();
+        for (i, room) in rooms.iter().enumerate() {
+            for side in &room.sides {
+                let bound = side.offset - side.normal.dot(&origin.coords);
+                for control in &controls(room.length)[inner(i, rooms.len())] {
+                    let mut terms = [(0, 0.0); 6];
+                    for (slot, (joint, order, factor)) in control.iter().enumerate() {
+                        let variable = JOINT * (i + joint) + 2 * order;
+                        terms[2 * slot] = (variable, factor * side.normal.x);
+                        terms[2 * slot + 1] = (variable + 1, factor * side.normal.y);
+                    }
+                    walls.push(Row { terms, bound });
+                }
+            }
+        }
+        Ok(Self {
+            rooms,
+            origin,
+            cost: cost(rooms, turning_length),
+            given,
+            walls,
+        })
+    }
+
+    /// Which walls are nearer than `near` (m) to where their control points would lie on the way itself.
+    fn near(&self, near: f64) -> Vec<bool> {
+        let mut asked = Vec::with_capacity(self.walls.len());
+        for (i, room) in self.rooms.iter().enumerate() {
+            for side in &room.sides {
+                let [from, to] = [room.from, room.to].map(|p| side.depth(p));
+                let depth = |control: usize| from + (to - from) * control as f64 / 5.0;
+                asked.extend(inner(i, self.rooms.len()).map(|control| depth(control) < near));
+            }
+        }
+        asked
+    }
+
+    /// Asks for all walls that a solution has crossed; by how much at most, m.
+    fn ask_for_crossed(&self, x: &[f64], asked: &mut [bool]) -> f64 {
+        let mut most = 0.0_f64;
+        for (wall, asked) in self.walls.iter().zip(asked) {
+            let slack = wall.slack(x);
+            *asked |= slack < 0.0;
+            most = most.max(-slack);
+        }
+        most
+    }
+
+    fn solve(
+        &self,
+        asked: &[bool],
+        max_iterations: u32,
+        careful: bool,
+        iterations: &mut u32,
+    ) -> Result<Solved, CurveError> {
+        let asked = self
+            .walls
+            .iter()
+            .zip(asked)
+            .filter_map(|(wall, asked)| asked.then_some(wall));
+        let rows: Vec<&Row> = self.given.iter().chain(asked).collect();
+        let cones = [
+            ZeroConeT(self.given.len()),
+            NonnegativeConeT(rows.len() - self.given.len()),
+        ];
+        let variables = self.cost.n;
+        let (a, b) = matrix(&rows, variables);
+        let settings = settings(max_iterations, careful)?;
+        let mut solver = DefaultSolver::new(&self.cost, &vec![0.0; variables], &a, &b, &cones, settings)
+            .map_err(|error| CurveError::Solver(error.to_string()))?;
+        solver.solve();
+        *iterations += solver.solution.iterations;
+        Ok(Solved {
+            status: solver.solution.status,
+            gap: solver.info.gap_rel,
+            x: std::mem::take(&mut solver.solution.x),
+        })
+    }
+
+    fn curve(&self, mut solved: Solved, iterations: u32) -> Curve {
+        // What was asked for holds to the last digit, not to the solver's tolerance.
+        for row in &self.given {
+            let slack = row.slack(&solved.x);
+            let squared: f64 = row.terms.iter().map(|(_, factor)| factor * factor).sum();
+            for (variable, factor) in row.terms {
+                solved.x[variable] += slack * factor / squared;
+            }
+        }
+
+        let vector = |variable: usize| Vector2::new(solved.x[variable], solved.x[variable + 1]);
+        let piece = |(i, room): (usize, &Room)| {
+            controls(room.length).map(|control| {
+                control.iter().fold(self.origin, |sum, (joint, order, factor)| {
+                    sum + vector(JOINT * (i + joint) + 2 * order) * *factor
+                })
+            })
+        };
+        let mut pieces: Vec<[Point2<f64>; 6]> = self.rooms.iter().enumerate().map(piece).collect();
+        let last = pieces.len() - 1;
+        pieces[0][0] = self.origin;
+        pieces[last][5] = self.rooms[last].to;
+        Curve::new(pieces, format!("{:?}", solved.status), iterations, solved.gap)
+    }
+}
+
+/// Control points of a piece that are not the curve's own ends: those lie where they lie.
+fn inner(piece: usize, pieces: usize) -> std::ops::Range<usize> {
+    usize::from(piece == 0)..if piece + 1 == pieces { 5 } else { 6 }
+}
+
+/// To a hundredth of a millimetre; `careful` asks for what the solver can do.
+fn settings(max_iterations: u32, careful: bool) -> Result<DefaultSettings<f64>, CurveError> {
+    let mut builder = DefaultSettingsBuilder::default();
+    builder.verbose(false).max_iter(max_iterations).presolve_enable(false);
+    if !careful {
+        let tolerance = 1e-5;
+        builder
+            .tol_feas(tolerance)
+            .tol_gap_abs(tolerance)
+            .tol_gap_rel(tolerance)
+            .iterative_refinement_enable(false)
+            .equilibrate_max_iter(1);
+    }
+    builder.build().map_err(|error| CurveError::Solver(error.to_string()))
+}
+
+/// Control points of a piece as sums of (joint 0 or 1, order of the derivative, factor).
+fn controls(length: f64) -> [[(usize, usize, f64); 3]; 6] {
+    let (v, a) = (length / 5.0, length * length / 20.0);
+    let none = |joint| (joint, 1, 0.0);
+    [
+        [(0, 0, 1.0), none(0), (0, 2, 0.0)],
+        [(0, 0, 1.0), (0, 1, v), (0, 2, 0.0)],
+        [(0, 0, 1.0), (0, 1, 2.0 * v), (0, 2, a)],
+        [(1, 0, 1.0), (1, 1, -2.0 * v), (1, 2, a)],
+        [(1, 0, 1.0), (1, 1, -v), (1, 2, 0.0)],
+        [(1, 0, 1.0), none(1), (1, 2, 0.0)],
+    ]
+}
+
+/// The cost's matrix (upper triangle).
+fn cost(rooms: &[Room], turning_length: f64) -> CscMatrix<f64> {
+    let units = unit_costs();
+    let weights = [1.0, turning_length.powi(2), turning_length.powi(4)];
+    let block = |room: &Room| {
+        // Derivatives by the share of the piece, not by its length: each order has the length once more.
+        let length = room.length;
+        let scale = Vector6::new(1.0, length, length * length, 1.0, length, length * length);
+        let weights = [0, 1, 2].map(|order| weights[order] * length.powi(-1 - 2 * order as i32));
+        let sum = units[0] * weights[0] + units[1] * weights[1] + units[2] * weights[2];
+        sum.component_mul(&(scale * scale.transpose()))
+    };
+    let blocks: Vec<Matrix6<f64>> = rooms.iter().map(block).collect();
+    let variables = JOINT * (rooms.len() + 1);
+    let (mut starts, mut indices, mut values) = (vec![0], Vec::new(), Vec::new());
+    for variable in 0..variables {
+        let (joint, order, axis) = (variable / JOINT, variable % JOINT / 2, variable % 2);
+        let before = joint.checked_sub(1).map(|i| &blocks[i]);
+        let after = blocks.get(joint);
+        if let Some(block) = before {
+            for other in 0..3 {
+                indices.push(JOINT * (joint - 1) + 2 * other + axis);
+                values.push(2.0 * block[(other, 3 + order)]);
+            }
+        }
+        for other in 0..=order {
+            indices.push(JOINT * joint + 2 * other + axis);
+            let sum = before.map_or(0.0, |block| block[(3 + other, 3 + order)])
+                + after.map_or(0.0, |block| block[(other, order)]);
+            values.push(2.0 * sum);
+        }
+        starts.push(indices.len());
+    }
+    CscMatrix::new(variables, variables, starts, indices, values)
+}
+
+/// Integrals of the squared first, second and third derivative of a piece of length one, over `(p, v, a)` of its start and end, one axis.
+fn unit_costs() -> [Matrix6<f64>; 3] {
+    let mut derivative = Matrix6::zeros();
+    for (i, control) in controls(1.0).iter().enumerate() {
+        for (joint, order, factor) in control {
+            derivative[(i, 3 * joint + order)] += factor;
+        }
+    }
+    // Differences of neighbouring control points are the control points of the derivative, but for a factor.
+    [4, 3, 2].map(|degree| {
+        for i in 0..=degree {
+            let difference = (derivative.row(i + 1) - derivative.row(i)) * (degree + 1) as f64;
+            derivative.set_row(i, &difference);
+        }
+        let mut sum = Matrix6::zeros();
+        for i in 0..=degree {
+            for j in 0..=degree {
+                let product =
+                    binomial(degree, i) * binomial(degree, j) / binomial(2 * degree, i + j) / (2 * degree + 1) as f64;
+                sum += derivative.row(i).transpose() * derivative.row(j) * product;
+            }
+        }
+        sum
+    })
+}
+
+fn binomial(n: usize, k: usize) -> f64 {
+    (0..k).map(|i| (n - i) as f64 / (i + 1) as f64).product()
+}
+
+/// Rows as the solver wants them: by columns.
+fn matrix(rows: &[&Row], variables: usize) -> (CscMatrix<f64>, Vec<f64>) {
+    let terms = || {
+        rows.iter().enumerate().flat_map(|(i, row)| {
+            let terms = row.terms.iter().filter(|(_, factor)| *factor != 0.0);
+            terms.map(move |(variable, factor)| (i, *variable, *factor))
+        })
+    };
+    let mut starts = vec![0; variables + 1];
+    for (_, variable, _) in terms() {
+        starts[variable + 1] += 1;
+    }
+    for i in 0..variables {
+        starts[i + 1] += starts[i];
+    }
+    let mut next = starts.clone();
+    let (mut indices, mut values) = (vec![0; starts[variables]], vec![0.0; starts[variables]]);
+    for (row, variable, factor) in terms() {
+        let at = &mut next[variable];
+        (indices[*at], values[*at]) = (row, factor);
+        *at += 1;
+    }
+    let bounds = rows.iter().map(|row| row.bound).collect();
+    (CscMatrix::new(rows.len(), variables, starts, indices, values), bounds)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::super::corridor::HalfPlane;
+    use super::*;
+
+    fn boxed(from: (f64, f64), to: (f64, f64), low: (f64, f64), high: (f64, f64)) -> Room {
+        let side = |x: f64, y: f64, offset: f64| HalfPlane {
+            normal: Vector2::new(x, y),
+            offset,
+        };
+        let (from, to) = (Point2::new(from.0, from.1), Point2::new(to.0, to.1));
+        Room {
+            sides: vec![
+                side(1.0, 0.0, high.0),
+                side(0.0, 1.0, high.1),
+                side(-1.0, 0.0, -low.0),
+                side(0.0, -1.0, -low.1),
+            ],
+            from,
+            to,
+            length: (to - from).norm(),
+        }
+    }
+
+    /// A corner to the left: east along a hall, then north along another.
+    fn corner() -> Vec<Room> {
+        vec![
+            boxed((0.0, 0.0), (3.0, 0.0), (-0.5, -0.4), (3.4, 0.4)),
+            boxed((3.0, 0.0), (3.0, 3.0), (2.6, -0.4), (3.4, 3.5)),
+        ]
+    }
+
+    #[test]
+    fn a_straight_hall_gives_a_straight_line() {
+        let curve = fit(
+            &[boxed((0.0, 0.0), (3.0, 0.0), (-1.0, -1.0), (4.0, 1.0))],
+            &Ends::default(),
+            0.5,
+            50,
+        )
+        .unwrap();
+        let path = curve.sampled(0.02).unwrap().path;
+        assert!((path.length() - 3.0).abs() < 1e-6);
+        assert!(path.points().iter().all(|p| p.y.abs() < 1e-6 && p.k.abs() < 1e-4));
+    }
+
+    #[test]
+    fn around_a_corner_the_curve_stays_in_its_rooms_and_its_curvature_is_continuous() {
+        let rooms = corner();
+        let path = fit(&rooms, &Ends::default(), 0.5, 50)
+            .unwrap()
+            .sampled(0.01)
+            .unwrap()
+            .path;
+        for p in path.points() {
+            assert!(rooms.iter().any(|room| room.holds(Point2::new(p.x, p.y), 2e-4)));
+        }
+        assert!(path.points().windows(2).all(|pair| (pair[1].k - pair[0].k).abs() < 0.3));
+        assert!(path.length() < 6.0, "corners are cut");
+        for pair in path.points().windows(2) {
+            let chord = (pair[1].x - pair[0].x).hypot(pair[1].y - pair[0].y);
+            assert!((pair[1].s - pair[0].s - chord).abs() < 1e-4 * chord);
+        }
+    }
+
+    #[test]
+    fn ends_have_the_heading_and_curvature_asked_for() {
+        let (sin, cos) = 0.2_f64.sin_cos();
+        let start = EndTangent {
+            direction: Vector2::new(cos, sin),
+            curvature: Some(-0.4),
+        };
+        let end = EndTangent {
+            direction: Vector2::new(-sin, cos),
+            curvature: None,
+        };
+        let path = fit(
+            &corner(),
+            &Ends {
+                start: Some(start),
+                end: Some(end),
+            },
+            0.5,
+            50,
+        )
+        .unwrap()
+        .sampled(0.01)
+        .unwrap()
+        .path;
+        let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
+        assert!((first.yaw - 0.2).abs() < 1e-6 && (first.k + 0.4).abs() < 1e-4);
+        assert!((last.yaw - 0.2 - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
+        assert_eq!((last.x, last.y), (3.0, 3.0));
+    }
+
+    #[test]
+    fn a_room_that_does_not_admit_the_tangent_is_an_error() {
+        let backwards = EndTangent {
+            direction: Vector2::new(-1.0, 0.0),
+            curvature: Some(0.0),
+        };
+        let tight = [boxed((0.0, 0.0), (3.0, 0.0), (-0.1, -0.1), (3.1, 0.1))];
+        assert!(matches!(
+            fit(
+                &tight,
+                &Ends {
+                    start: Some(backwards),
+                    end: None
+                },
+                0.5,
+                50
+            ),
+            Err(CurveError::Solver(_))
+        ));
+        assert!(matches!(
+            fit(&[], &Ends::default(), 0.5, 50),
+            Err(CurveError::Solver(_))
+        ));
+    }
+}

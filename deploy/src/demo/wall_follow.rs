@@ -1,0 +1,275 @@
+//! Following walls: a Neato with 360 beams and a bumper, no cloud and no goal, follows the walls of a room with inner and outer corners
+//! for ten minutes.
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::time::{Duration, Instant};
+
+use zenav_edge::Referee;
+use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription};
+use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState, exit_code};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+use zenav_sim::World;
+
+use super::{DemoArgs, Script, progress_bar};
+use crate::config::Deployment;
+use crate::failure::Failure;
+use crate::files;
+use crate::launch::{Parts, interrupted};
+use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport};
+use crate::wall_following::score::Errors;
+
+pub(super) const SCRIPT: Script = Script {
+    name: "wall_follow",
+    world: "wall_follow",
+    robot: ("neato", "neato"),
+    planner: None,
+    time_limit: 600.0,
+    uses_stored_map: false,
+    impossible: &[],
+    drawn: false,
+    alone: true,
+};
+
+/// Simulated time between two samples of the distance, s.
+const SAMPLE: f64 = 0.1;
+/// How often a plain log tells how it goes, wall.
+const LOG_EVERY: Duration = Duration::from_secs(5);
+/// The 95th percentile of the distance error on straight walls that is allowed, m.
+const ALLOWED: f64 = 0.03;
+/// Share of the time that the robot must spend along walls.
+const FOLLOWING: f64 = 0.5;
+/// Time for the robot to come up, and for the last events to arrive, wall.
+const PATIENCE: Duration = Duration::from_secs(20);
+const LAST_EVENTS: Duration = Duration::from_millis(500);
+
+/// What is seen of the run.
+struct Watch<'a> {
+    world: &'a World,
+    target: f64,
+    referee: Referee,
+    states: Latest<EdgeState>,
+    events: Subscription<Event>,
+    state: Option<EdgeState>,
+    log: BTreeMap<u64, Event>,
+    errors: Errors,
+    sampled: Stamp,
+    following: f64,
+    /// The run counts up to here.
+    end: Stamp,
+}
+
+/// Runs the scenario to its end.
+///
+/// # Errors
+/// A part that failed, or Ctrl-C.
+pub(super) async fn play(
+    args: &DemoArgs,
+    script: &Script,
+    deployment: &Deployment,
+    world: &World,
+    parts: &mut Parts,
+    endpoint: &str,
+) -> Result<DemoReport, Failure> {
+    let robots = deployment.robot_ids()?;
+    let (id, section) = robots
+        .first()
+        .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
+    let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
+    let robot = &[id.as_str()];
+    let mut watch = Watch {
+        world,
+        target: files::robot(&section.model)?.wall_following.target_distance,
+        events: bus.subscribe(&topics::EVENT, robot, 1024)?,
+        states: bus.latest(&topics::STATE, robot)?,
+        referee: parts.edge(deployment, world)?,
+        state: None,
+        log: BTreeMap::new(),
+        errors: Errors::default(),
+        sampled: Stamp::ZERO,
+        following: 0.0,
+        end: Stamp::from_secs(script.time_limit),
+    };
+    tokio::select! {
+        ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
+        () = interrupted() => return Err(Failure::new(exit_code::INTERRUPTED, "interrupted")),
+        result = watch.until_end(args) => result?,
+    }
+    bus.close().await;
+    write_log(args, &watch.log)?;
+    Ok(watch.report(script, args))
+}
+
+/// The event log, one event a line.
+fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure> {
+    let file = args.out.join("events.ndjson");
+    let failed = |error: std::io::Error| Failure::failed(format!("{}: {error}", file.display()));
+    let mut out = std::io::BufWriter::new(std::fs::File::create(&file).map_err(failed)?);
+    for event in log.values() {
+        let line = serde_json::to_string(event).map_err(|error| Failure::failed(error.to_string()))?;
+        writeln!(out, "{line}").map_err(failed)?;
+    }
+    out.flush().map_err(failed)
+}
+
+impl Watch<'_> {
+    async fn until_end(&mut self, args: &DemoArgs) -> Result<(), Failure> {
+        let period = Duration::from_secs_f64((SAMPLE / args.speed).clamp(1e-3, SAMPLE));
+        let mut pace = tokio::time::interval(period);
+        pace.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        let bar = super::shows_bar(args).then(progress_bar);
+        let began = Instant::now();
+        let mut told = began;
+        while self.referee.now() < self.end {
+            tokio::select! {
+                biased;
+                event = self.events.next() => self.note(event.map(|event| event.message)),
+                _ = self.states.changed() => self.state = self.states.take().or(self.state.take()),
+                _ = pace.tick() => {
+                    self.sample();
+                    let line = self.line();
+                    if let Some(bar) = &bar {
+                        bar.set_message(line);
+                    } else if told.elapsed() > LOG_EVERY {
+                        tracing::info!("{line}");
+                        told = Instant::now();
+                    }
+                    if self.state.is_none() && began.elapsed() > PATIENCE {
+                        return Err(Failure::new(exit_code::TIMEOUT, "the robot does not tell its state"));
+                    }
+                }
+            }
+        }
+        // What happened last may still be under way.
+        let end = tokio::time::sleep(LAST_EVENTS);
+        tokio::pin!(end);
+        loop {
+            tokio::select! {
+                event = self.events.next() => self.note(event.map(|event| event.message)),
+                () = &mut end => break,
+            }
+        }
+        if let Some(bar) = bar {
+            bar.finish_and_clear();
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, event: Option<Event>) {
+        if let Some(event) = event.filter(|event| event.stamp <= self.end) {
+            self.log.insert(event.sequence, event);
+        }
+    }
+
+    fn sample(&mut self) {
+        let now = self.referee.now();
+        let since = now.secs_since(self.sampled);
+        if since < SAMPLE {
+            return;
+        }
+        self.sampled = now;
+        let follows = self.state.as_ref().is_some_and(|state| {
+            state.mode == Mode::WallFollow && state.wall_follower == Some(WallFollowerState::WallFollow)
+        });
+        if follows {
+            self.following += since;
+            let at = self.referee.truth().map_from_base.position();
+            self.errors.sample(self.world, at, self.target);
+        }
+    }
+
+    fn line(&self) -> String {
+        let state = self.state.as_ref();
+        format!(
+            "t {:5.1} of {:.0} s  {:11}  {:.2} m/s  {:.1} m driven",
+            self.referee.now().as_secs(),
+            self.end.as_secs(),
+            state
+                .and_then(|state| state.wall_follower)
+                .map_or("starting", WallFollowerState::name),
+            state.map_or(0.0, |state| state.velocity.v),
+            self.referee.truth().length,
+        )
+    }
+
+    /// The follower's transitions, whether each began where the one before ended, and none of the boot's events is missing.
+    fn transitions(&self) -> (BTreeMap<String, u64>, bool) {
+        let mut counts = BTreeMap::new();
+        let mut at = WallFollowerState::default().name();
+        let mut told = at;
+        let mut complete = self.log.keys().copied().eq(1..=self.log.len() as u64);
+        for event in self.log.values() {
+            if let EventKind::Transition { from, to, .. } = &event.kind {
+                complete &= from == at;
+                at = to;
+                if self.state.as_ref().is_some_and(|state| event.stamp <= state.stamp) {
+                    told = to;
+                }
+                *counts.entry(format!("{from} -> {to}")).or_default() += 1;
+            }
+        }
+        let ends = self.state.as_ref().and_then(|state| state.wall_follower);
+        (counts, complete && ends.is_none_or(|state| state.name() == told))
+    }
+
+    fn report(&self, script: &Script, args: &DemoArgs) -> DemoReport {
+        let truth = self.referee.truth();
+        let sim_time = self.end.as_secs();
+        let kept = self.errors.kept();
+        let (transitions, complete) = self.transitions();
+        let bumps = self
+            .log
+            .values()
+            .filter(|event| event.kind == EventKind::Bumped)
+            .count() as u64;
+        let following = self.following / sim_time.max(1e-9);
+        let reason = if truth.collisions > 0 || bumps > 0 {
+            Some("the robot touched something".to_owned())
+        } else if following < FOLLOWING || kept.straight_samples == 0 {
+            Some(format!(
+                "walls were followed for {:.0} % of the time only",
+                100.0 * following
+            ))
+        } else if kept.straight_p95_m >= ALLOWED {
+            Some(format!("the distance error is over {ALLOWED} m"))
+        } else if !complete {
+            Some("the event log has a gap".to_owned())
+        } else {
+            None
+        };
+        DemoReport {
+            scenario: script.name.to_owned(),
+            seed: args.seed,
+            speed: args.speed,
+            outcome: if reason.is_none() {
+                ScenarioOutcome::Succeeded
+            } else {
+                ScenarioOutcome::Failed
+            },
+            reason,
+            map_found: false,
+            goals: Vec::new(),
+            refused: Vec::new(),
+            collisions: truth.collisions.into(),
+            min_clearance_m: truth.min_clearance,
+            sim_time_s: sim_time,
+            wall_time_s: 0.0,
+            plans: 0,
+            replans: 0,
+            latency: Latency::default(),
+            energy_j: truth.drawn_j,
+            walls: Some(WallReport {
+                target_m: self.target,
+                kept,
+                bumps,
+                driven_m: truth.length,
+                following,
+                transitions,
+                complete,
+                missed_ticks: self.state.as_ref().map_or(0, |state| state.missed_ticks),
+            }),
+            notes: Vec::new(),
+        }
+    }
+}

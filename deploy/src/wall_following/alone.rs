@@ -1,0 +1,140 @@
+//! How does a robot follow walls when nobody commands it? Body and pilot in turn, without a network: repeatable bit for bit from a seed.
+
+use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{Event, EventKind, LostPolicy, WallFollowerState};
+use zenav_protocol::robot::RobotModel;
+use zenav_sim::{RobotSpec, Simulation, Truth, World};
+
+use super::score::{Errors, Kept};
+use crate::failure::Failure;
+
+/// Control ticks between two samples of the distance.
+const SAMPLE: u64 = 5;
+
+/// What a run came to.
+#[derive(Clone, Debug)]
+pub struct Alone {
+    /// How the distance was kept.
+    pub kept: Kept,
+    /// The truth at the end.
+    pub truth: Truth,
+    /// Share of the time in which a wall was followed.
+    pub following: f64,
+    /// Everything that happened, in order.
+    pub events: Vec<Event>,
+}
+
+impl Alone {
+    /// The follower's transitions, as names from and to.
+    pub fn transitions(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.events.iter().filter_map(|event| match &event.kind {
+            EventKind::Transition { from, to, .. } => Some((from.as_str(), to.as_str())),
+            _ => None,
+        })
+    }
+}
+
+/// Runs for `secs` simulated seconds.
+///
+/// # Errors
+/// A robot that cannot start where the world says.
+pub fn run(world: &World, model: &RobotModel, seed: u64, secs: f64) -> Result<Alone, Failure> {
+    watch(world, model, seed, secs, |_, _| {})
+}
+
+/// The same, and `see` is told truth and state at every tick.
+///
+/// # Errors
+/// A robot that cannot start where the world says.
+pub fn watch(
+    world: &World,
+    model: &RobotModel,
+    seed: u64,
+    secs: f64,
+    mut see: impl FnMut(&Truth, WallFollowerState),
+) -> Result<Alone, Failure> {
+    let id = Id::robot("robot").map_err(|error| Failure::failed(error.to_string()))?;
+    let start = world.start();
+    let spec = RobotSpec {
+        id: id.clone(),
+        model: model.clone(),
+        start,
+    };
+    let mut simulation = Simulation::new(world, vec![spec], seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let mut config = EdgeConfig::new(id, model.clone(), start);
+    config.on_lost = LostPolicy::WallFollow;
+    let tick = config.tick;
+    let mut pilot = Pilot::new(config, "lockstep".to_owned(), Persisted::default());
+    let target = model.wall_following.target_distance;
+    let mut errors = Errors::default();
+    let mut events = Vec::new();
+    let ticks = (secs / tick).round() as u64;
+    let mut following = 0_u64;
+    for count in 0..ticks {
+        simulation.step();
+        let readings = simulation.readings(0);
+        let outbox = pilot.step(readings.stamp, &readings, Inbox::default());
+        simulation.drive(0, outbox.wheels);
+        events.extend(
+            outbox
+                .publications
+                .into_iter()
+                .filter_map(|publication| match publication {
+                    Publication::Event(event) => Some(event),
+                    _ => None,
+                }),
+        );
+        let truth = simulation.truth(0);
+        let state = pilot.wall_follower();
+        see(&truth, state);
+        if state == WallFollowerState::WallFollow {
+            following += 1;
+            if count.is_multiple_of(SAMPLE) {
+                errors.sample(world, truth.map_from_base.position(), target);
+            }
+        }
+    }
+    Ok(Alone {
+        kept: errors.kept(),
+        truth: simulation.truth(0),
+        following: following as f64 / ticks.max(1) as f64,
+        events,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files;
+
+    #[test]
+    fn a_seed_gives_the_same_run_again() {
+        let (world, model) = (files::world("wall_follow").unwrap(), files::robot("neato").unwrap());
+        let end = |seed| run(&world, &model, seed, 20.0).unwrap().truth;
+        assert_eq!(end(3), end(3));
+        assert_ne!(end(3), end(4));
+    }
+
+    #[test]
+    fn a_neato_follows_the_walls_of_a_room_within_three_centimetres_and_touches_nothing() {
+        let (world, model) = (files::world("wall_follow").unwrap(), files::robot("neato").unwrap());
+        let run = run(&world, &model, 1, 300.0).unwrap();
+        assert_eq!(run.truth.collisions, 0);
+        assert!(run.kept.straight_p95_m < 0.03, "{:?}", run.kept);
+        assert!(run.kept.straight_samples > 500 && run.truth.length > 40.0);
+        let mut at = "wall_search";
+        for (from, to) in run.transitions() {
+            assert_eq!(from, at);
+            at = to;
+        }
+        for step in [
+            ("wall_search", "approach"),
+            ("approach", "turn"),
+            ("turn", "wall_follow"),
+            ("wall_follow", "turn"),
+        ] {
+            assert!(run.transitions().any(|found| found == step), "{step:?}");
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! How is a robot in another process a [`Body`]? Its readings and wheel speeds go over the bus: a world that is served for many robots
+//! (`zenav sim serve`), or a driver in any language.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use thiserror::Error;
+use tokio::sync::watch;
+use tokio::task::AbortHandle;
+use zenav_protocol::bus::{AskError, Bus, BusError};
+use zenav_protocol::messages::{AttachReply, AttachRequest, WheelSpeeds, exit_code};
+use zenav_protocol::readings::Readings;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+
+use crate::body::{Body, BodyError};
+
+/// Readings that wait in the bus.
+const QUEUE: usize = 32;
+/// Wall time without readings after which the body counts as silent.
+const SILENCE: Duration = Duration::from_millis(200);
+/// Wall time for a served world to answer.
+const ATTACH: Duration = Duration::from_secs(10);
+
+/// A body on the other side of the bus.
+pub struct RemoteBody {
+    slot: Arc<Slot>,
+    wheels: watch::Sender<WheelSpeeds>,
+    stamp: Stamp,
+    hearing: AbortHandle,
+}
+
+/// What was sensed since it was last asked for.
+#[derive(Default)]
+struct Slot {
+    readings: Mutex<Option<Readings>>,
+    filled: Condvar,
+}
+
+/// There is no such body.
+#[derive(Debug, Error)]
+pub enum AttachError {
+    /// Nobody serves a world, or it does not take the robot.
+    #[error("no body in a served world: {0}")]
+    Ask(#[from] AskError),
+    /// The bus.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The world's numbers cannot be driven by.
+    #[error("the served world {0} has ticks of {1} s at {2} times real time: expected positive numbers")]
+    Pace(String, f64, f64),
+}
+
+impl AttachError {
+    /// The exit code of a command line that got no body.
+    #[must_use]
+    pub const fn exit_code(&self) -> u8 {
+        match self {
+            Self::Ask(error) => error.exit_code(),
+            Self::Bus(_) | Self::Pace(..) => exit_code::FAILED,
+        }
+    }
+}
+
+impl RemoteBody {
+    /// Puts a robot into the world that is served on this bus, or takes hold of it again. In a Tokio runtime only.
+    ///
+    /// # Errors
+    /// [`AttachError`].
+    pub async fn attach(bus: &Bus, request: &AttachRequest) -> Result<(Self, AttachReply), AttachError> {
+        let reply: AttachReply = bus.ask(&topics::ATTACH, &[], request, ATTACH).await?;
+        let is_pace = |value: f64| value.is_finite() && value > 0.0;
+        if !(is_pace(reply.tick_secs) && is_pace(reply.speed) && reply.start.is_finite()) {
+            return Err(AttachError::Pace(reply.world, reply.tick_secs, reply.speed));
+        }
+        Ok((Self::new(bus, &request.robot)?, reply))
+    }
+
+    /// The body that publishes this robot's readings. In a Tokio runtime only.
+    ///
+    /// # Errors
+    /// [`BusError`] when its topics cannot be declared.
+    pub fn new(bus: &Bus, robot: &str) -> Result<Self, BusError> {
+        let mut subscription = bus.subscribe(&topics::READINGS, &[robot], QUEUE)?;
+        let publisher = bus.publisher(&topics::WHEELS, &[robot])?;
+        let slot = Arc::new(Slot::default());
+        let hearing = tokio::spawn({
+            let slot = Arc::clone(&slot);
+            async move {
+                while let Some(received) = subscription.next().await {
+                    slot.put(received.message);
+                }
+            }
+        });
+        let still = WheelSpeeds {
+            stamp: Stamp::ZERO,
+            wheels: [0.0; 2],
+        };
+        let (wheels, mut wanted) = watch::channel(still);
+        tokio::spawn(async move {
+            while wanted.changed().await.is_ok() {
+                let speeds = *wanted.borrow_and_update();
+                publisher.put(&speeds);
+            }
+        });
+        Ok(Self {
+            slot,
+            wheels,
+            stamp: Stamp::ZERO,
+            hearing: hearing.abort_handle(),
+        })
+    }
+}
+
+impl Slot {
+    fn put(&self, newer: Readings) {
+        let mut readings = self.readings.lock().unwrap_or_else(PoisonError::into_inner);
+        *readings = Some(match readings.take() {
+            Some(older) if older.stamp < newer.stamp => older.followed_by(newer),
+            _ => newer,
+        });
+        self.filled.notify_one();
+    }
+}
+
+impl Body for RemoteBody {
+    fn read(&mut self) -> Result<Readings, BodyError> {
+        let readings = self.slot.readings.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut readings, _) = self
+            .slot
+            .filled
+            .wait_timeout_while(readings, SILENCE, |readings| readings.is_none())
+            .unwrap_or_else(PoisonError::into_inner);
+        let readings = readings
+            .take()
+            .ok_or_else(|| BodyError(format!("no readings for {SILENCE:?}")))?;
+        if readings.stamp <= self.stamp {
+            let reason = format!(
+                "readings of {} s after those of {} s: where the world began anew, start the edge anew",
+                readings.stamp.as_secs(),
+                self.stamp.as_secs()
+            );
+            return Err(BodyError(reason));
+        }
+        self.stamp = readings.stamp;
+        Ok(readings)
+    }
+
+    fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
+        let stamp = self.stamp;
+        self.wheels.send_replace(WheelSpeeds { stamp, wheels });
+        Ok(())
+    }
+
+    fn gives_the_pace(&self) -> bool {
+        true
+    }
+}
+
+impl Drop for RemoteBody {
+    fn drop(&mut self) {
+        // The last wheel speeds still go out: their task ends with the sender.
+        self.hearing.abort();
+    }
+}

@@ -1,0 +1,393 @@
+//! What does a robot do that nobody commands, where its policy is to follow walls? A state machine of its own, without a cloud.
+//!
+//! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the way ahead is clear, `wall_follow` drives
+//! along it; `bump`, from anywhere, waits until an operator has driven the robot away.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`filter`] | which returns are walls, and which are noise? |
+//! | [`line`] | which straight walls do they show? |
+//! | [`beside`] | where is the wall beside the robot, what is in its way, and how is the distance kept? |
+
+pub mod beside;
+pub mod filter;
+pub mod line;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::messages::{Bump, EventKind, Marker, WallFollowerState as State};
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::wall_following::WallFollowing;
+
+use crate::journal::Journal;
+use crate::surroundings::Surroundings;
+use beside::{Beside, DistanceKeeper};
+use line::Wall;
+
+/// A wall bends where a return is farther than this from its chord, m, or than so many deviations of the lidar.
+const BEND: (f64, f64) = (0.02, 4.0);
+/// Another wall is approached only where it is nearer by this, m.
+const NEARER: f64 = 0.1;
+/// A wall that was approached is the same one within this, m.
+const SAME: f64 = 0.3;
+/// Steering towards a wall, rad/s for each rad.
+const STEERING: f64 = 2.0;
+/// Heading error at which an approach is given up, rad.
+const ASTRAY: f64 = 0.6;
+/// Free on both sides of the robot's body where it goes straight, m.
+const ELBOW_ROOM: f64 = 0.05;
+/// A way ahead is clear when it is free for so many target distances.
+const CLEAR: f64 = 2.0;
+/// Directions tried on each side for the better one.
+const LOOKS: u32 = 36;
+/// Stopped by the guard for this long the robot turns elsewhere, s.
+const BLOCKED: f64 = 1.0;
+/// A wall this many times farther than any distance that is kept is lost.
+const LOST: f64 = 1.4;
+/// The distance to keep changes by at most this share of the speed.
+const WIDENING: f64 = 0.6;
+/// A bump is left when the robot has been driven this far from what it touched, m.
+const AWAY: f64 = 0.05;
+
+/// What the follower may look at in one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Sight<'a> {
+    /// When.
+    pub now: Stamp,
+    /// Time since the last tick, s.
+    pub dt: f64,
+    /// The settings in force.
+    pub settings: &'a WallFollowing,
+    /// What the lidar sees.
+    pub around: &'a Surroundings,
+    /// Odometry.
+    pub odom_from_base: Pose2,
+    /// The bumper.
+    pub bump: &'a Bump,
+    /// Whether the guard let nothing through at the last tick.
+    pub stopped: bool,
+}
+
+/// The state machine.
+#[derive(Clone, Debug)]
+pub struct WallFollower {
+    /// Half the width that the robot needs to go straight, m.
+    body: f64,
+    /// Off its chord by more a return is another wall's, m.
+    bend: f64,
+    /// Deceleration, m/s².
+    braking: f64,
+    state: State,
+    scan: Option<Stamp>,
+    /// Filtered returns, odometry frame.
+    points: Vec<Point2<f64>>,
+    /// What they show, odometry frame.
+    walls: Vec<Wall>,
+    /// The nearest point of the wall that is searched or approached, odometry frame.
+    goal: Option<Point2<f64>>,
+    /// +1 with the wall on the left, -1 on the right.
+    side: f64,
+    /// What is left to turn before the robot gives up, rad.
+    patience: f64,
+    last_yaw: f64,
+    keeper: DistanceKeeper,
+    /// The distance to keep now, m.
+    wanted: f64,
+    blocked: f64,
+    /// Where it touched something, odometry frame, and in which direction.
+    touched: Option<(Pose2, f64)>,
+    /// The wall that it follows, base frame of that tick carried to the odometry frame.
+    followed: Option<Wall>,
+}
+
+impl WallFollower {
+    /// At the beginning.
+    #[must_use]
+    pub fn new(model: &RobotModel) -> Self {
+        Self {
+            body: model.footprint.circumscribed_radius() + ELBOW_ROOM,
+            bend: BEND.0.max(BEND.1 * model.lidar.noise),
+            braking: 0.5 * model.drive.acceleration(),
+            state: State::WallSearch,
+            scan: None,
+            points: Vec::new(),
+            walls: Vec::new(),
+            goal: None,
+            side: -1.0,
+            patience: 0.0,
+            last_yaw: 0.0,
+            keeper: DistanceKeeper::default(),
+            wanted: model.wall_following.target_distance,
+            blocked: 0.0,
+            touched: None,
+            followed: None,
+        }
+    }
+
+    /// Where it stands.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// One tick in which somebody else commands, or nobody may: begins anew afterwards. A bump is left by an operator only.
+    pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, journal: &mut Journal) {
+        if bump.pressed {
+            self.touch(now, bump, odom_from_base, journal);
+        } else if let Some((place, bearing)) = self.touched {
+            let gone = place.inverse() * odom_from_base;
+            if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -AWAY {
+                self.touched = None;
+                self.enter(now, State::WallSearch, "driven away by hand", journal);
+            }
+        } else if self.state != State::WallSearch {
+            self.enter(now, State::WallSearch, "somebody else commands", journal);
+        }
+    }
+
+    /// One tick in which it moves the robot: the wanted twist.
+    pub fn step(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+        let Sight {
+            now, odom_from_base, ..
+        } = *sight;
+        if sight.bump.pressed {
+            self.touch(now, sight.bump, odom_from_base, journal);
+        }
+        if self.state == State::Bump {
+            return Twist2::ZERO;
+        }
+        self.look(sight);
+        self.blocked = if sight.stopped { self.blocked + sight.dt } else { 0.0 };
+        if self.blocked > BLOCKED && self.state != State::Turn {
+            self.blocked = 0.0;
+            self.begin_turn(sight, None, "blocked by the guard", journal);
+        }
+        match self.state {
+            State::WallSearch => self.search(sight, journal),
+            State::Approach => self.approach(sight, journal),
+            State::Turn => self.turn(sight, journal),
+            State::WallFollow => self.follow(sight, journal),
+            State::Bump => Twist2::ZERO,
+        }
+    }
+
+    /// Wall and target line, map frame.
+    #[must_use]
+    pub fn markers(&self, now: Stamp, map_from_odom: Pose2, odom_from_base: Pose2) -> Vec<Marker> {
+        let Some(wall) = self.followed.filter(|_| self.state == State::WallFollow) else {
+            return Vec::new();
+        };
+        let along = (wall.to - wall.from).normalize();
+        let mut aside = nalgebra::Vector2::new(-along.y, along.x) * self.wanted;
+        if (odom_from_base.position() - wall.from).dot(&aside) < 0.0 {
+            aside = -aside;
+        }
+        let marker = |name: &str, points: [Point2<f64>; 2]| Marker {
+            stamp: now,
+            name: name.to_owned(),
+            points: points.map(|point| map_from_odom.transform_point(point)).to_vec(),
+        };
+        vec![
+            marker("wall", [wall.from, wall.to]),
+            marker("target_line", [wall.from + aside, wall.to + aside]),
+        ]
+    }
+
+    fn enter(&mut self, now: Stamp, to: State, reason: &str, journal: &mut Journal) {
+        if to == self.state {
+            return;
+        }
+        journal.tell(
+            now,
+            EventKind::Transition {
+                behaviour: "wall_follow".to_owned(),
+                from: self.state.name().to_owned(),
+                to: to.name().to_owned(),
+                reason: reason.to_owned(),
+            },
+        );
+        self.state = to;
+        self.goal = None;
+        self.followed = None;
+    }
+
+    fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, journal: &mut Journal) {
+        // Without a bearing the contact is taken to lie ahead.
+        self.touched = Some((odom_from_base, bump.bearing.unwrap_or(0.0)));
+        self.enter(now, State::Bump, "contact", journal);
+    }
+
+    /// Takes in a new sweep.
+    fn look(&mut self, sight: &Sight<'_>) {
+        if self.scan == sight.around.stamp() {
+            return;
+        }
+        self.scan = sight.around.stamp();
+        let runs = filter::runs(sight.around.seen_in(Pose2::IDENTITY), sight.settings.wall_min_points);
+        self.walls = runs.iter().flat_map(|run| line::walls(run, self.bend)).collect();
+        self.points = runs.concat();
+    }
+
+    /// The nearest point of any wall, base frame; the wall that was chosen before unless another is clearly nearer.
+    fn nearest(&mut self, odom_from_base: Pose2) -> Option<Point2<f64>> {
+        let here = odom_from_base.position();
+        let of = |wall: &Wall| {
+            let point = wall.nearest(here);
+            ((point - here).norm(), point)
+        };
+        let by_distance = |a: &(f64, Point2<f64>), b: &(f64, Point2<f64>)| a.0.total_cmp(&b.0);
+        let nearest = self.walls.iter().map(of).min_by(by_distance)?;
+        let same = self.goal.and_then(|goal| {
+            let near = |wall: &&Wall| (wall.nearest(goal) - goal).norm() < SAME;
+            self.walls.iter().filter(near).map(of).min_by(by_distance)
+        });
+        let chosen = same
+            .filter(|(distance, _)| *distance < nearest.0 + NEARER)
+            .unwrap_or(nearest);
+        self.goal = Some(chosen.1);
+        Some(odom_from_base.inverse().transform_point(chosen.1))
+    }
+
+    fn search(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+        let settings = sight.settings;
+        let Some(wall) = self.nearest(sight.odom_from_base) else {
+            // Nothing to be seen: farther on there may be something.
+            return Twist2::new(settings.greatest_speed, 0.0);
+        };
+        let bearing = wall.y.atan2(wall.x);
+        if bearing.abs() <= settings.search_tolerance {
+            let goal = self.goal;
+            self.enter(sight.now, State::Approach, "the nearest wall lies ahead", journal);
+            self.goal = goal;
+            return Twist2::ZERO;
+        }
+        Twist2::new(0.0, turning(bearing, settings))
+    }
+
+    fn approach(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+        let settings = sight.settings;
+        let Some(wall) = self.nearest(sight.odom_from_base) else {
+            self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
+            return Twist2::ZERO;
+        };
+        let (left, bearing) = (
+            wall.coords.norm() - settings.identify_wall_distance,
+            wall.y.atan2(wall.x),
+        );
+        if left <= 0.0 {
+            self.begin_turn(sight, None, "the wall is reached", journal);
+            return Twist2::ZERO;
+        }
+        if bearing.abs() > ASTRAY {
+            self.enter(sight.now, State::WallSearch, "the wall is not ahead", journal);
+            return Twist2::ZERO;
+        }
+        let v = (settings.approach_gain * left).clamp(settings.least_speed, settings.greatest_speed);
+        Twist2::new(v, STEERING * bearing)
+    }
+
+    /// Begins to turn: away from the wall beside, or to the side that is clear after the lesser turn.
+    fn begin_turn(&mut self, sight: &Sight<'_>, wall_on: Option<f64>, reason: &str, journal: &mut Journal) {
+        self.side = wall_on.unwrap_or_else(|| {
+            let step = std::f64::consts::PI / f64::from(LOOKS);
+            let needed = |sign: f64| {
+                (1..=LOOKS)
+                    .map(|look| step * f64::from(look))
+                    .find(|angle| {
+                        self.ahead(sight, sign * angle)
+                            .is_none_or(|free| free > CLEAR * sight.settings.target_distance)
+                    })
+                    .unwrap_or(f64::INFINITY)
+            };
+            // Turned left, the wall is on the right.
+            if needed(1.0) <= needed(-1.0) { -1.0 } else { 1.0 }
+        });
+        self.patience = std::f64::consts::TAU;
+        self.last_yaw = sight.odom_from_base.yaw;
+        self.enter(sight.now, State::Turn, reason, journal);
+    }
+
+    fn turn(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+        let yaw = sight.odom_from_base.yaw;
+        self.patience -= wrap_angle(yaw - self.last_yaw).abs();
+        self.last_yaw = yaw;
+        let settings = sight.settings;
+        if self
+            .ahead(sight, 0.0)
+            .is_none_or(|free| free > CLEAR * settings.target_distance)
+        {
+            self.keeper = DistanceKeeper::default();
+            self.wanted = settings.target_distance;
+            self.enter(sight.now, State::WallFollow, "the way ahead is clear", journal);
+            return Twist2::ZERO;
+        }
+        if self.patience < 0.0 {
+            self.enter(sight.now, State::WallSearch, "no way is clear", journal);
+            return Twist2::ZERO;
+        }
+        Twist2::new(0.0, -self.side * settings.turn_rate)
+    }
+
+    fn follow(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+        let settings = sight.settings;
+        let side = self.side;
+        let base_from_odom = sight.odom_from_base;
+        let mirror = |point: Point2<f64>| Point2::new(point.x, side * point.y);
+        let walls = self.walls.iter().map(|wall| {
+            let wall = wall.seen_from(base_from_odom);
+            Wall {
+                from: mirror(wall.from),
+                to: mirror(wall.to),
+            }
+        });
+        let farthest = LOST * settings.widest_distance.max(settings.identify_wall_distance);
+        let Some(beside) = Beside::of(walls).filter(|beside| beside.distance < farthest) else {
+            self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
+            return Twist2::ZERO;
+        };
+        let odom = |point: Point2<f64>| sight.odom_from_base.transform_point(mirror(point));
+        self.followed = Some(Wall {
+            from: odom(beside.wall.from),
+            to: odom(beside.wall.to),
+        });
+        let ahead = self.ahead(sight, 0.0).unwrap_or(f64::INFINITY);
+        let inverse = sight.odom_from_base.inverse();
+        let points = self.points.iter().map(|point| mirror(inverse.transform_point(*point)));
+        let wanted = beside.wanted(settings, self.body, points);
+
+        let slow_for_corner = settings.approach_gain * (ahead - settings.target_distance);
+        let slow_for_heading = settings.greatest_speed * (1.0 - beside.towards.x.abs());
+        let v = slow_for_corner
+            .min(slow_for_heading)
+            .clamp(settings.least_speed, settings.greatest_speed);
+        if ahead <= settings.target_distance + 0.5 * v * v / self.braking {
+            self.begin_turn(sight, Some(side), "a wall lies ahead", journal);
+            return Twist2::ZERO;
+        }
+        let change = WIDENING * v * sight.dt;
+        self.wanted += (wanted - self.wanted).clamp(-change, change);
+        let w = self.keeper.steer(&beside, self.wanted, v, settings, sight.dt);
+        Twist2::new(v, side * w)
+    }
+
+    /// How far the robot could go straight after a turn by `angle`, m; `None` where nothing is in the way.
+    fn ahead(&self, sight: &Sight<'_>, angle: f64) -> Option<f64> {
+        let heading = sight.odom_from_base * Pose2::new(0.0, 0.0, angle);
+        let inverse = heading.inverse();
+        // A wall that is to be passed at the target distance must not count as in the way.
+        let half = self.body.min(0.8 * sight.settings.target_distance);
+        self.points
+            .iter()
+            .map(|point| inverse.transform_point(*point))
+            .filter(|point| point.x > 0.0 && point.y.abs() < half)
+            .map(|point| point.x)
+            .reduce(f64::min)
+    }
+}
+
+/// Yaw rate that turns by `angle`, slower towards the end.
+fn turning(angle: f64, settings: &WallFollowing) -> f64 {
+    let most = settings.turn_rate;
+    (STEERING * angle).clamp(-most, most)
+}

@@ -1,0 +1,72 @@
+//! Do robots of several processes live in one world? They see and pass one another there, and one whose edge dies stops.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::time::Duration;
+
+use tokio::time::timeout;
+use zenav_protocol::bus::Bus;
+use zenav_protocol::readings::Readings;
+use zenav_protocol::topics;
+use zenav_tests::deployment::{CORRIDOR, Deployment};
+
+const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
+/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+const LONG: Duration = Duration::from_secs(60);
+/// Simulated seconds a second.
+const SPEED: f64 = 4.0;
+
+/// One that drives, and one that stands in its way.
+const TWO: &str = "
+[robots.driver]
+model = \"tiago\"
+listen = \"tcp/127.0.0.1:0\"
+attach = true
+[robots.bystander]
+model = \"turtlebot3_waffle\"
+listen = \"tcp/127.0.0.1:0\"
+attach = true
+start = { x = 7.0, y = 0.1, yaw = 1.0 }
+";
+
+/// Readings of a robot in their order, until `enough`.
+async fn listen(bus: &Bus, robot: &str, mut enough: impl FnMut(&[Readings]) -> bool) -> Vec<Readings> {
+    let mut subscription = bus.subscribe(&topics::READINGS, &[robot], 256).unwrap();
+    let mut heard = Vec::new();
+    let listening = async {
+        while !enough(&heard) {
+            heard.push(subscription.next().await.expect("the bus is open").message);
+        }
+    };
+    timeout(LONG, listening).await.expect("the world goes on");
+    heard
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_dies() {
+    let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
+    let mut world = deployment.start_served_world();
+    let bus = deployment.bus().await;
+    let mut robots = deployment.start_up_attached(TWO);
+    let goal = ["goal", "submit", "--robot", "driver", "--timeout", "40"];
+    let there = deployment.client(&[&goal[..], &["--place", "far_end", "--wait"]].concat());
+    assert_eq!(there.status.code(), Some(0), "{there:?}\n{}", robots.log());
+    assert!(!world.log().contains("touched"), "{}", world.log());
+
+    // On the way back everything but the world dies.
+    let back = deployment.client(&[&goal[..], &["0.5", "0"]].concat());
+    assert_eq!(back.status.code(), Some(0), "{back:?}");
+    let turned = |from: &Readings, to: &Readings| (to.wheels[0] - from.wheels[0]).abs();
+    let under_way =
+        |heard: &[Readings]| matches!((heard.first(), heard.last()), (Some(a), Some(b)) if turned(a, b) > 5.0);
+    listen(&bus, "driver", under_way).await;
+    robots.kill();
+    let rest = |heard: &[Readings]| matches!(heard, [.., a, b] if turned(a, b) < 1e-4);
+    let stopping = listen(&bus, "driver", rest).await;
+    let braked = stopping[stopping.len() - 1].stamp.secs_since(stopping[0].stamp);
+    assert!(braked < 3.0, "{braked} s");
+    let resting = listen(&bus, "driver", |heard| heard.len() > 50).await;
+    assert!(turned(&resting[0], &resting[50]) < 0.01);
+    world.assert_running();
+    assert!(!world.log().contains("touched"), "{}", world.log());
+}
