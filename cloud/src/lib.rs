@@ -8,8 +8,10 @@
 //! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
 //! | [`worker_host`] | how does a worker that answers questions live on the network? |
 //! | [`mission`] | which goal is driven, and how is none lost? |
+//! | [`dispatch`] | which robot of a group does a goal? |
 
 pub mod behaviour_tree;
+pub mod dispatch;
 pub mod mapping;
 pub mod mission;
 pub mod planning;
