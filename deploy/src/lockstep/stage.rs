@@ -193,6 +193,12 @@ impl Stage {
                         let answer = self.workers.smooth(&request);
                         return self.inputs.answers.push((ticket, answer));
                     }
+                    Ask::Remote(server, _) => {
+                        let answer = Err(NoAnswer::Silent(format!(
+                            "a run in lockstep has no network for {server}"
+                        )));
+                        return self.inputs.answers.push((ticket, answer));
+                    }
                     Ask::Map(request) => {
                         let answer = self.map_answer(&request);
                         return self.inputs.answers.push((ticket, Ok(answer)));

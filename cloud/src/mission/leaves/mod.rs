@@ -15,6 +15,7 @@
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
 //! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
+//! | [`remote`] | RemoteAction: what another program does |
 //! | `navigate` | NavigateToPose, NavigateThroughPoses |
 //! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
 //!
@@ -33,6 +34,7 @@ pub mod path;
 mod path_leaves;
 mod ports;
 mod progress;
+pub mod remote;
 mod selectors;
 mod services;
 mod simple;
@@ -123,6 +125,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
+    registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
     for spec in nav2_nodes() {
         if registry.spec(&spec.id).is_some() {
             continue;

@@ -6,5 +6,6 @@ mod drives;
 mod intake;
 mod kitchen;
 mod nav2_trees;
+mod remote;
 mod rig;
 mod survival;

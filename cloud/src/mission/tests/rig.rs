@@ -269,6 +269,8 @@ impl Kept {
         }
     }
 }
+/// Answers remote actions.
+pub type RemoteServer = Box<dyn FnMut(&RemoteRequest) -> RemoteReply>;
 
 pub struct Rig {
     pub now: Stamp,
@@ -296,6 +298,8 @@ pub struct Rig {
     waiting: Vec<(Stamp, Ticket, Result<Answer, NoAnswer>)>,
     requests: Vec<(Client, Request)>,
     next_client: u64,
+    /// Does the remote actions on the key `kitchen/gripper`.
+    pub remote: Option<RemoteServer>,
     /// Writes after which the process dies, once; counted from the next one.
     pub dies_after_writes: Option<usize>,
 }
@@ -355,6 +359,7 @@ impl Rig {
             waiting: Vec::new(),
             requests: Vec::new(),
             next_client: 0,
+            remote: None,
             dies_after_writes: None,
         };
         rig.start();
@@ -605,6 +610,10 @@ impl Rig {
                     statistics,
                 })))
             }
+            Ask::Remote(server, request) => match &mut self.remote {
+                Some(done) if server == "kitchen/gripper" => Ok(Answer::Remote(Box::new(done(request)))),
+                _ => silent(),
+            },
             Ask::Map(request) => {
                 match request.action {
                     MapAction::Reset => {
