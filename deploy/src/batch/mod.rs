@@ -7,10 +7,12 @@
 //! | `plan` | `zenav plan`: searches alone |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
 //! | `bench` | `zenav sim bench`, `zenav bench bus` |
+//! | `show` | `zenav sim show`: a picture of a world |
 
 mod bench;
 mod plan;
 mod queries;
+mod show;
 mod smooth;
 mod watchdog;
 
