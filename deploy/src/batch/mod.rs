@@ -18,6 +18,7 @@ mod watchdog;
 
 pub use bench::{BenchArgs, SimArgs, bench, sim};
 pub use plan::{PlanArgs, plan};
+pub(crate) use show::backdrop;
 pub use smooth::{SmoothArgs, smooth};
 
 use std::io::{BufWriter, IsTerminal as _, Write};

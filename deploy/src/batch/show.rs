@@ -165,6 +165,18 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
 }
 
 fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Vec<u8>, Failure> {
+    let mut canvas = backdrop(world, size);
+    for (mover, at) in world.movers().iter().zip(simulation.movers()) {
+        canvas.polygon(&placed(&mover.shape, at), MOVER);
+    }
+    for robot in 0..simulation.robots() {
+        self::robot(&mut canvas, simulation, robot);
+    }
+    canvas.png()
+}
+
+/// What does not move in a world, and the ways of what does, `size` pixels on the longer side.
+pub(crate) fn backdrop(world: &World, size: u32) -> Canvas {
     let (low, high) = world.bounds();
     let margin = MARGIN * (high - low).amax();
     let (from, extent) = (low - Vector2::repeat(margin), (high - low).add_scalar(2.0 * margin));
@@ -188,9 +200,6 @@ fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Vec<u8>, Fa
     for disc in world.discs() {
         canvas.disc(disc.center, disc.radius, OCCUPIED);
     }
-    for (mover, at) in world.movers().iter().zip(simulation.movers()) {
-        canvas.polygon(&placed(&mover.shape, at), MOVER);
-    }
     for place in world.places() {
         let at = Point2::new(place.x, place.y);
         canvas.dot(at, PLACE, 4);
@@ -198,10 +207,7 @@ fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Vec<u8>, Fa
             canvas.line(at, at + Pose2::new(0.0, 0.0, yaw).heading() * 0.3, PLACE, 1);
         }
     }
-    for robot in 0..simulation.robots() {
-        self::robot(&mut canvas, simulation, robot);
-    }
-    canvas.png()
+    canvas
 }
 
 fn grid(canvas: &mut Canvas, low: Point2<f64>, high: Point2<f64>) {
