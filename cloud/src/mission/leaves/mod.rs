@@ -46,7 +46,7 @@ use crate::behaviour_tree::{
     nav2_condition, nav2_decorator, nav2_nodes,
 };
 
-pub use ports::{goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
+pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes that a mission's trees may use.
 #[must_use]
