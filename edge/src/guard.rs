@@ -1,29 +1,28 @@
 //! May the robot move as it wants to? The guard has the last word: after the limiters, straight before the wheels.
 //!
-//! The wanted twist is followed along its own arc to the first contact of the true footprint with anything seen. It is
-//! scaled down, curvature kept, until the robot can stop before that: reaction (scan age, tick, motor lag) plus braking
-//! distance `u tau + u²/(2 a)` within the free way. Where that would pin a robot that only grazes something within the
-//! margin, a time to collision of at least a second with the last centimetre allows it to go on slowly; motion that
-//! does not reduce the clearance is always free. A stale scan, a command that is not finite, and contact stop it.
+//! The wanted twist is scaled down, curvature kept, until the robot can rest before it touches anything that stands, before
+//! anything that moves could touch it, and within what was seen (see [`crate::stopping`]). Where that would pin a robot that
+//! only grazes something within the margin, a time to collision of at least a second with the last centimetre allows it to
+//! go on slowly; motion that does not reduce the clearance is always free. A stale scan, a command that is not finite, and
+//! contact stop it.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};
-use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::contact::Sweeper;
 use crate::limiter::wheel_surface_speed;
+use crate::stopping::{LAST_CENTIMETRE, Motion, approaches, closing};
 use crate::surroundings::Surroundings;
 
-/// Least time to collision with the last centimetre while creeping inside the margin, s.
-const CREEP_TIME: f64 = 1.0;
-/// Closer than this nothing is approached, m.
-const LAST_CENTIMETRE: f64 = 0.01;
 /// Motion slower than this share of the wanted counts as stopped.
 const STOPPED: f64 = 0.02;
 /// Motion faster than this share of the wanted counts as clear.
 const CLEAR: f64 = 0.95;
+/// From what it touches a robot drives off with at least this share of its speed.
+const AWAY: f64 = 0.2;
 /// A zone must last this long before it is left for a milder one, s.
 const HYSTERESIS: f64 = 0.3;
 
@@ -134,54 +133,48 @@ impl Guard {
         if bump.pressed && !self.leaves(wanted, bump) {
             return (0.0, "contact");
         }
-        let drive = &self.model.drive;
-        let speed = wheel_surface_speed(drive, wanted);
-        if speed < 1e-6 {
+        let motion = Motion::new(
+            &self.model.footprint,
+            &self.model.drive,
+            wanted,
+            age,
+            self.tick,
+            self.margin,
+        );
+        if motion.speed < 1e-6 {
             return (1.0, "");
         }
-        let reaction = age + self.tick + drive.motor_lag;
-        let braking = drive.hard_braking;
-        let reach = speed * reaction + 0.5 * speed * speed / braking;
-        let near = self.model.footprint.circumscribed_radius() + self.margin + reach + LAST_CENTIMETRE;
-        let outer = Sweeper::new(&self.model.footprint, self.margin, wanted);
-        let inner = Sweeper::new(&self.model.footprint, LAST_CENTIMETRE.min(self.margin), wanted);
-        let mut share: f64 = 1.0;
-        for point in around.in_base(odom_from_base) {
-            if point.coords.norm_squared() > near * near {
-                continue;
-            }
-            // The fastest surface speed that stops within the free way `d`: u tau + u²/2a = d.
-            let stopping = if outer.holds(point) {
-                0.0
-            } else {
-                let Some(time) = outer.contact(point) else { continue };
-                let free = speed * time;
-                let lag = braking * reaction;
-                ((lag * lag + 2.0 * braking * free).sqrt() - lag) / speed
-            };
-            if stopping >= share {
-                continue;
-            }
-            let creeping = if inner.holds(point) {
-                if approaches(&self.model.footprint, wanted, point) {
-                    0.0
-                } else {
-                    1.0
-                }
-            } else {
-                inner.contact(point).map_or(1.0, |time| time / CREEP_TIME)
-            };
-            share = share.min(stopping.max(creeping));
-        }
-        (share, "an obstacle in the way")
+        let limits = [
+            (motion.past_obstacles(around, odom_from_base), "an obstacle in the way"),
+            (motion.past_intruders(around, odom_from_base), "something moves nearby"),
+            (
+                motion.into_the_blind(now, around, odom_from_base),
+                "nobody looks where it leads",
+            ),
+        ];
+        limits
+            .into_iter()
+            .fold((1.0, ""), |least, limit| if limit.0 < least.0 { limit } else { least })
     }
 
     /// Whether a motion leaves what is touched. Without a bearing the contact is taken to lie ahead.
     fn leaves(&self, wanted: Twist2, bump: &Bump) -> bool {
-        let toward = wanted.v * bump.bearing.unwrap_or(0.0).cos();
-        let turns = wanted.w.abs() > 1e-6;
-        let round = matches!(self.model.footprint, Footprint::Radius(_));
-        toward < 0.0 || (wanted.v.abs() < 1e-6 && (round || !turns))
+        let bearing = bump.bearing.unwrap_or(0.0);
+        let toward = Vector2::new(bearing.cos(), bearing.sin());
+        // Just outside the outline, found by halving along the bearing.
+        let (mut inside, mut outside) = (0.0, 2.0 * self.model.footprint.circumscribed_radius());
+        for _ in 0..20 {
+            let middle = 0.5 * (inside + outside);
+            if self.model.footprint.distance(Point2::from(toward * middle)) > 0.0 {
+                outside = middle;
+            } else {
+                inside = middle;
+            }
+        }
+        let touched = Point2::from(toward * (outside + 1e-3));
+        let closing = closing(&self.model.footprint, wanted, touched);
+        // Along what is touched is not away from it.
+        closing < 1e-6 && (wanted.v.abs() < 1e-3 || closing < -AWAY * wanted.v.abs())
     }
 
     /// Notes the zone; returns a reason when it has changed. Worse zones count at once, milder ones after a while.
@@ -208,18 +201,6 @@ impl Guard {
     }
 }
 
-/// Whether a twist brings the outline nearer to a point (base frame).
-fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool {
-    let motion = nalgebra::Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
-    let (here, there) = (footprint.distance(point), footprint.distance(point + motion * 1e-3));
-    // Inside the outline (noise, or the robot saw itself) distances are zero: go by the way to the base.
-    if here > 0.0 {
-        there < here - 1e-9
-    } else {
-        point.coords.dot(&motion) < -1e-6
-    }
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -241,7 +222,7 @@ mod tests {
     /// A wall across the way at `distance` ahead of the base.
     fn wall(model: &RobotModel, distance: f64) -> Surroundings {
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar);
+        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
         let range = |beam: usize| {
             let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
             if cos > 0.05 {
@@ -287,7 +268,7 @@ mod tests {
     fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
         let model = tiago();
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar);
+        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
         let ranges = (0..lidar.beams).map(|beam| {
             let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
             if sin > 0.05 {
@@ -322,7 +303,7 @@ mod tests {
         let none = guard.judge(
             Stamp::from_secs(1.6),
             Twist2::new(0.1, 0.0),
-            &Surroundings::new(&model.lidar),
+            &Surroundings::new(&model.lidar, 0.3, 0.6),
             Pose2::IDENTITY,
             &NO_BUMP,
         );

@@ -7,12 +7,12 @@
 //! |---|---|
 //! | [`body`] | what must a robot be able to do to be driven? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | [`surroundings`] | what stands around it? |
+//! | [`surroundings`], [`intruders`], [`trodden`] | what stands around it, what of it moves, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
 //! | [`behaviours`], [`recoveries`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
-//! | [`limiter`], [`guard`], [`contact`] | may it move as it wants to? |
+//! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`exchange`] | when does the pilot step, and how does it meet the network? |
@@ -32,6 +32,7 @@ pub mod estimator;
 pub mod exchange;
 pub mod guard;
 pub mod history;
+pub mod intruders;
 pub mod journal;
 pub mod limiter;
 pub mod link;
@@ -44,10 +45,12 @@ pub mod service;
 #[cfg(feature = "sim")]
 pub mod sim_body;
 pub mod state_file;
+pub mod stopping;
 pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
 pub mod trackers;
+pub mod trodden;
 pub mod wall_follower;
 
 pub use body::{Body, BodyError};

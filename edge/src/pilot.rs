@@ -69,7 +69,11 @@ impl Pilot {
             behaviours: Behaviours::default(),
             journal: Journal::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: Surroundings::new(&model.lidar),
+            around: Surroundings::new(
+                &model.lidar,
+                model.footprint.circumscribed_radius(),
+                model.drive.top_speed(),
+            ),
             guard: Guard::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),

@@ -1,4 +1,4 @@
-//! What stands around the robot? The newest sweep, and in the lidar's blind sector what earlier sweeps saw there.
+//! What stands around the robot, and what of it moves? The newest sweep, and in the lidar's blind sector what earlier sweeps saw.
 //!
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
 
@@ -10,10 +10,11 @@ use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
-/// How long a point that left the field of view is remembered, s.
-const MEMORY: f64 = 30.0;
+use crate::intruders::Intruders;
+use crate::trodden::Trodden;
+
 /// Remembered points farther off than this are let go, m.
-const MEMORY_RANGE: f64 = 3.0;
+pub(crate) const MEMORY_RANGE: f64 = 3.0;
 /// Remembered points at most.
 const MEMORY_POINTS: usize = 2048;
 /// Remembered points closer together than this say nothing more, m.
@@ -27,13 +28,39 @@ pub struct Surroundings {
     beams: Vec<Vector2<f64>>,
     stamp: Option<Stamp>,
     seen: Vec<Point2<f64>>,
-    remembered: VecDeque<(Stamp, Point2<f64>)>,
+    /// What was seen in what is the blind sector now, until it is seen again or left behind.
+    remembered: VecDeque<Point2<f64>>,
+    intruders: Intruders,
+    trodden: Trodden,
+}
+
+/// The directions that a lidar looks in, in its own frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    first: f64,
+    last: f64,
+}
+
+impl View {
+    pub(crate) fn new(lidar: &LidarModel) -> Self {
+        let first = lidar.angle_min();
+        let last = first + lidar.angle_increment() * (lidar.beams.max(1) - 1) as f64;
+        Self { first, last }
+    }
+
+    /// Whether nothing in this direction is ever seen; a gap of a beam is none.
+    pub(crate) fn is_blind(&self, local: Vector2<f64>) -> bool {
+        let gap = std::f64::consts::TAU - (self.last - self.first);
+        let bearing = wrap_angle(local.y.atan2(local.x));
+        gap > 0.1 && (bearing < self.first || bearing > self.last)
+    }
 }
 
 impl Surroundings {
-    /// Nothing seen yet.
+    /// Nothing seen yet. `reach` is the circumscribed radius of the robot, m: what it needs to turn where it starts.
+    /// `others`: as fast as anything else may move, m/s.
     #[must_use]
-    pub fn new(lidar: &LidarModel) -> Self {
+    pub fn new(lidar: &LidarModel, reach: f64, others: f64) -> Self {
         let direction = |beam: usize| {
             let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
             Vector2::new(angle.cos(), angle.sin())
@@ -44,6 +71,8 @@ impl Surroundings {
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
+            intruders: Intruders::new(lidar, others),
+            trodden: Trodden::new(lidar, reach),
         }
     }
 
@@ -53,7 +82,7 @@ impl Surroundings {
         if sweep.ranges.len() != self.beams.len() || self.stamp.is_some_and(|last| sweep.stamp <= last) {
             return false;
         }
-        self.remember(sweep.stamp, odom_from_base);
+        self.remember(odom_from_base);
         let mount = self.lidar.mount;
         self.seen.clear();
         for (range, beam) in sweep.ranges.iter().zip(&self.beams) {
@@ -65,25 +94,21 @@ impl Surroundings {
                 );
             }
         }
+        self.intruders.insert(sweep, odom_from_base);
+        self.trodden.insert(sweep, odom_from_base);
         self.stamp = Some(sweep.stamp);
         true
     }
 
     /// Keeps of all known points those that the lidar cannot see from here.
-    fn remember(&mut self, now: Stamp, odom_from_base: Pose2) {
+    fn remember(&mut self, odom_from_base: Pose2) {
         let laser_from_odom = (odom_from_base * self.lidar.mount).inverse();
-        let first = self.lidar.angle_min();
-        let last = first + self.lidar.angle_increment() * (self.lidar.beams.max(1) - 1) as f64;
+        let view = View::new(&self.lidar);
         let blind = |point: &Point2<f64>| {
-            let local = laser_from_odom.transform_point(*point);
-            let bearing = wrap_angle(local.y.atan2(local.x));
-            local.coords.norm() < MEMORY_RANGE && (bearing < first || bearing > last)
+            let local = laser_from_odom.transform_point(*point).coords;
+            local.norm() < MEMORY_RANGE && view.is_blind(local)
         };
-        self.remembered
-            .retain(|(stamp, point)| now.secs_since(*stamp) < MEMORY && blind(point));
-        let Some(seen_at) = self.stamp else {
-            return;
-        };
+        self.remembered.retain(blind);
         let mut last = Point2::new(f64::INFINITY, 0.0);
         for point in self.seen.iter().filter(|point| blind(point)) {
             if (point - last).norm_squared() < SPACING * SPACING {
@@ -93,7 +118,7 @@ impl Surroundings {
             if self.remembered.len() == MEMORY_POINTS {
                 self.remembered.pop_front();
             }
-            self.remembered.push_back((seen_at, *point));
+            self.remembered.push_back(*point);
         }
     }
 
@@ -113,7 +138,7 @@ impl Surroundings {
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = odom_from_base.inverse();
         let (sin, cos) = base_from_odom.yaw.sin_cos();
-        let points = self.seen.iter().chain(self.remembered.iter().map(|(_, point)| point));
+        let points = self.seen.iter().chain(&self.remembered);
         points.map(move |point| {
             Point2::new(
                 base_from_odom.x + cos * point.x - sin * point.y,
@@ -127,6 +152,18 @@ impl Surroundings {
         self.seen
             .iter()
             .map(move |point| frame_from_odom.transform_point(*point))
+    }
+
+    /// What of the newest sweep moves.
+    #[must_use]
+    pub fn intruders(&self) -> &Intruders {
+        &self.intruders
+    }
+
+    /// What of the floor is known to be free where the lidar does not look.
+    #[must_use]
+    pub fn trodden(&self) -> &Trodden {
+        &self.trodden
     }
 }
 
@@ -152,23 +189,26 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_field_of_view_is_remembered_and_forgotten_in_time() {
+    fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar);
+        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
         assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
         assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
         let points: Vec<_> = around.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(around.insert(&sweep(&lidar, 32.0, None), behind));
-        assert_eq!(around.in_base(behind).count(), 0);
+        assert!(around.insert(&sweep(&lidar, 100.0, None), behind));
+        assert_eq!(around.in_base(behind).count(), 1, "nobody has looked again");
+        let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
+        assert!(around.insert(&sweep(&lidar, 110.0, None), gone));
+        assert_eq!(around.in_base(gone).count(), 0);
     }
 
     #[test]
     fn what_the_lidar_sees_again_is_not_remembered() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar);
+        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
         around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
         around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
@@ -177,7 +217,7 @@ mod tests {
     #[test]
     fn a_broken_sweep_is_no_sweep() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar);
+        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
         assert!(!around.insert(
             &Sweep {
                 stamp: Stamp(5),

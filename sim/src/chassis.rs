@@ -53,6 +53,8 @@ pub struct Truth {
     pub collisions: u32,
     /// The latest contact.
     pub last_contact: Option<Contact>,
+    /// The robot's largest own speed towards something while it touched it, m/s.
+    pub hardest_contact: f64,
     /// Way driven since the beginning, forwards and backwards, m.
     pub length: f64,
     /// Energy drawn since the beginning, J.
@@ -125,6 +127,7 @@ impl Chassis {
             min_clearance: f64::INFINITY,
             collisions: 0,
             last_contact: None,
+            hardest_contact: 0.0,
             length: 0.0,
             drawn_j: 0.0,
         };
@@ -191,11 +194,12 @@ impl Chassis {
     fn substep(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, now: Stamp, moved: &mut Moved) {
         let before = true_twist(&model.drive, self.motors.speed()).v;
         let wheels = self.motors.step(&model.drive, secs);
+        let turning = true_twist(&model.drive, wheels);
         let twist = true_twist(&model.drive, self.slipped(&model.drive, wheels, secs));
         let share = if wheels == [0.0; 2] {
             1.0
         } else {
-            self.roll(model, around, twist, secs, now)
+            self.roll(model, around, [twist, turning], secs, now)
         };
         let secs_moving = secs * share;
         for (sum, speed) in moved.wheels.iter_mut().zip(wheels) {
@@ -228,8 +232,16 @@ impl Chassis {
         twist.v.abs() + twist.w.abs() * self.reach
     }
 
-    /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move.
-    fn roll(&mut self, model: &RobotModel, around: Surroundings<'_>, twist: Twist2, secs: f64, now: Stamp) -> f64 {
+    /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move. `turning` is what the
+    /// wheels would do without slip: slip is a random walk, it has a way but no speed.
+    fn roll(
+        &mut self,
+        model: &RobotModel,
+        around: Surroundings<'_>,
+        [twist, turning]: [Twist2; 2],
+        secs: f64,
+        now: Stamp,
+    ) -> f64 {
         let pieces = (self.speed_of_outline(twist) * secs / self.inscribed)
             .ceil()
             .clamp(1.0, 1000.0);
@@ -266,7 +278,7 @@ impl Chassis {
             self.truth.map_from_base = here.advance(twist, free * piece);
             let nearest = exact(self.truth.map_from_base);
             self.clearance = nearest.distance;
-            self.touch(nearest, twist, now);
+            self.touch(nearest, turning, now);
             return (f64::from(done) + free) / pieces;
         }
         1.0
@@ -276,11 +288,6 @@ impl Chassis {
         let toward = nearest.on_solid.coords;
         let bearing = toward.y.atan2(toward.x);
         self.bearing = Some(bearing);
-        if self.touching {
-            return;
-        }
-        self.touching = true;
-        self.truth.collisions = self.truth.collisions.saturating_add(1);
         let gap = nearest.on_solid - nearest.on_body;
         let normal = if gap.norm() > 0.0 {
             gap.normalize()
@@ -289,6 +296,12 @@ impl Chassis {
         };
         let at = nearest.on_body;
         let own_speed = Vector2::new(twist.v - twist.w * at.y, twist.w * at.x).dot(&normal);
+        self.truth.hardest_contact = self.truth.hardest_contact.max(own_speed);
+        if self.touching {
+            return;
+        }
+        self.touching = true;
+        self.truth.collisions = self.truth.collisions.saturating_add(1);
         self.truth.last_contact = Some(Contact {
             stamp: now,
             bearing,

@@ -25,6 +25,32 @@ pub struct MoverModel {
     pub speed: f64,
 }
 
+impl MoverModel {
+    /// Distance from a place to the nearest that it may ever touch, m; never more than that.
+    #[must_use]
+    pub fn berth(&self, place: Point2<f64>) -> f64 {
+        let to_route = match &self.route {
+            Route::Path(corners) => {
+                let legs = corners.iter().zip(corners.iter().cycle().skip(1));
+                legs.map(|((from, _), (to, _))| {
+                    let (along, off) = (to - from, place - from);
+                    let share = (off.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+                    (off - along * share).norm()
+                })
+                .fold(f64::INFINITY, f64::min)
+            }
+            Route::Walk { start, low, high } => {
+                let nearest = Point2::new(
+                    place.x.clamp(low.x.min(start.x), high.x.max(start.x)),
+                    place.y.clamp(low.y.min(start.y), high.y.max(start.y)),
+                );
+                (place - nearest).norm()
+            }
+        };
+        to_route - Solid::new(self.shape.clone(), Pose2::IDENTITY).reach()
+    }
+}
+
 /// Where a mover goes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Route {

@@ -318,10 +318,23 @@ impl Simulation {
     /// True clearance that a footprint would have at a pose now, among solids, movers and robots, m.
     #[must_use]
     pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        self.clearance_but(usize::MAX, footprint, map_from_base)
+    }
+
+    /// The same, were it not for this robot.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    #[must_use]
+    pub fn clearance_beside(&self, robot: usize, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        self.clearance_but(self.movers.len() + robot, footprint, map_from_base)
+    }
+
+    fn clearance_but(&self, own: usize, footprint: &Footprint, map_from_base: Pose2) -> f64 {
         let around = Surroundings {
             scene: &self.scene,
             crowd: &self.crowd,
-            own: usize::MAX,
+            own,
         };
         around.nearest(&Placed::new(footprint, map_from_base)).distance
     }

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use tokio::time::timeout;
-use zenav_protocol::bus::Bus;
+use zenav_protocol::bus::{Bus, RawReply};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics;
 use zenav_tests::deployment::{CORRIDOR, Deployment};
@@ -47,6 +47,15 @@ async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_di
     let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
     let mut world = deployment.start_served_world();
     let bus = deployment.bus().await;
+    let attach = topics::ATTACH.key(&[]);
+    let answers = bus.raw_query(&attach, Some(b"{}".to_vec()), LONG).await.unwrap();
+    let [RawReply::Err { bytes, .. }] = &answers[..] else {
+        panic!("{answers:?}")
+    };
+    assert!(
+        String::from_utf8_lossy(bytes).contains("robot"),
+        "it names the missing field"
+    );
     let mut robots = deployment.start_up_attached(TWO);
     let goal = ["goal", "submit", "--robot", "driver", "--timeout", "40"];
     let there = deployment.client(&[&goal[..], &["--place", "far_end", "--wait"]].concat());

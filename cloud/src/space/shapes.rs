@@ -253,9 +253,16 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         );
         let row = bits.row(y);
         let beside = |y: Option<u32>, word: usize| y.filter(|y| *y < bits.height()).map_or(0, |y| bits.row(y)[word]);
-        let words = row.iter().enumerate().take(last as usize / 64 + 1);
-        for (word, here) in words.skip(first as usize / 64).filter(|(_, here)| **here != 0) {
+        let words = row
+            .iter()
+            .enumerate()
+            .take((last / 64) as usize + 1)
+            .skip((first / 64) as usize);
+        for (word, here) in words {
             let mut here = *here;
+            if here == 0 {
+                continue;
+            }
             // At a word's ends neighbours count as unset: a few squares too many.
             here &= !(here << 1 & here >> 1 & beside(y.checked_sub(1), word) & beside(Some(y + 1), word));
             while here != 0 {

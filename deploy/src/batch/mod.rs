@@ -30,7 +30,7 @@ use crate::failure::Failure;
 use crate::files;
 
 /// A bar on a terminal, else nothing.
-fn progress(length: usize) -> ProgressBar {
+pub(crate) fn progress(length: usize) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }

@@ -7,8 +7,10 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde_json::Value;
+use zenav_tests::proving::guard::GENTLE;
 
 /// Largest distance from a goal that counts as reached, m.
 const MAX_ERROR: f64 = 0.15;
@@ -19,15 +21,90 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words.as_slice() {
+        ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
             demo(scenario, seeds.parse().unwrap_or(0), rest)
         }
         _ => {
             eprintln!(
-                "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4"
+                "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
+                 acceptance guard WORLDS [FIRST_SEED]"
             );
             ExitCode::from(2)
         }
+    }
+}
+
+/// Drives in random worlds on every core, and prints a table by command.
+fn guard(worlds: u64, rest: &[&str]) -> ExitCode {
+    let first: u64 = rest.first().and_then(|word| word.parse().ok()).unwrap_or(1);
+    let next = AtomicU64::new(first);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let work = || {
+        let mut done = Vec::new();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= first + worlds {
+                return done;
+            }
+            done.push((seed, zenav_tests::proving::guard::drive(seed)));
+        }
+    };
+    let mut results: Vec<_> = std::thread::scope(|scope| {
+        let hands: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
+        hands
+            .into_iter()
+            .filter_map(|hand| hand.join().ok())
+            .flatten()
+            .collect()
+    });
+    results.sort_by_key(|(seed, _)| *seed);
+    let mut outcomes = Vec::new();
+    let mut failed = worlds.abs_diff(results.len() as u64);
+    for (seed, result) in results {
+        match result {
+            Ok(outcome) => {
+                if !outcome.is_good() {
+                    failed += 1;
+                    println!("FAILED {outcome:?}");
+                }
+                outcomes.push(outcome);
+            }
+            Err(error) => {
+                failed += 1;
+                println!("FAILED seed {seed}: {error}");
+            }
+        }
+    }
+    println!(
+        "{:15} {:>7} {:>9} {:>10} {:>9} {:>13} {:>9} {:>12}",
+        "command", "worlds", "of movers", "contacts", "hard ones", "hardest, m/s", "way, m", "interventions"
+    );
+    let mut by_command: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for outcome in &outcomes {
+        by_command.entry(outcome.command).or_default().push(outcome);
+    }
+    for (command, outcomes) in by_command {
+        println!(
+            "{:15} {:7} {:9} {:10} {:9} {:13.4} {:9.1} {:12}",
+            format!("{command:?}"),
+            outcomes.len(),
+            outcomes.iter().filter(|outcome| outcome.movers).count(),
+            outcomes.iter().map(|outcome| outcome.contacts).sum::<u32>(),
+            outcomes.iter().filter(|outcome| outcome.hardest > GENTLE).count(),
+            outcomes.iter().map(|outcome| outcome.hardest).fold(0.0, f64::max),
+            outcomes.iter().map(|outcome| outcome.length).sum::<f64>(),
+            outcomes
+                .iter()
+                .map(|outcome| outcome.interventions.len())
+                .sum::<usize>(),
+        );
+    }
+    println!("{} of {worlds} worlds passed", worlds - failed.min(worlds));
+    if failed == 0 {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
     }
 }
 

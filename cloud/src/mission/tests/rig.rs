@@ -269,6 +269,8 @@ impl Kept {
         }
     }
 }
+/// Answers remote actions.
+pub type RemoteServer = Box<dyn FnMut(&RemoteRequest) -> RemoteReply>;
 
 pub struct Rig {
     pub now: Stamp,
@@ -297,7 +299,7 @@ pub struct Rig {
     requests: Vec<(Client, Request)>,
     next_client: u64,
     /// Does the remote actions on the key `kitchen/gripper`.
-    pub remote: Option<Box<dyn FnMut(&RemoteRequest) -> RemoteReply>>,
+    pub remote: Option<RemoteServer>,
     /// Writes after which the process dies, once; counted from the next one.
     pub dies_after_writes: Option<usize>,
 }

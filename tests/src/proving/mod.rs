@@ -1,0 +1,11 @@
+//! Proving grounds: the robot's side in its simulated world, in lockstep and without a network, by the thousand.
+//!
+//! | module | answers |
+//! |---|---|
+//! | [`ground`] | how do a world, a robot and its pilot step together? |
+//! | [`worlds`] | what does a random world look like? |
+//! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
+
+pub mod ground;
+pub mod guard;
+pub mod worlds;

@@ -1,0 +1,127 @@
+//! What does a random world look like? A walled square with legs, posts, boxes and partitions, and movers among them.
+
+use std::fmt::Write as _;
+
+use rand::RngExt as _;
+use rand_pcg::Pcg64Mcg;
+use zenav_sim::World;
+
+use super::ground::GroundError;
+
+/// Half the side of the square, m.
+pub const HALF: f64 = 4.0;
+
+/// Draws from ranges.
+pub struct Dice(Pcg64Mcg);
+
+impl Dice {
+    /// The dice of a seed and what they are for.
+    #[must_use]
+    pub fn new(seed: u64, purpose: u64) -> Self {
+        let spread = u128::from(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15_f39c_c060_5ced_c835);
+        let mut rng = Pcg64Mcg::new(spread ^ (u128::from(purpose) << 64) | 1);
+        // The first draws of neighbouring states are alike.
+        for _ in 0..8 {
+            let _: u64 = rng.random();
+        }
+        Self(rng)
+    }
+
+    /// A number between two.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.random::<f64>()
+    }
+
+    /// A whole number below `count`.
+    pub fn below(&mut self, count: usize) -> usize {
+        ((self.0.random::<f64>() * count as f64) as usize).min(count.saturating_sub(1))
+    }
+
+    /// True with a chance.
+    pub fn chance(&mut self, share: f64) -> bool {
+        self.0.random::<f64>() < share
+    }
+}
+
+/// A random world. Movers go at up to `mover_speed` (m/s); zero for a world that stands still.
+///
+/// # Errors
+/// [`GroundError::World`] when the generator wrote what a world file may not say.
+pub fn random(dice: &mut Dice, mover_speed: f64) -> Result<World, GroundError> {
+    let side = 2.0 * HALF;
+    let mut text = format!(
+        "name = \"random\"\nsize = [{side}, {side}]\norigin = [{}, {}]\n",
+        -HALF, -HALF
+    );
+    let at = |dice: &mut Dice| dice.between(-HALF, HALF);
+    for (from, to) in [
+        ((-1, -1), (1, -1)),
+        ((1, -1), (1, 1)),
+        ((1, 1), (-1, 1)),
+        ((-1, 1), (-1, -1)),
+    ] {
+        let place = |(x, y): (i32, i32)| format!("[{}, {}]", f64::from(x) * HALF, f64::from(y) * HALF);
+        let _ = write!(
+            text,
+            "[[wall]]\nfrom = {}\nto = {}\nthickness = 0.1\n",
+            place(from),
+            place(to)
+        );
+    }
+    for _ in 0..4 + dice.below(14) {
+        let (x, y) = (at(dice), at(dice));
+        let _ = match dice.below(4) {
+            0 => write!(
+                text,
+                "[[circle]]\nx = {x}\ny = {y}\nradius = {}\n",
+                dice.between(0.015, 0.04)
+            ),
+            1 => write!(
+                text,
+                "[[circle]]\nx = {x}\ny = {y}\nradius = {}\n",
+                dice.between(0.05, 0.5)
+            ),
+            2 => write!(
+                text,
+                "[[wall]]\nfrom = [{x}, {y}]\nto = [{}, {}]\nthickness = {}\n",
+                x + dice.between(0.2, 1.5),
+                y + dice.between(-1.5, 1.5),
+                dice.between(0.02, 0.15)
+            ),
+            _ => {
+                let (half, breadth, turn) = (dice.between(0.05, 0.8), dice.between(0.05, 0.5), dice.between(0.0, 3.1));
+                let (sin, cos) = f64::sin_cos(turn);
+                let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(a, b)| {
+                    let (u, v) = (a * half, b * breadth);
+                    format!("[{}, {}]", x + cos * u - sin * v, y + sin * u + cos * v)
+                });
+                write!(text, "[[polygon]]\npoints = [{}]\n", corners.join(", "))
+            }
+        };
+    }
+    if mover_speed > 0.0 {
+        for _ in 0..1 + dice.below(4) {
+            let speed = mover_speed * dice.between(0.1, 1.0);
+            let radius = dice.between(0.08, 0.35);
+            let _ = write!(text, "[[mover]]\nradius = {radius}\nspeed = {speed}\n");
+            let _ = if dice.chance(0.3) {
+                write!(
+                    text,
+                    "start = [{}, {}]\nwalk = [[{}, {}], [{HALF}, {HALF}]]\n",
+                    at(dice),
+                    at(dice),
+                    -HALF,
+                    -HALF
+                )
+            } else {
+                let corners: Vec<_> = (0..2 + dice.below(3))
+                    .map(|_| format!("[{}, {}]", at(dice), at(dice)))
+                    .collect();
+                writeln!(text, "path = [{}]", corners.join(", "))
+            };
+        }
+    }
+    Ok(World::from_toml(&text, "random", &|_| {
+        Err("a random world has no map".to_owned())
+    })?)
+}
