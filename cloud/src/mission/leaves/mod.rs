@@ -30,6 +30,7 @@ mod goal_leaves;
 mod looks;
 mod mapping;
 mod missing;
+mod navigate;
 pub mod path;
 mod path_leaves;
 mod ports;
@@ -158,6 +159,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     match site.id {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
+        "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
         "ValidatePath" => at_once(path_leaves::ValidatePath),
         "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
         "TruncatePath" => at_once(path_leaves::TruncatePath),

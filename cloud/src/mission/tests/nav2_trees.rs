@@ -324,6 +324,38 @@ fn paths_are_joined_and_smoothed_before_they_are_followed() {
 }
 
 #[test]
+fn a_whole_navigation_is_an_action_that_survives_a_restart() {
+    let tree = file(
+        r#"<Sequence><NavigateToPose goal="2;0"/><NavigateThroughPoses goals="2;2|0;2" error_code_id="{code}"/></Sequence>"#,
+    );
+    let mut rig = Rig::new();
+    rig.submit(goal(&tree, 0.0, 0.0)).unwrap();
+    for _ in 0..4 {
+        rig.run(2.0);
+        rig.kill();
+        rig.run(1.0);
+        rig.start();
+    }
+    assert!(rig.run_until(60.0, |rig| rig.state("g").is_end()));
+    assert_there(&rig, 0.0, 2.0);
+    assert_eq!(rig.goal("g").legs.len(), 3, "no drive was begun twice");
+}
+
+#[test]
+fn a_navigation_inside_itself_ends() {
+    let tree = file(r#"<NavigateToPose goal="2;0" behavior_tree="{self}"/>"#);
+    let inner = file(
+        r#"<Sequence><Script code="self := @self"/><NavigateToPose goal="2;0" behavior_tree="{self}"/></Sequence>"#,
+    );
+    let request = GoalRequest {
+        blackboard: [("self".to_owned(), inner.into())].into(),
+        ..goal(&tree, 2.0, 0.0)
+    };
+    let rig = drive(request);
+    assert_eq!(rig.state("g"), GoalPhase::Aborted);
+}
+
+#[test]
 fn what_this_stack_does_not_have_fails_and_names_it() {
     for (node, what) in [
         (r#"<ComputeRoute goal="{goal}" path="{path}"/>"#, "route server"),

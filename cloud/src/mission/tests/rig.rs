@@ -677,7 +677,7 @@ impl Rig {
         })
     }
 
-    fn patch(&self) -> MapPatch {
+    pub fn patch(&self) -> MapPatch {
         let mut tiles = Vec::new();
         for y in 0..SPEC.height / TILE {
             for x in 0..SPEC.width / TILE {
