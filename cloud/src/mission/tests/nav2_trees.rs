@@ -6,6 +6,7 @@ use zenav_protocol::messages::*;
 use super::rig::Rig;
 use crate::behaviour_tree::{Category, Limits, Registry, check, simulate};
 use crate::mission::context::Context;
+use crate::mission::exchange::Request;
 use crate::mission::trees::registry;
 
 const DEFAULT: &str = include_str!("../../behaviour_tree/tests/navigate.xml");
@@ -321,6 +322,39 @@ fn paths_are_joined_and_smoothed_before_they_are_followed() {
     }
     assert_there(&rig, 2.0, 2.0);
     assert!(near < 0.3, "the corner is part of the way: {near}");
+}
+
+#[test]
+fn a_pause_of_the_goal_reaches_a_tree_that_has_a_node_for_it() {
+    let tree = file(
+        r#"<PauseResumeController pause_service_name="hold" resume_service_name="go">
+            <NavigateToPose goal="{goal}"/><Wait name="Held" wait_duration="1000"/><Wait name="Stops" wait_duration="0.5"/>
+          </PauseResumeController>"#,
+    );
+    let pause = |rig: &mut Rig, resume: bool| {
+        let request = PauseRequest {
+            id: None,
+            resume,
+            request_id: None,
+        };
+        rig.answer(Request::Pause(request)).unwrap();
+    };
+    let runs = |rig: &Rig, name: &str| {
+        let nodes = &rig.status.as_ref().unwrap().nodes;
+        nodes.iter().any(|node| node.name == name && node.status == "RUNNING")
+    };
+    let mut rig = Rig::new();
+    rig.submit(goal(&tree, 4.0, 0.0)).unwrap();
+    rig.run(2.0);
+    pause(&mut rig, false);
+    assert!(rig.run_until(1.0, |rig| runs(rig, "Stops")) && rig.run_until(2.0, |rig| runs(rig, "Held")));
+    rig.run(3.0);
+    let held_at = rig.edge.driven;
+    rig.run(3.0);
+    assert_eq!((rig.state("g"), rig.edge.driven), (GoalPhase::Paused, held_at));
+    pause(&mut rig, true);
+    assert!(rig.run_until(60.0, |rig| rig.state("g").is_end()));
+    assert_there(&rig, 4.0, 0.0);
 }
 
 #[test]
