@@ -6,7 +6,7 @@ use zenav_protocol::messages::*;
 use super::rig::Rig;
 use crate::behaviour_tree::{Category, Limits, Registry, check, simulate};
 use crate::mission::context::Context;
-use crate::mission::exchange::Request;
+use crate::mission::exchange::{Ask, Request};
 use crate::mission::trees::registry;
 
 const DEFAULT: &str = include_str!("../../behaviour_tree/tests/navigate.xml");
@@ -452,6 +452,20 @@ fn a_battery_a_clock_and_a_bump_are_watched() {
     let state = rig.goal("g");
     let took = state.ended.unwrap().secs_since(state.started.unwrap());
     assert!((2.4..3.5).contains(&took), "{took}");
+}
+
+#[test]
+fn clearing_the_global_costmap_asks_mapping_to_forget_what_may_have_passed() {
+    let tree = file(
+        r#"<Sequence><ClearEntireCostmap service_name="local_costmap/clear_entirely_local_costmap"/>
+          <ClearEntireCostmap service_name="global_costmap/clear_entirely_global_costmap"/></Sequence>"#,
+    );
+    let rig = drive(goal(&tree, 1.0, 0.0));
+    assert_eq!(rig.state("g"), GoalPhase::Succeeded);
+    let asked = rig.asked.iter().filter(|ask| {
+        matches!(ask, Ask::Map(request) if request.action == MapAction::Forget && request.epoch.is_some() && request.request_id.is_some())
+    });
+    assert_eq!(asked.count(), 1);
 }
 
 #[test]
