@@ -218,6 +218,7 @@ impl Stage {
             MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapper.resume(),
             MapAction::Hold => self.mapper.hold(),
+            MapAction::Forget => self.mapper.forget(),
         }
         let mut reply = self.mapper.reply();
         if request.action != MapAction::Get {

@@ -30,6 +30,7 @@ mod goal_leaves;
 mod looks;
 mod mapping;
 mod missing;
+mod navigate;
 pub mod path;
 mod path_leaves;
 mod ports;
@@ -46,7 +47,7 @@ use crate::behaviour_tree::{
     nav2_condition, nav2_decorator, nav2_nodes,
 };
 
-pub use ports::{goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
+pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes that a mission's trees may use.
 #[must_use]
@@ -175,6 +176,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     match site.id {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
+        "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
         "ValidatePath" => at_once(path_leaves::ValidatePath),
         "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
         "TruncatePath" => at_once(path_leaves::TruncatePath),

@@ -8,4 +8,5 @@ mod kitchen;
 mod nav2_trees;
 mod remote;
 mod rig;
+mod semantics;
 mod survival;

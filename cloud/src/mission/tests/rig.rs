@@ -366,6 +366,32 @@ impl Rig {
         rig
     }
 
+    /// In a world with the kitchen's places.
+    pub fn in_the_kitchen() -> Self {
+        let mut rig = Self::new();
+        let table = [
+            (-1.3, -1.1),
+            (-1.3, -2.4),
+            (-0.9, -3.1),
+            (0.0, -3.2),
+            (0.9, -2.95),
+            (1.3, -2.3),
+            (1.3, -1.3),
+            (1.0, -0.5),
+            (0.0, -0.25),
+            (-1.0, -0.45),
+        ];
+        let numbered = (1..)
+            .zip(table)
+            .map(|(number, place)| (format!("table_{number}"), place));
+        let named = [("sink", (0.88, 0.09)), ("corner", (-1.46, -3.12))].map(|(name, place)| (name.to_owned(), place));
+        for (name, (x, y)) in numbered.chain(named) {
+            rig.config.places.insert(name, GoalPoint { x, y, yaw: None });
+        }
+        rig.start();
+        rig
+    }
+
     /// A (new) process of the mission.
     pub fn start(&mut self) {
         self.incarnation += 1;
@@ -651,7 +677,7 @@ impl Rig {
         })
     }
 
-    fn patch(&self) -> MapPatch {
+    pub fn patch(&self) -> MapPatch {
         let mut tiles = Vec::new();
         for y in 0..SPEC.height / TILE {
             for x in 0..SPEC.width / TILE {
