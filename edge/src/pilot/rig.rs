@@ -41,7 +41,13 @@ pub struct Rig {
 
 impl Rig {
     pub fn new(stored: Persisted) -> Self {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        Self::of(
+            RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap(),
+            stored,
+        )
+    }
+
+    pub fn of(model: RobotModel, stored: Persisted) -> Self {
         let config = EdgeConfig::new(Id::robot("tiago").unwrap(), model.clone(), Pose2::IDENTITY);
         let mut rig = Self {
             pilot: Pilot::new(config, "boot-1".into(), stored),
