@@ -35,6 +35,8 @@ pub struct Guard {
     scan_timeout: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
+    /// Fastest speed to where the lidar does not look, m/s.
+    pub blind_speed: f64,
     zone: GuardZone,
     since: Stamp,
 }
@@ -59,6 +61,7 @@ impl Guard {
             tick,
             scan_timeout,
             margin: model.controller.guard_margin,
+            blind_speed: model.controller.blind_speed,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
         }
@@ -148,7 +151,7 @@ impl Guard {
             (motion.past_obstacles(around, odom_from_base), "an obstacle in the way"),
             (motion.past_intruders(around, odom_from_base), "something moves nearby"),
             (
-                motion.into_the_blind(now, around, odom_from_base),
+                motion.into_the_blind(around, odom_from_base, self.blind_speed),
                 "nobody looks where it leads",
             ),
         ];
@@ -222,7 +225,7 @@ mod tests {
     /// A wall across the way at `distance` ahead of the base.
     fn wall(model: &RobotModel, distance: f64) -> Surroundings {
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
+        let mut around = Surroundings::new(lidar, &model.footprint);
         let range = |beam: usize| {
             let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
             if cos > 0.05 {
@@ -268,7 +271,7 @@ mod tests {
     fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
         let model = tiago();
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
+        let mut around = Surroundings::new(lidar, &model.footprint);
         let ranges = (0..lidar.beams).map(|beam| {
             let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
             if sin > 0.05 {
@@ -303,7 +306,7 @@ mod tests {
         let none = guard.judge(
             Stamp::from_secs(1.6),
             Twist2::new(0.1, 0.0),
-            &Surroundings::new(&model.lidar, 0.3, 0.6),
+            &Surroundings::new(&model.lidar, &model.footprint),
             Pose2::IDENTITY,
             &NO_BUMP,
         );
