@@ -41,6 +41,8 @@ const ROBOTS: [&str; 4] = ["tiago", "neato", "turtlebot3_waffle", "jackal"];
 const SEED: u64 = 1;
 /// Runs of each way, of which the least time counts.
 const RUNS: usize = 3;
+/// A long way, m.
+const TOUR: f64 = 113.0;
 /// Limits are kept to within this.
 const ROUNDING: f64 = 1e-6;
 
@@ -53,17 +55,18 @@ fn main() {
     let ways = std::env::var("ZENAV_BENCH_WAYS").map_or(200, |count| count.parse().expect("a number of ways"));
     println!("times in ms, median (95th percentile); lengths in m\n");
     println!(
-        "| robot | ways | smoothed | fallbacks | corridor | geometry | time law | ms a 100 m, both | longest way: rooms, both | time beside stop, turn, go |"
+        "| robot | ways | smoothed | fallbacks | corridor | geometry | time law | ms a 100 m, both | a way of 113 m: both | time beside stop, turn, go |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for name in ROBOTS.iter().filter(|name| name.contains(&only)) {
         let model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
         let mut found = Vec::new();
         let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-        for (way, start) in drawn(&space, ways) {
+        for (way, start) in drawn(&space, ways, false) {
             found.push(measured(&space, &model, &way, start));
         }
-        row(name, &found);
+        let tour = tour(&space, TOUR).map(|(way, start)| measured(&space, &model, &way, start).0);
+        row(name, &found, tour.as_ref());
     }
 }
 
@@ -95,8 +98,11 @@ fn house() -> OccupancyGrid {
     grid
 }
 
-/// Ways between drawn places where the robot can turn, and where each starts: along its first leg.
-fn drawn(space: &ConfigurationSpace, count: usize) -> Vec<(Vec<Point2<f64>>, Pose2)> {
+/// A way, and where a robot at rest starts on it: along its first leg.
+type Way = (Vec<Point2<f64>>, Pose2);
+
+/// Ways between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
+fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Way> {
     let spec = *space.spec();
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
     let mut searcher = Searcher::new(space.free()).unwrap();
@@ -105,17 +111,17 @@ fn drawn(space: &ConfigurationSpace, count: usize) -> Vec<(Vec<Point2<f64>>, Pos
         any_heading: true,
         ..PlanOptions::default()
     };
-    let mut ways = Vec::new();
-    for _ in 0..20 * count {
+    let mut draw = || {
+        let cell = Cell::new(random.random_range(0..spec.width), random.random_range(0..spec.height));
+        let center = spec.center(cell);
+        (space.is_free(cell) && space.clearance(center) > room).then(|| Pose2::new(center.x, center.y, 0.0))
+    };
+    let (mut ways, mut from) = (Vec::new(), None);
+    for _ in 0..100 * count {
         if ways.len() == count {
             break;
         }
-        let mut draw = || {
-            let cell = Cell::new(random.random_range(0..spec.width), random.random_range(0..spec.height));
-            let center = spec.center(cell);
-            (space.is_free(cell) && space.clearance(center) > room).then(|| Pose2::new(center.x, center.y, 0.0))
-        };
-        let (Some(start), Some(goal)) = (draw(), draw()) else {
+        let (Some(start), Some(goal)) = (from.or_else(&mut draw), draw()) else {
             continue;
         };
         let planned = plan(space, &mut searcher, start, goal, &options, Budget::UNLIMITED);
@@ -123,9 +129,29 @@ fn drawn(space: &ConfigurationSpace, count: usize) -> Vec<(Vec<Point2<f64>>, Pos
             && let Some(leg) = path.windows(2).map(|leg| leg[1] - leg[0]).find(|leg| leg.norm() > 0.0)
         {
             ways.push((path, Pose2::new(start.x, start.y, leg.y.atan2(leg.x))));
+            from = is_tour.then_some(goal);
         }
     }
     ways
+}
+
+/// A way of `length` (m), from one drawn place to the next.
+fn tour(space: &ConfigurationSpace, length: f64) -> Option<Way> {
+    let ways = drawn(space, 20, true);
+    let start = ways.first()?.1;
+    let points = ways.iter().flat_map(|(way, _)| way.iter().copied());
+    let (mut tour, mut left): (Vec<Point2<f64>>, f64) = (vec![start.position()], length);
+    for point in points {
+        let last = *tour.last()?;
+        let leg = point - last;
+        if leg.norm() >= left {
+            tour.push(last + leg * (left / leg.norm()));
+            return Some((tour, start));
+        }
+        left -= leg.norm();
+        tour.push(point);
+    }
+    None
 }
 
 /// The fastest run, and how long stop, turn and go would take.
@@ -177,7 +203,7 @@ fn assert_sound(space: &ConfigurationSpace, model: &RobotModel, smoothed: &Smoot
     }
 }
 
-fn row(name: &str, found: &[(Smoothed, f64)]) {
+fn row(name: &str, found: &[(Smoothed, f64)], tour: Option<&Smoothed>) {
     let smooth = found.iter().filter(|(smoothed, _)| smoothed.is_smooth()).count();
     let mut reasons: Vec<&str> = found
         .iter()
@@ -197,30 +223,24 @@ fn row(name: &str, found: &[(Smoothed, f64)]) {
         };
         format!("{:.2} ({:.2})", at(0.5), at(0.95))
     };
-    let Some((longest, _)) = found
-        .iter()
-        .max_by(|a, b| a.0.statistics.length.total_cmp(&b.0.statistics.length))
-    else {
-        println!("| {name} | 0 | | | | | | | | |");
-        return;
-    };
+    let tour = tour.map_or_else(String::new, |tour| {
+        let rooms = tour
+            .statistics
+            .certificate
+            .corridor
+            .as_ref()
+            .map_or(0, |corridor| corridor.rooms);
+        format!("{rooms} rooms, {:.2}, {}", both(tour), tour.statistics.status)
+    });
     let sum = |of: &dyn Fn(&(Smoothed, f64)) -> f64| found.iter().map(of).sum::<f64>();
     println!(
-        "| {name} | {} | {smooth} | {} | {} | {} | {} | {:.2} | {:.0} m: {}, {:.2} | {:.3} |",
+        "| {name} | {} | {smooth} | {} | {} | {} | {} | {:.2} | {tour} | {:.3} |",
         found.len(),
         reasons.join(" "),
         all(|smoothed| smoothed.statistics.corridor_ms),
         all(|smoothed| smoothed.statistics.geometry_ms),
         all(|smoothed| smoothed.statistics.timing_ms),
         100.0 * sum(&|(smoothed, _)| both(smoothed)) / sum(&|(smoothed, _)| smoothed.statistics.length),
-        longest.statistics.length,
-        longest
-            .statistics
-            .certificate
-            .corridor
-            .as_ref()
-            .map_or(0, |corridor| corridor.rooms),
-        both(longest),
         sum(&|(smoothed, _)| smoothed.motion.duration()) / sum(&|(_, safe)| *safe),
     );
 }

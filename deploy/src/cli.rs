@@ -6,7 +6,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use zenav_protocol::messages::exit_code;
 
 use crate::failure::Outcome;
-use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator};
+use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator, wall_following};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
@@ -57,6 +57,8 @@ enum Command {
     Plan(batch::PlanArgs),
     /// Smooth many queries offline
     Smooth(batch::SmoothArgs),
+    /// Search parameters in simulations; writes a robot file
+    Tune(wall_following::TuneArgs),
     /// The simulator: benches, and worlds for robots on several machines
     Sim(batch::SimArgs),
     /// What this machine holds
@@ -118,6 +120,7 @@ fn run(command: Command) -> Outcome {
         Command::Doctor(args) => inspect::doctor(&args),
         Command::Plan(args) => batch::plan(&args),
         Command::Smooth(args) => batch::smooth(&args),
+        Command::Tune(args) => wall_following::tune(&args),
         Command::Sim(args) => batch::sim(&args),
         Command::Bench(args) => batch::bench(&args),
         Command::Config(args) => config::run(&args),

@@ -234,6 +234,14 @@ key_table! {
     }
 }
 
+/// Whoever does a tree's `RemoteAction` serves a key of its own, which is the one chunk here; it is no key of the stack's.
+pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
+    pattern: "{server}",
+    max_bytes: 64 * KIB,
+    reply_encoding: Encoding::Json,
+    message: PhantomData,
+};
+
 /// Liveliness of a robot's component (`edge`, `mapping`, `mission`): discovery only, never authority.
 pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
 /// Liveliness of a stateless worker of `plan` or `smooth`.

@@ -123,9 +123,15 @@ impl Deployment {
     /// `zenav cloud all`.
     #[must_use]
     pub fn start_cloud(&self) -> Process {
+        self.start_service("all")
+    }
+
+    /// `zenav cloud` with one of its services.
+    #[must_use]
+    pub fn start_service(&self, service: &str) -> Process {
         self.start(&[
             "cloud",
-            "all",
+            service,
             "--connect",
             &self.router,
             "--data",

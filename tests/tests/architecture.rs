@@ -144,6 +144,7 @@ fn cores_are_pure() {
         "control.rs",
         "exchange.rs",
         "main.rs",
+        "remote_body.rs",
     ];
     let impure = [
         "tokio::",

@@ -401,3 +401,10 @@ fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() 
     assert_code(&["goal", "submit", "NaN", "0"], 2);
     up.assert_running();
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_driven_after_its_end() {
+    let findings = zenav_tests::proving::kills::run(ZENAV, 5, 1).await.unwrap();
+    assert!(findings.faults.is_empty(), "{findings:#?}");
+    assert!(findings.goals > 0 && findings.motions > 0, "{findings:#?}");
+}

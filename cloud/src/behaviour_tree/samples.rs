@@ -1,12 +1,18 @@
-//! Which trees measure the engine? Trees of a given size in which every node is ticked in every
-//! tick, for benches.
+//! Which trees measure and try the engine? Trees of a given size in which every node is ticked in
+//! every tick, for benches; and whatever bytes a fuzzer makes up.
 
 use super::leaf::{Leaf, LeafIo};
 use super::ports::PortType;
 use super::registry::{NodeSpec, Registry};
 use super::status::Status;
+use std::time::Duration;
+
+use super::simulate::{Script, Simulation, registry};
 use super::tree::Tree;
-use super::xml::{TreeErrors, build};
+use super::xml::{Limits, TreeErrors, build, check};
+
+/// Ticks of a tree that is tried.
+const TICKS: u64 = 50;
 
 /// A leaf that reads a port and adds it to the context.
 struct Add;
@@ -51,12 +57,100 @@ pub fn reactive_tree(nodes: usize) -> Result<Tree<u64>, TreeErrors> {
     Ok(tree)
 }
 
+/// Tries bytes as a tree file: reads and checks them, and if they are a tree, ticks it against
+/// leaves that succeed, stores it half-way, goes on with what was stored, and halts it.
+///
+/// Whatever the bytes are, it comes back, soon, and without a panic.
+///
+/// # Errors
+/// Everything that is wrong with the file.
+pub fn exercise(bytes: &[u8]) -> Result<Status, TreeErrors> {
+    let registry = registry();
+    let none = &mut |_: &str, _: &str| Err("there are no other files".to_owned());
+    check("fuzz.xml", bytes, &registry, none, Limits::default())?;
+    let mut tree = build("fuzz.xml", bytes, &registry, None, none)?;
+    let mut simulation = Simulation::new(Script::default());
+    let mut status = Status::Idle;
+    for tick in 0..TICKS {
+        let now = Duration::from_millis(10 * tick);
+        // A tree in error has been halted, and starts anew.
+        status = tree.tick(now, &mut simulation).unwrap_or(Status::Failure);
+        if tick == TICKS / 2 {
+            let stored = tree.snapshot();
+            let restored = tree.restore(stored);
+            debug_assert!(restored.is_ok(), "{restored:?}");
+        }
+    }
+    let _ = tree.halt(Duration::from_secs(1), &mut simulation);
+    debug_assert!(tree.iter().all(|node| node.status == Status::Idle));
+    debug_assert!(!tree.render().is_empty());
+    Ok(status)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
-    use std::time::Duration;
+    use proptest::prelude::*;
 
     use super::*;
+
+    /// The files that the fuzzer begins with.
+    fn corpus() -> Vec<(String, Vec<u8>)> {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../fuzz/corpus/tree");
+        let mut files: Vec<(String, Vec<u8>)> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|file| file.unwrap())
+            .map(|file| {
+                (
+                    file.file_name().to_string_lossy().into_owned(),
+                    std::fs::read(file.path()).unwrap(),
+                )
+            })
+            .collect();
+        files.sort();
+        files
+    }
+
+    #[test]
+    fn every_file_of_the_corpus_is_run_or_refused() {
+        let files = corpus();
+        assert!(files.len() > 40);
+        for (name, bytes) in files {
+            let ran = exercise(&bytes);
+            // What only a run shows to be bad is named for it too.
+            let refused =
+                name.starts_with("bad_") && !["bad_zero_rate.xml", "bad_division.xml"].contains(&name.as_str());
+            let missing = name == "include.xml";
+            assert_eq!(ran.is_err(), refused || missing, "{name}: {ran:?}");
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+
+        /// What the fuzzer does without its compiler: pieces of the corpus in another order.
+        #[test]
+        fn cut_and_joined_files_are_run_or_refused(
+            files in prop::collection::vec((any::<prop::sample::Index>(), 0.0..1.0, 0.0..1.0), 1..4),
+            noise in prop::collection::vec((0.0..1.0, any::<u8>()), 0..4),
+        ) {
+            let corpus = corpus();
+            let mut bytes = Vec::new();
+            for (file, from, to) in files {
+                let (_, text) = file.get(&corpus);
+                let at = |share: f64| (share * text.len() as f64) as usize;
+                let (from, to): (usize, usize) = (at(f64::min(from, to)), at(f64::max(from, to)));
+                bytes.extend_from_slice(&text[from..to]);
+            }
+            for (place, byte) in noise {
+                let at = (place * bytes.len() as f64) as usize;
+                if let Some(changed) = bytes.get_mut(at) {
+                    *changed = byte;
+                }
+            }
+            let _ = exercise(&bytes);
+        }
+    }
 
     #[test]
     fn every_tick_visits_every_node() {

@@ -4,9 +4,10 @@
 use std::time::Duration;
 
 use super::blackboard::Blackboard;
-use super::node::{Info, Memory, Node, NodeId, NodeState, nanos};
+use super::node::{Info, Kind, Memory, Node, NodeId, NodeState, nanos};
 use super::status::Status;
 use super::tick::{Body, Run, Stop};
+use super::value::Value;
 
 /// Most rounds of one tick: an endless retry of what fails at once goes on in the next tick.
 const ROUNDS: u32 = 1_000;
@@ -88,6 +89,23 @@ impl<C> Tree<C> {
     pub fn revision(&self) -> u64 {
         let remembered: u64 = self.memories.iter().map(|memory| memory.writes).sum();
         self.changes.wrapping_add(self.board.writes()).wrapping_add(remembered)
+    }
+
+    /// Whether the tree can be held from outside: it has a `PauseResumeController`.
+    pub fn can_pause(&self) -> bool {
+        self.nodes.iter().any(|node| matches!(node.kind, Kind::PauseResume { .. }))
+    }
+
+    /// Asks every `PauseResumeController` to pause, or to go on.
+    pub fn ask_to_pause(&mut self, resume: bool) {
+        for node in &self.nodes {
+            if let Kind::PauseResume { pause, resume: go_on } = &node.kind {
+                let slot = if resume { *go_on } else { *pause };
+                let times = self.board.sequence(slot).saturating_add(1).to_string();
+                // Another text each time, so that the request is stored; an entry of another type is the tree's affair.
+                let _ = self.board.write(slot, Value::text(times));
+            }
+        }
     }
 
     /// Ticks the tree at the time `now` (since any epoch, never going back), and again at once

@@ -135,6 +135,8 @@ impl Value {
             ValueType::Double => self.as_double().map(Value::Double),
             ValueType::Text => match self {
                 Value::Text(_) => Some(self.clone()),
+                // Whoever reads structured data reads it from its JSON as well: a person writes lists as text.
+                Value::Data(data) => Some(Value::text(data.to_string())),
                 _ => None,
             },
             ValueType::Data => Some(match self {

@@ -86,6 +86,13 @@ impl Fading {
         }
     }
 
+    /// Lets everything fade that is in doubt, as if it had not been seen for long.
+    pub(super) fn forget(&mut self, map: &mut Tiles, evidence: &Evidence) {
+        let after = std::mem::replace(&mut self.after, Duration::ZERO);
+        self.fade(map, evidence);
+        self.after = after;
+    }
+
     fn fade(&mut self, map: &mut Tiles, evidence: &Evidence) {
         self.due = Duration::MAX;
         for (at, memory) in &mut self.tiles {
@@ -251,6 +258,17 @@ mod tests {
         let patch = robot.mapper.take_patch().unwrap();
         let tile = patch.spec.to_cells(Point2::new(2.01, 0.01)) / 64.0;
         assert!(patch.tiles.iter().any(|t| (t.x, t.y) == (tile.x as u32, tile.y as u32)));
+    }
+
+    #[test]
+    fn what_may_have_passed_is_forgotten_at_once_if_asked_and_the_wall_is_not() {
+        let mut robot = somebody_passed(Some(AFTER), 2.0);
+        while robot.mapper.take_patch().is_some() {}
+        robot.mapper.forget();
+        assert_eq!((robot.at(2.01), robot.at(4.01)), (Occupancy::Free, Occupancy::Occupied));
+        assert!(robot.mapper.take_patch().is_some(), "who keeps a copy is told");
+        robot.look(1.0, AHEAD, 2.0);
+        assert_eq!(robot.at(2.01), Occupancy::Occupied, "who is still there is seen again");
     }
 
     #[test]

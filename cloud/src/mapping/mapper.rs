@@ -207,6 +207,11 @@ impl Mapper {
         *self = Self::new(self.config.clone(), map_id);
     }
 
+    /// Takes everything for gone that may only have passed by (see the module `fading`).
+    pub fn forget(&mut self) {
+        self.grid.forget();
+    }
+
     /// Inserts no more scans until [`resume`](Self::resume).
     pub fn hold(&mut self) {
         self.held = true;

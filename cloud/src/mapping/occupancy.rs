@@ -130,6 +130,13 @@ impl LogOddsGrid {
         map
     }
 
+    /// Lets everything fade at once that is in doubt; nothing where nothing fades.
+    pub fn forget(&mut self) {
+        if let Some(fading) = &mut self.fading {
+            fading.forget(&mut self.map, &self.evidence);
+        }
+    }
+
     /// The same map; from now on what goes away unseen fades after so long (see the module `fading`), by the scans' stamps.
     #[must_use]
     pub fn with_fading(mut self, after: Duration) -> Self {

@@ -267,6 +267,7 @@ impl Service {
             MapAction::Reset => self.mapper.reset(new_map_id(&self.config.robot)),
             MapAction::Resume => self.mapper.resume(),
             MapAction::Hold => self.mapper.hold(),
+            MapAction::Forget => self.mapper.forget(),
         }
         self.publish(now);
         let info = self.mapper.info();

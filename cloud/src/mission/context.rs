@@ -122,6 +122,8 @@ pub struct Context {
     pub goal: GoalInHand,
     /// Plans to publish, in order.
     pub plans: Vec<Plan>,
+    /// How many trees the leaf being ticked stands inside of, besides the goal's own.
+    pub nested: u32,
     /// How often a tree has asked to cancel what leaves of this registration id do.
     cancels: BTreeMap<&'static str, u64>,
     routes: VecDeque<Arc<Route>>,
@@ -155,6 +157,7 @@ impl Context {
             map,
             goal: GoalInHand::default(),
             plans: Vec::new(),
+            nested: 0,
             cancels: BTreeMap::new(),
             routes: VecDeque::new(),
             route_count: 0,

@@ -95,6 +95,7 @@ impl Mission {
         let robot = self.ctx.config.robot.to_string();
         self.goals.accept(&robot, id.clone(), request, urgent, self.ctx.now);
         Ok(GoalReply {
+            robot: None,
             id,
             state: GoalPhase::Accepted,
             reason: None,
@@ -112,6 +113,12 @@ impl Mission {
         let phase = self.stands(&id)?.state;
         let now = self.ctx.now;
         match (phase, resume) {
+            (GoalPhase::Active, false) if self.ask_tree_to_pause(&id, false) => {
+                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Paused);
+            }
+            (GoalPhase::Paused, true) if self.ask_tree_to_pause(&id, true) => {
+                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Active);
+            }
             (GoalPhase::Active, false) => {
                 self.ctx.hold();
                 self.goals.change(&id, |goal| {

@@ -73,6 +73,8 @@ pub enum Ask {
     Smooth(Box<SmoothRequest>),
     /// To mapping.
     Map(MapRequest),
+    /// To a program that does an action, on its key.
+    Remote(String, Box<RemoteRequest>),
 }
 
 impl Ask {
@@ -81,7 +83,7 @@ impl Ask {
     pub fn patience_secs(&self) -> f64 {
         match self {
             Self::Lease(_) => 1.0,
-            Self::EdgeInfo(_) | Self::Behaviour(_) => 2.0,
+            Self::EdgeInfo(_) | Self::Behaviour(_) | Self::Remote(..) => 2.0,
             Self::Plan(request) => 2.0 + 2.0 * request.budget_ms.min(60_000) as f64 * 1e-3,
             Self::Smooth(_) => 3.0,
             Self::Map(_) => 5.0,
@@ -104,6 +106,8 @@ pub enum Answer {
     Smooth(Box<SmoothReply>),
     /// A map.
     Map(Box<MapReply>),
+    /// How an action goes.
+    Remote(Box<RemoteReply>),
 }
 
 /// Why an ask has no answer.

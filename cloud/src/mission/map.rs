@@ -27,8 +27,6 @@ pub struct MapBook {
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
-    /// A whole map is asked for though none may be missing.
-    refreshes: bool,
     spaces: SpaceCache,
 }
 
@@ -57,11 +55,7 @@ impl MapBook {
             self.info = info;
         }
         let behind = gap || self.info.as_ref().is_some_and(|info| !self.mirror.holds(&info.map));
-        self.behind = if behind || self.refreshes {
-            Some(self.behind.unwrap_or(now))
-        } else {
-            None
-        };
+        self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }
 
     /// Asks for the whole map where patches are missing.
@@ -72,7 +66,7 @@ impl MapBook {
             if let Ok(Answer::Map(reply)) = answer
                 && self.mirror.replace(&reply)
             {
-                (self.behind, self.refreshes) = (None, false);
+                self.behind = None;
                 self.info = Some(reply.info);
             }
         }
@@ -123,18 +117,6 @@ impl MapBook {
         let grid = self.mirror.has_map().then(|| self.mirror.grid())?;
         let value = grid.spec().cell_at(point).and_then(|cell| grid.get(cell));
         Some(value.map_or(Occupancy::Unknown, |value| Occupancy::of(*value)))
-    }
-
-    /// Asks for the whole map at the next step, whatever the copy holds.
-    pub fn refresh(&mut self) {
-        self.behind = Some(Stamp::ZERO);
-        self.refreshes = true;
-    }
-
-    /// Whether a map asked for by [`Self::refresh`] has yet to come.
-    #[must_use]
-    pub fn is_refreshing(&self) -> bool {
-        self.refreshes
     }
 
     /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.

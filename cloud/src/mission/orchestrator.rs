@@ -225,7 +225,9 @@ impl Mission {
         let Some(goal) = self.goals.get(&running.goal_id) else {
             return;
         };
-        if goal.state.state != GoalPhase::Active {
+        // A tree that can be held from outside decides itself what goes on meanwhile.
+        let held = goal.state.state == GoalPhase::Paused && !running.tree.can_pause();
+        if held || !matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused) {
             return;
         }
         // Time stands still for a tree while its goal is held.
@@ -248,6 +250,16 @@ impl Mission {
         };
         let id = running.goal_id.clone();
         self.finish(&id, phase, reason);
+    }
+
+    /// Asks the tree of the goal in hand to pause or go on; `false` if it has no node for that.
+    pub(super) fn ask_tree_to_pause(&mut self, id: &str, resume: bool) -> bool {
+        let running = self.running.as_mut().filter(|running| running.goal_id == id);
+        let Some(running) = running.filter(|running| running.tree.can_pause()) else {
+            return false;
+        };
+        running.tree.ask_to_pause(resume);
+        true
     }
 
     /// Ends a goal: its tree is halted, the robot comes to rest, the end is stored and told.

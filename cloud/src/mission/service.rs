@@ -319,6 +319,11 @@ async fn carry(bus: &Bus, robot: &str, planners: &Workers, smoothers: &Workers, 
             .await
             .map(|map| Answer::Map(Box::new(map)))
             .map_err(no),
+        Ask::Remote(server, request) => bus
+            .ask(&topics::REMOTE_ACTION, &[&server], &request, patience)
+            .await
+            .map(|reply| Answer::Remote(Box::new(reply)))
+            .map_err(no),
         Ask::Plan(request) => {
             let each = Duration::from_millis(request.budget_ms.min(60_000)) + Duration::from_millis(500);
             let end = Instant::now() + patience;

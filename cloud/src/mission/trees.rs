@@ -1,11 +1,11 @@
 //! Which trees are shipped, and how does a goal's tree become one that runs?
 
 use std::fmt;
-use std::sync::LazyLock;
+use std::sync::OnceLock;
 
 use super::context::Context;
 use super::leaves;
-use crate::behaviour_tree::{Registry, Tree, TreeErrors, build as build_tree};
+use crate::behaviour_tree::{DuplicateNode, Registry, Tree, TreeErrors, build as build_tree};
 
 /// To one place: plan, follow, and after a failure try again.
 pub const NAVIGATE: &str = "navigate";
@@ -47,11 +47,34 @@ impl fmt::Display for NoTree {
     }
 }
 
+/// The nodes that this process's trees may use, once the first has been asked for.
+static REGISTRY: OnceLock<Registry<Context>> = OnceLock::new();
+
 /// The nodes that trees may use.
 #[must_use]
 pub fn registry() -> &'static Registry<Context> {
-    static REGISTRY: LazyLock<Registry<Context>> = LazyLock::new(leaves::registry);
-    &REGISTRY
+    REGISTRY.get_or_init(leaves::registry)
+}
+
+/// Why leaves were not added.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CannotAdd {
+    /// An id is taken.
+    #[error(transparent)]
+    Taken(#[from] DuplicateNode),
+    /// Leaves were added before, or a tree has been built.
+    #[error("leaves are added once, before the first tree is built")]
+    Late,
+}
+
+/// Adds leaves of a user's own to those that missions of this process know. The crate's documentation has an example.
+///
+/// # Errors
+/// [`CannotAdd`]: an id is taken, or this comes too late.
+pub fn add_leaves(add: impl FnOnce(&mut Registry<Context>) -> Result<(), DuplicateNode>) -> Result<(), CannotAdd> {
+    let mut registry = leaves::registry();
+    add(&mut registry)?;
+    REGISTRY.set(registry).map_err(|_| CannotAdd::Late)
 }
 
 /// Builds a tree from XML, or from the name of a shipped one. Of files it can include the shipped trees alone: the

@@ -240,7 +240,18 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         return;
     }
     let last_column = f64::from(bits.width() - 1);
+    let word = |x: f64| x.clamp(0.0, last_column) as usize / 64;
+    let (left, right) = outline
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(left, right), p| {
+            (left.min(p.x), right.max(p.x))
+        });
+    let words = word(left)..=word(right);
     for y in rows_within(bits, low, high) {
+        // Most rows have nothing near.
+        if bits.row(y)[words.clone()].iter().all(|word| *word == 0) {
+            continue;
+        }
         let Some((left, right)) = columns_between(outline, (f64::from(y), f64::from(y) + 1.0)) else {
             continue;
         };
@@ -253,9 +264,16 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         );
         let row = bits.row(y);
         let beside = |y: Option<u32>, word: usize| y.filter(|y| *y < bits.height()).map_or(0, |y| bits.row(y)[word]);
-        let words = row.iter().enumerate().take(last as usize / 64 + 1);
-        for (word, here) in words.skip(first as usize / 64).filter(|(_, here)| **here != 0) {
+        let words = row
+            .iter()
+            .enumerate()
+            .take((last / 64) as usize + 1)
+            .skip((first / 64) as usize);
+        for (word, here) in words {
             let mut here = *here;
+            if here == 0 {
+                continue;
+            }
             // At a word's ends neighbours count as unset: a few squares too many.
             here &= !(here << 1 & here >> 1 & beside(y.checked_sub(1), word) & beside(Some(y + 1), word));
             while here != 0 {

@@ -11,6 +11,7 @@ use zenav_cloud::mission::trees as missions;
 use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
 use zenav_protocol::topics;
 
+use super::tree_picture;
 use crate::connect::{self, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -43,6 +44,9 @@ enum BtCommand {
         /// Which tree of the file [default: the main one]
         #[arg(long, value_name = "ID")]
         tree: Option<String>,
+        /// Write a picture, SVG or PNG by the name's ending, not to the terminal
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
     },
     /// Draw the tree that a mission runs, with the status of every node, until Ctrl-C
     Watch {
@@ -70,7 +74,7 @@ enum BtCommand {
 pub fn bt(args: &BtArgs) -> Outcome {
     match &args.command {
         BtCommand::Validate { file } => validate(file, args.output),
-        BtCommand::Show { file, tree } => show(file, tree.as_deref(), args.output),
+        BtCommand::Show { file, tree, out } => show(file, tree.as_deref(), out.as_deref(), args.output),
         BtCommand::Watch { once } => watch(&args.robot, *once, args.output),
         BtCommand::Simulate { file, script, tree } => simulate(file, script.as_deref(), tree.as_deref(), args.output),
     }
@@ -224,11 +228,29 @@ fn bad_tree(errors: &TreeErrors) -> Failure {
 }
 
 /// Drawn over the simulation's nodes: a tree for another robot can be looked at too.
-fn show(file: &str, id: Option<&str>, format: Format) -> Outcome {
+fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: Format) -> Outcome {
     let source = Source::read(file)?;
     let tree = trees::build(&source.name, &source.text, &simulate::registry(), id, &mut include)
         .map_err(|errors| bad_tree(&errors))?;
-    output::value(format, &tree.report(), |_| tree.render())?;
+    let Some(out) = out else {
+        output::value(format, &tree.report(), |_| tree.render())?;
+        return Ok(exit_code::OK);
+    };
+    let ending = out
+        .extension()
+        .and_then(|ending| ending.to_str())
+        .map(str::to_ascii_lowercase);
+    let picture = match ending.as_deref() {
+        Some("svg") => tree_picture::svg(&tree.report()).into_bytes(),
+        Some("png") => tree_picture::png(&tree.report())?,
+        _ => {
+            return Err(Failure::usage(format!(
+                "--out {}: expected a name that ends with .svg or .png",
+                out.display()
+            )));
+        }
+    };
+    std::fs::write(out, picture).map_err(|error| Failure::usage(format!("{}: {error}", out.display())))?;
     Ok(exit_code::OK)
 }
 

@@ -193,6 +193,12 @@ impl Stage {
                         let answer = self.workers.smooth(&request);
                         return self.inputs.answers.push((ticket, answer));
                     }
+                    Ask::Remote(server, _) => {
+                        let answer = Err(NoAnswer::Silent(format!(
+                            "a run in lockstep has no network for {server}"
+                        )));
+                        return self.inputs.answers.push((ticket, answer));
+                    }
                     Ask::Map(request) => {
                         let answer = self.map_answer(&request);
                         return self.inputs.answers.push((ticket, Ok(answer)));
@@ -212,6 +218,7 @@ impl Stage {
             MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapper.resume(),
             MapAction::Hold => self.mapper.hold(),
+            MapAction::Forget => self.mapper.forget(),
         }
         let mut reply = self.mapper.reply();
         if request.action != MapAction::Get {

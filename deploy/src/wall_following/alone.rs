@@ -137,4 +137,30 @@ mod tests {
             assert!(run.transitions().any(|found| found == step), "{step:?}");
         }
     }
+
+    #[test]
+    fn an_island_is_left_for_the_walls_of_the_room_and_a_pillar_is_no_wall() {
+        let walls = "[[wall]]\nfrom = [0, 0]\nto = [8, 0]\nthickness = 0.1\n[[wall]]\nfrom = [8, 0]\nto = [8, 8]\nthickness = 0.1\n\
+                     [[wall]]\nfrom = [8, 8]\nto = [0, 8]\nthickness = 0.1\n[[wall]]\nfrom = [0, 8]\nto = [0, 0]\nthickness = 0.1\n";
+        let model = files::robot("neato").unwrap();
+        for (thing, leaves) in [
+            (
+                "[[polygon]]\npoints = [[3.8, 3.4], [5, 3.4], [5, 4.6], [3.8, 4.6]]\n",
+                true,
+            ),
+            ("[[circle]]\nx = 4.1\ny = 4.3\nradius = 0.3\n", false),
+        ] {
+            let text = format!("size = [8, 8]\n[start]\nx = 3\ny = 4\n{walls}{thing}");
+            let world = World::from_toml(&text, "island.toml", &|_| Err(String::new())).unwrap();
+            let run = run(&world, &model, 1, 100.0).unwrap();
+            let at = run.truth.map_from_base;
+            let off = (at.x.min(8.0 - at.x)).min(at.y.min(8.0 - at.y));
+            assert!(off < 0.6 && run.truth.collisions == 0, "{thing}: {at:?}");
+            assert_eq!(
+                run.transitions().any(|found| found == ("wall_follow", "wall_search")),
+                leaves,
+                "{thing}"
+            );
+        }
+    }
 }

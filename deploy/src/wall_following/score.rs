@@ -12,6 +12,8 @@ const STRAIGHT: f64 = 0.6;
 const LOOKS: u32 = 4;
 /// A straight wall keeps its distance from its parallel within this, m.
 const EVEN: f64 = 2e-3;
+/// Nearer to the target distance than this the run begins to count, m.
+const SETTLED: f64 = 0.05;
 /// Step of the numerical gradient of the distance, m.
 const STEP: f64 = 1e-4;
 
@@ -41,9 +43,11 @@ pub fn is_beside_straight_wall(world: &World, at: Point2<f64>, target: f64) -> b
         })
 }
 
-/// Distance errors of a run.
+/// Distance errors of a run, from the moment on at which the robot first was near the target distance: before that it is on its way
+/// from where it found the wall.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
+    settled: bool,
     straight: Vec<f64>,
     all: Vec<f64>,
 }
@@ -69,6 +73,10 @@ impl Errors {
     /// Takes a true position while the robot followed a wall.
     pub fn sample(&mut self, world: &World, at: Point2<f64>, target: f64) {
         let error = distance(world, at) - target;
+        self.settled |= error.abs() < SETTLED;
+        if !self.settled {
+            return;
+        }
         self.all.push(error);
         if is_beside_straight_wall(world, at, target) {
             self.straight.push(error);
@@ -116,7 +124,7 @@ mod tests {
     fn errors_are_told_with_their_sign_and_straight_ones_apart() {
         let room = room();
         let mut errors = Errors::default();
-        for (x, y) in [(-2.0, -0.5), (-2.0, -0.52), (4.4, 0.0)] {
+        for (x, y) in [(-2.0, -0.6), (-2.0, -0.5), (-2.0, -0.52), (4.4, 0.0)] {
             errors.sample(&room, Point2::new(x, y), 0.4);
         }
         let kept = errors.kept();

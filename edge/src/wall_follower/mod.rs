@@ -47,6 +47,10 @@ const BLOCKED: f64 = 1.0;
 const LOST: f64 = 1.4;
 /// The distance to keep changes by at most this share of the speed.
 const WIDENING: f64 = 0.6;
+/// A wall shorter than this is approached only where there is no longer one: a pillar is no wall, m.
+const SHORT: f64 = 0.5;
+/// A robot that has turned so far towards its wall, on the whole, goes around an island, rad.
+const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
 /// A bump is left when the robot has been driven this far from what it touched, m.
 const AWAY: f64 = 0.05;
 
@@ -97,6 +101,11 @@ pub struct WallFollower {
     blocked: f64,
     /// Where it touched something, odometry frame, and in which direction.
     touched: Option<(Pose2, f64)>,
+    /// The turn towards the wall since the following began, rad, and the box of the way, odometry frame.
+    turned: f64,
+    way: Option<(Point2<f64>, Point2<f64>)>,
+    /// The box of the way around an island that was left: its walls are not approached again.
+    island: Option<(Point2<f64>, Point2<f64>)>,
     /// The wall that it follows, base frame of that tick carried to the odometry frame.
     followed: Option<Wall>,
 }
@@ -121,6 +130,9 @@ impl WallFollower {
             wanted: model.wall_following.target_distance,
             blocked: 0.0,
             touched: None,
+            turned: 0.0,
+            way: None,
+            island: None,
             followed: None,
         }
     }
@@ -158,6 +170,7 @@ impl WallFollower {
             return Twist2::ZERO;
         }
         self.look(sight);
+        let turn = wrap_angle(odom_from_base.yaw - std::mem::replace(&mut self.last_yaw, odom_from_base.yaw));
         self.blocked = if sight.stopped { self.blocked + sight.dt } else { 0.0 };
         if self.blocked > BLOCKED && self.state != State::Turn {
             self.blocked = 0.0;
@@ -166,8 +179,15 @@ impl WallFollower {
         match self.state {
             State::WallSearch => self.search(sight, journal),
             State::Approach => self.approach(sight, journal),
-            State::Turn => self.turn(sight, journal),
-            State::WallFollow => self.follow(sight, journal),
+            State::Turn => {
+                self.patience -= turn.abs();
+                self.turned += self.side * turn;
+                self.turn(sight, journal)
+            }
+            State::WallFollow => {
+                self.turned += self.side * turn;
+                self.follow(sight, journal)
+            }
             State::Bump => Twist2::ZERO,
         }
     }
@@ -229,7 +249,8 @@ impl WallFollower {
         self.points = runs.concat();
     }
 
-    /// The nearest point of any wall, base frame; the wall that was chosen before unless another is clearly nearer.
+    /// The nearest point of the walls that are worth approaching, base frame; of the wall that was chosen before unless another is
+    /// clearly nearer.
     fn nearest(&mut self, odom_from_base: Pose2) -> Option<Point2<f64>> {
         let here = odom_from_base.position();
         let of = |wall: &Wall| {
@@ -237,10 +258,24 @@ impl WallFollower {
             ((point - here).norm(), point)
         };
         let by_distance = |a: &(f64, Point2<f64>), b: &(f64, Point2<f64>)| a.0.total_cmp(&b.0);
-        let nearest = self.walls.iter().map(of).min_by(by_distance)?;
+        let elsewhere = |wall: &&Wall| {
+            let on_island = |(low, high): (Point2<f64>, Point2<f64>)| {
+                let inside = |at: Point2<f64>| at >= low && at <= high;
+                inside(wall.from) && inside(wall.to)
+            };
+            !self.island.is_some_and(on_island)
+        };
+        let long = |wall: &&Wall| (wall.to - wall.from).norm() >= SHORT;
+        let worth: Vec<&Wall> = self.walls.iter().filter(elsewhere).filter(long).collect();
+        let worth = if worth.is_empty() {
+            self.walls.iter().filter(elsewhere).collect()
+        } else {
+            worth
+        };
+        let nearest = worth.iter().map(|wall| of(wall)).min_by(by_distance)?;
         let same = self.goal.and_then(|goal| {
-            let near = |wall: &&Wall| (wall.nearest(goal) - goal).norm() < SAME;
-            self.walls.iter().filter(near).map(of).min_by(by_distance)
+            let near = |wall: &&&Wall| (wall.nearest(goal) - goal).norm() < SAME;
+            worth.iter().filter(near).map(|wall| of(wall)).min_by(by_distance)
         });
         let chosen = same
             .filter(|(distance, _)| *distance < nearest.0 + NEARER)
@@ -271,10 +306,9 @@ impl WallFollower {
             self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
             return Twist2::ZERO;
         };
-        let (left, bearing) = (
-            wall.coords.norm() - settings.identify_wall_distance,
-            wall.y.atan2(wall.x),
-        );
+        // Something else may stand in the way: then that is followed.
+        let distance = self.ahead(sight, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
+        let (left, bearing) = (distance - settings.identify_wall_distance, wall.y.atan2(wall.x));
         if left <= 0.0 {
             self.begin_turn(sight, None, "the wall is reached", journal);
             return Twist2::ZERO;
@@ -304,14 +338,13 @@ impl WallFollower {
             if needed(1.0) <= needed(-1.0) { -1.0 } else { 1.0 }
         });
         self.patience = std::f64::consts::TAU;
-        self.last_yaw = sight.odom_from_base.yaw;
+        if wall_on.is_none() {
+            (self.turned, self.way) = (0.0, None);
+        }
         self.enter(sight.now, State::Turn, reason, journal);
     }
 
     fn turn(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
-        let yaw = sight.odom_from_base.yaw;
-        self.patience -= wrap_angle(yaw - self.last_yaw).abs();
-        self.last_yaw = yaw;
         let settings = sight.settings;
         if self
             .ahead(sight, 0.0)
@@ -346,6 +379,16 @@ impl WallFollower {
             self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
             return Twist2::ZERO;
         };
+        let here = sight.odom_from_base.position();
+        let (low, high) = self
+            .way
+            .map_or((here, here), |(low, high)| (low.inf(&here), high.sup(&here)));
+        self.way = Some((low, high));
+        if self.turned > AROUND {
+            self.island = self.way;
+            self.enter(sight.now, State::WallSearch, "this is an island", journal);
+            return Twist2::ZERO;
+        }
         let odom = |point: Point2<f64>| sight.odom_from_base.transform_point(mirror(point));
         self.followed = Some(Wall {
             from: odom(beside.wall.from),

@@ -95,6 +95,8 @@ pub enum MapAction {
     Resume,
     /// Insert no more scans.
     Hold,
+    /// Take everything for gone that may only have passed by: what is still there is seen again.
+    Forget,
 }
 
 /// A whole map.

@@ -10,6 +10,7 @@ mod map;
 mod mission;
 mod plan;
 mod refusal;
+mod remote;
 mod sense;
 
 pub use body::*;
@@ -19,6 +20,7 @@ pub use map::*;
 pub use mission::*;
 pub use plan::*;
 pub use refusal::*;
+pub use remote::*;
 pub use sense::*;
 
 pub(crate) use sense::no_return_as_null;

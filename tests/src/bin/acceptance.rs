@@ -29,13 +29,14 @@ fn main() -> ExitCode {
     match words.as_slice() {
         ["track", maps @ ..] => track(maps),
         ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
+        ["kills", kills, rest @ ..] if kills.parse::<usize>().is_ok() => kill(kills.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
             demo(scenario, seeds.parse().unwrap_or(0), rest)
         }
         _ => {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
-                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]"
+                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance kills KILLS [SEED]"
             );
             ExitCode::from(2)
         }
@@ -173,6 +174,44 @@ fn guard(worlds: u64, rest: &[&str]) -> ExitCode {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
+    }
+}
+
+/// Kills the orchestrator again and again while goals come in.
+fn kill(kills: usize, rest: &[&str]) -> ExitCode {
+    let seed = rest.first().and_then(|word| word.parse().ok()).unwrap_or(1);
+    let runtime = match tokio::runtime::Runtime::new() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    match runtime.block_on(zenav_tests::proving::kills::run(
+        &zenav().to_string_lossy(),
+        kills,
+        seed,
+    )) {
+        Ok(findings) => {
+            println!(
+                "{} kills: {} goals acknowledged, ends {:?}, {} motions, {} faults",
+                findings.kills,
+                findings.goals,
+                findings.ends,
+                findings.motions,
+                findings.faults.len()
+            );
+            findings.faults.iter().for_each(|fault| println!("FAULT {fault}"));
+            if findings.faults.is_empty() && findings.goals > 0 {
+                ExitCode::SUCCESS
+            } else {
+                ExitCode::FAILURE
+            }
+        }
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
     }
 }
 

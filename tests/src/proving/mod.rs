@@ -1,13 +1,16 @@
-//! Proving grounds: the robot's side in its simulated world, in lockstep and without a network, by the thousand.
+//! Proving grounds: the robot's side in its simulated world, in lockstep and without a network, by the thousand; and processes that are
+//! killed by the hundred.
 //!
 //! | module | answers |
 //! |---|---|
 //! | [`ground`] | how do a world, a robot and its pilot step together? |
 //! | [`worlds`] | what does a random world look like? |
 //! | [`tracking`] | how near to its path does each tracker keep the robot? |
+//! | [`kills`] | is any goal lost when the orchestrator is killed? |
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
 
 pub mod ground;
 pub mod guard;
+pub mod kills;
 pub mod tracking;
 pub mod worlds;

@@ -55,6 +55,30 @@ fn all_leaves_succeed() {
 }
 
 #[test]
+fn all_leaves_fail() {
+    // Codes that a recovery may help: the planner's own recovery fails, then every one of the round robin in turn.
+    let outcome = run(
+        TREE,
+        r#"{"leaves": {"ComputePathToPose": {"status": "FAILURE", "set": {"error_code_id": "207"}},
+            "FollowPath": {"status": "FAILURE", "set": {"error_code_id": "106"}}, "ClearEntireCostmap": {"status": "FAILURE"},
+            "Spin": {"status": "FAILURE"}, "Wait": {"status": "FAILURE"}, "BackUp": {"status": "FAILURE"}}}"#,
+    );
+    assert_eq!(outcome.status, Status::Failure);
+    assert_eq!(counts(&outcome), [1, 0, 2, 1, 1, 1]);
+}
+
+#[test]
+fn the_planner_fails_for_ever_and_every_recovery_succeeds() {
+    let outcome = run(
+        TREE,
+        r#"{"leaves": {"ComputePathToPose": {"status": "FAILURE", "set": {"error_code_id": "207"}}}}"#,
+    );
+    assert_eq!(outcome.status, Status::Failure);
+    // Four passes of two tries with the map cleared in between; the first recovery clears both maps, the last ends it.
+    assert_eq!(counts(&outcome), [8, 0, 6, 1, 1, 1]);
+}
+
+#[test]
 fn planner_and_controller_fail_once_and_their_maps_are_cleared() {
     let outcome = run(
         TREE,

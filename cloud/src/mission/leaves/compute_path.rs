@@ -33,16 +33,16 @@ fn is_through(io: &LeafIo<'_>) -> bool {
 }
 
 /// What the ports ask for; the code and the reason if that is nothing.
-fn quest(io: &LeafIo<'_>) -> Result<Quest, (i64, String)> {
+fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<Quest, (i64, String)> {
     let unknown = |why: String| (code(io, error_code::UNKNOWN), why);
     let mut stops = if is_through(io) {
-        goals_on(io, "goals").map_err(unknown)?
+        goals_on(io, ctx, "goals").map_err(unknown)?
     } else {
         let mut stops = Vec::new();
         if io.is_set("viapoints") && io.value("viapoints").is_ok() {
-            stops = goals_on(io, "viapoints").map_err(unknown)?;
+            stops = goals_on(io, ctx, "viapoints").map_err(unknown)?;
         }
-        stops.push(goal_on(io, "goal").map_err(unknown)?);
+        stops.push(goal_on(io, ctx, "goal").map_err(unknown)?);
         stops
     };
     let Some(goal) = stops.pop() else {
@@ -55,7 +55,7 @@ fn quest(io: &LeafIo<'_>) -> Result<Quest, (i64, String)> {
         .get_optional::<bool>("use_start")
         .map_err(|error| unknown(error.to_string()))?;
     let from = if use_start != Some(false) && io.value("start").is_ok() {
-        Some(pose_of(&goal_on(io, "start").map_err(unknown)?))
+        Some(pose_of(&goal_on(io, ctx, "start").map_err(unknown)?))
     } else if use_start == Some(true) {
         return Err(unknown("`use_start` without a `start`".to_owned()));
     } else {
@@ -70,7 +70,7 @@ fn quest(io: &LeafIo<'_>) -> Result<Quest, (i64, String)> {
 
 impl Leaf<Context> for ComputePath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let quest = match quest(io) {
+        let quest = match quest(io, ctx) {
             Ok(quest) => quest,
             Err((code, why)) => return fail(io, ctx, Some(code), why),
         };
@@ -107,6 +107,7 @@ impl Leaf<Context> for ComputePath {
                     points,
                     length,
                     via,
+                    place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
                 };
                 let written = data
                     .value()

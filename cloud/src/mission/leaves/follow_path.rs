@@ -138,7 +138,9 @@ impl Leaf<Context> for FollowPath {
         }
         self.offered = ctx.route(data.route);
         ctx.motion.clear();
-        ctx.begin_leg(io.name(), Some(data.goal), data.length);
+        // A drive is called what its node is called, else after the place that it leads to.
+        let named = data.place.as_deref().filter(|_| io.name() == io.id());
+        ctx.begin_leg(named.unwrap_or(io.name()), Some(data.goal), data.length);
         self.remember(
             io,
             Memory {

@@ -45,7 +45,7 @@ struct Memory {
 impl Leaf<Context> for FollowWaypoints {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self::default();
-        if let Err(why) = self.read(io) {
+        if let Err(why) = self.read(io, ctx) {
             return fail(io, ctx, Some(UNKNOWN), why);
         }
         ctx.motion.clear();
@@ -60,7 +60,7 @@ impl Leaf<Context> for FollowWaypoints {
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        if let Err(why) = self.read(io) {
+        if let Err(why) = self.read(io, ctx) {
             return self.end(io, ctx, UNKNOWN, why);
         }
         let memory: Memory = io.recall().unwrap_or_default();
@@ -133,10 +133,10 @@ impl Leaf<Context> for FollowWaypoints {
 }
 
 impl FollowWaypoints {
-    fn read(&mut self, io: &LeafIo<'_>) -> Result<(), String> {
+    fn read(&mut self, io: &LeafIo<'_>, ctx: &Context) -> Result<(), String> {
         let laps = io.get_optional("laps").map_err(|error| error.to_string())?.unwrap_or(1);
         let value = io.value("waypoints").map_err(|error| error.to_string())?;
-        self.points = parse_points(value, laps)?;
+        self.points = parse_points(value, laps, &ctx.config.places)?;
         Ok(())
     }
 

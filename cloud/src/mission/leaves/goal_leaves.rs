@@ -19,7 +19,7 @@ pub struct RemovePassedGoals;
 
 impl AtOnce for RemovePassedGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let goals = goals_on(io, "input_goals")?;
+        let goals = goals_on(io, ctx, "input_goals")?;
         let (radius, pose) = (number(io, "radius", 0.5)?, here(ctx)?);
         let is_passed = |goal: &&GoalPoint| (goal.x - pose.x).hypot(goal.y - pose.y) <= radius;
         let most = goals.len().saturating_sub(1);
@@ -35,7 +35,7 @@ pub struct RemoveInCollisionGoals;
 
 impl AtOnce for RemoveInCollisionGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let goals = goals_on(io, "input_goals")?;
+        let goals = goals_on(io, ctx, "input_goals")?;
         if ground(ctx).is_none() {
             return Ok(step(io, ctx, "waits for the robot and its map"));
         }
@@ -60,7 +60,8 @@ impl AtOnce for CheckPoseOccupancy {
         if ground(ctx).is_none() {
             return Ok(step(io, ctx, "waits for the robot and its map"));
         }
-        let free = fits(io, ctx, &goal_on(io, "pose")?)?;
+        let goal = goal_on(io, ctx, "pose")?;
+        let free = fits(io, ctx, &goal)?;
         Ok(if free { Status::Failure } else { Status::Success })
     }
 }
@@ -107,12 +108,12 @@ fn mark(io: &mut LeafIo<'_>, dropped: &[usize], status: u64) -> Result<(), Strin
 pub struct AppendGoalPoseToGoals;
 
 impl AtOnce for AppendGoalPoseToGoals {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let mut goals = match io.value("input_goals") {
-            Ok(_) => goals_on(io, "input_goals")?,
+            Ok(_) => goals_on(io, ctx, "input_goals")?,
             Err(_) => Vec::new(),
         };
-        goals.push(goal_on(io, "goal_pose")?);
+        goals.push(goal_on(io, ctx, "goal_pose")?);
         write(io, "output_goals", goals_value(&goals))
     }
 }
@@ -121,8 +122,8 @@ impl AtOnce for AppendGoalPoseToGoals {
 pub struct GetNextFewGoals;
 
 impl AtOnce for GetNextFewGoals {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
-        let goals = goals_on(io, "input_goals")?;
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let goals = goals_on(io, ctx, "input_goals")?;
         let count: u64 = io.get("num_goals").map_err(|error| error.to_string())?;
         let count = usize::try_from(count).unwrap_or(usize::MAX).min(goals.len());
         write(io, "output_goals", goals_value(goals.get(..count).unwrap_or_default()))
@@ -150,11 +151,11 @@ pub struct ArePosesNear;
 impl AtOnce for ArePosesNear {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let reference = if io.is_set("ref_pose") {
-            pose_of(&goal_on(io, "ref_pose")?)
+            pose_of(&goal_on(io, ctx, "ref_pose")?)
         } else {
             here(ctx)?
         };
-        let target = pose_of(&goal_on(io, "target_pose")?);
+        let target = pose_of(&goal_on(io, ctx, "target_pose")?);
         let near = reference.distance(&target) <= number(io, "tolerance", 0.5)?;
         Ok(if near { Status::Success } else { Status::Failure })
     }

@@ -45,7 +45,7 @@ impl Leaf<Context> for DoesMapExist {
 
 /// An ask that changes the map, repeated under one id until it is answered.
 #[derive(Default)]
-struct Action {
+pub struct Action {
     ticket: Option<Ticket>,
     since: Stamp,
     not_before: Stamp,
@@ -58,14 +58,19 @@ struct Execution {
     done: bool,
 }
 
-enum Acting {
+/// How an ask that changes the map goes.
+pub enum Acting {
+    /// Not answered yet.
     Busy,
+    /// Done.
     Done,
+    /// Refused, or nobody answers.
     Failed(String),
 }
 
 impl Action {
-    fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+    /// A new ask; it goes out with the first step.
+    pub fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
         *self = Self {
             since: ctx.now,
             ..Self::default()
@@ -79,7 +84,16 @@ impl Action {
         }
     }
 
-    fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
+    /// The same ask after a restart.
+    pub fn resume(&mut self, ctx: &Context) {
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
+    }
+
+    /// Asks, and asks again.
+    pub fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
         let Some(mut execution) = io.recall::<Execution>() else {
             return Acting::Failed("the execution is not known".to_owned());
         };
@@ -133,7 +147,8 @@ impl Action {
         }
     }
 
-    fn forget(&mut self, ctx: &mut Context) {
+    /// Waits no longer.
+    pub fn forget(&mut self, ctx: &mut Context) {
         if let Some(ticket) = self.ticket.take() {
             ctx.asks.forget(ticket);
         }
@@ -179,10 +194,7 @@ impl Leaf<Context> for MapEnvironment {
             self.action.begin(io, ctx);
             return Status::Running;
         }
-        self.action = Action {
-            since: ctx.now,
-            ..Action::default()
-        };
+        self.action.resume(ctx);
         self.tick(io, ctx)
     }
 
@@ -215,10 +227,7 @@ impl Leaf<Context> for SaveMap {
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        self.action = Action {
-            since: ctx.now,
-            ..Action::default()
-        };
+        self.action.resume(ctx);
         self.tick(io, ctx)
     }
 

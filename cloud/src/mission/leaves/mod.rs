@@ -8,13 +8,14 @@
 //! | `follow_path` | FollowPath |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
-//! | `behaviours` | Spin, BackUp, DriveOnHeading |
+//! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
 //! | `looks` | TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
 //! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
 //! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
+//! | [`remote`] | RemoteAction: what another program does |
 //! | `navigate` | NavigateToPose, NavigateThroughPoses |
 //! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
 //!
@@ -29,10 +30,12 @@ mod goal_leaves;
 mod looks;
 mod mapping;
 mod missing;
+mod navigate;
 pub mod path;
 mod path_leaves;
 mod ports;
 mod progress;
+pub mod remote;
 mod selectors;
 mod services;
 mod simple;
@@ -44,7 +47,7 @@ use crate::behaviour_tree::{
     nav2_condition, nav2_decorator, nav2_nodes,
 };
 
-pub use ports::{goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
+pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes that a mission's trees may use.
 #[must_use]
@@ -123,6 +126,24 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
+    registry.leaf(
+        NodeSpec::action(
+            "DriveToFree",
+            "Drives to the nearest place that keeps a distance from everything seen.",
+        )
+        .input_or(
+            "clearance",
+            Double,
+            "0.1",
+            "distance of the footprint from everything there, m",
+        )
+        .input_or("within", Double, "1.0", "the place is searched within this distance, m")
+        .input_or("time_allowance", Double, "10.0", "it is given up after this time, s")
+        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
+        .output("error_msg", Text, "why it failed, in words"),
+        |_| Box::<behaviours::Behaviour>::default(),
+    )?;
+    registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
     for spec in nav2_nodes() {
         if registry.spec(&spec.id).is_some() {
             continue;
@@ -155,6 +176,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     match site.id {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
+        "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
         "ValidatePath" => at_once(path_leaves::ValidatePath),
         "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
         "TruncatePath" => at_once(path_leaves::TruncatePath),

@@ -85,7 +85,7 @@ impl AtOnce for TruncatePathLocal {
         );
         let reach = number(io, "max_robot_pose_search_dist", f64::INFINITY)?;
         let here = match io.value("pose").is_ok() {
-            true => pose_of(&goal_on(io, "pose")?),
+            true => pose_of(&goal_on(io, ctx, "pose")?),
             false => here(ctx)?,
         };
         let near = self

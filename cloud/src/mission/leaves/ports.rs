@@ -1,6 +1,7 @@
-//! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, separated by `|`, or JSON; a
-//! path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
+//! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a
+//! place, or JSON; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::Point2;
@@ -14,6 +15,9 @@ use crate::mission::context::Context;
 use crate::mission::route::RouteData;
 use crate::space::ConfigurationSpace;
 
+/// Named goals.
+pub type Places = BTreeMap<String, GoalPoint>;
+
 /// Places in one list.
 const MAX_POINTS: usize = 10_000;
 
@@ -21,7 +25,7 @@ const MAX_POINTS: usize = 10_000;
 ///
 /// # Errors
 /// What was expected.
-pub fn parse_goal(value: &Value) -> Result<GoalPoint, String> {
+pub fn parse_goal(value: &Value, places: &Places) -> Result<GoalPoint, String> {
     let goal = match value {
         Value::Text(text) => match text
             .trim_start()
@@ -29,6 +33,7 @@ pub fn parse_goal(value: &Value) -> Result<GoalPoint, String> {
             .or_else(|| text.trim_start().starts_with('{').then_some(text))
         {
             Some(json) => serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?,
+            None if text.trim_start().starts_with(char::is_alphabetic) => named(text.trim(), places)?,
             None => parse_numbers(text)?,
         },
         Value::Data(data) => {
@@ -42,6 +47,24 @@ pub fn parse_goal(value: &Value) -> Result<GoalPoint, String> {
     } else {
         Err("goal: expected finite numbers".to_owned())
     }
+}
+
+fn named(name: &str, places: &Places) -> Result<GoalPoint, String> {
+    // Text that is a number though it begins with a letter: `NaN;1`, `inf;2`.
+    let is_name = !name.contains(';');
+    if let (true, Some(place)) = (is_name, places.get(name)) {
+        return Ok(*place);
+    }
+    let names: Vec<&str> = places.keys().map(String::as_str).take(20).collect();
+    let known = if names.is_empty() {
+        "there are none".to_owned()
+    } else {
+        names.join(", ")
+    };
+    let name: String = name.chars().take(60).collect();
+    Err(format!(
+        "goal `{name}`: expected `x;y`, `x;y;yaw` or the name of a place ({known})"
+    ))
 }
 
 fn parse_numbers(text: &str) -> Result<GoalPoint, String> {
@@ -76,15 +99,16 @@ pub fn goal_text(goal: &GoalPoint) -> String {
 ///
 /// # Errors
 /// What was expected.
-pub fn goal_on(io: &LeafIo<'_>, port: &str) -> Result<GoalPoint, String> {
-    io.value(port).map_err(|error| error.to_string()).and_then(parse_goal)
+pub fn goal_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<GoalPoint, String> {
+    let value = io.value(port).map_err(|error| error.to_string())?;
+    parse_goal(value, &ctx.config.places)
 }
 
 /// Goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
 ///
 /// # Errors
 /// What was expected.
-pub fn parse_goals(value: &Value) -> Result<Vec<GoalPoint>, String> {
+pub fn parse_goals(value: &Value, places: &Places) -> Result<Vec<GoalPoint>, String> {
     let goals: Vec<GoalPoint> = match value {
         Value::Data(data) => {
             let items = data.as_array().ok_or("goals: expected a list")?;
@@ -93,7 +117,7 @@ pub fn parse_goals(value: &Value) -> Result<Vec<GoalPoint>, String> {
                 .take(MAX_POINTS + 1)
                 .map(|item| {
                     let goal = Value::from_json(item).ok_or("goals: expected no null")?;
-                    parse_goal(&goal)
+                    parse_goal(&goal, places)
                 })
                 .collect::<Result<_, String>>()?
         }
@@ -102,12 +126,12 @@ pub fn parse_goals(value: &Value) -> Result<Vec<GoalPoint>, String> {
             let json = text.trim_start().strip_prefix("json:").unwrap_or(text.trim_start());
             if json.starts_with('[') {
                 let list: serde_json::Value = serde_json::from_str(json).map_err(|error| format!("goals: {error}"))?;
-                return parse_goals(&Value::from(list));
+                return parse_goals(&Value::from(list), places);
             }
-            let places = text.split('|').map(str::trim).filter(|place| !place.is_empty());
-            places
+            let goals = text.split('|').map(str::trim).filter(|goal| !goal.is_empty());
+            goals
                 .take(MAX_POINTS + 1)
-                .map(|place| parse_goal(&Value::text(place)))
+                .map(|goal| parse_goal(&Value::text(goal), places))
                 .collect::<Result<_, _>>()?
         }
     };
@@ -121,8 +145,9 @@ pub fn parse_goals(value: &Value) -> Result<Vec<GoalPoint>, String> {
 ///
 /// # Errors
 /// What was expected.
-pub fn goals_on(io: &LeafIo<'_>, port: &str) -> Result<Vec<GoalPoint>, String> {
-    io.value(port).map_err(|error| error.to_string()).and_then(parse_goals)
+pub fn goals_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<Vec<GoalPoint>, String> {
+    let value = io.value(port).map_err(|error| error.to_string())?;
+    parse_goals(value, &ctx.config.places)
 }
 
 /// Goals as they stand on the blackboard: a list of texts, which `LoopString` can go through.
@@ -183,6 +208,7 @@ impl RouteData {
             length: path::length(&points),
             points,
             via: Vec::new(),
+            place: None,
         }
     }
 
@@ -240,8 +266,8 @@ pub fn ground(ctx: &mut Context) -> Option<(RobotModel, Arc<ConfigurationSpace>)
 ///
 /// # Errors
 /// What was expected.
-pub fn parse_points(value: &Value, laps: u64) -> Result<Vec<Point2<f64>>, String> {
-    let goals = parse_goals(value)?;
+pub fn parse_points(value: &Value, laps: u64, places: &Places) -> Result<Vec<Point2<f64>>, String> {
+    let goals = parse_goals(value, places)?;
     if goals.is_empty() || goals.len().saturating_mul(usize::try_from(laps).unwrap_or(usize::MAX)) > MAX_POINTS {
         return Err(format!(
             "{} waypoints {laps} times: expected 1 to {MAX_POINTS} in all",
@@ -267,14 +293,36 @@ mod tests {
             y: 0.09,
             yaw: None,
         };
-        assert_eq!(parse_goal(&Value::text(" 0.88; 0.09")).unwrap(), here);
-        assert_eq!(parse_goal(&Value::text(r#"{"x": 0.88, "y": 0.09}"#)).unwrap(), here);
-        assert_eq!(parse_goal(&Value::data(&here).unwrap()).unwrap(), here);
-        assert_eq!(parse_goal(&Value::text(goal_text(&here))).unwrap(), here);
-        assert_eq!(parse_goal(&Value::text("1;2;0.5")).unwrap().yaw, Some(0.5));
+        assert_eq!(parse_goal(&Value::text(" 0.88; 0.09"), &Places::new()).unwrap(), here);
+        assert_eq!(
+            parse_goal(&Value::text(r#"{"x": 0.88, "y": 0.09}"#), &Places::new()).unwrap(),
+            here
+        );
+        assert_eq!(parse_goal(&Value::data(&here).unwrap(), &Places::new()).unwrap(), here);
+        assert_eq!(
+            parse_goal(&Value::text(goal_text(&here)), &Places::new()).unwrap(),
+            here
+        );
+        assert_eq!(
+            parse_goal(&Value::text("1;2;0.5"), &Places::new()).unwrap().yaw,
+            Some(0.5)
+        );
         for bad in ["", "1", "1;2;3;4", "a;b", "NaN;1", "1;inf"] {
-            assert!(parse_goal(&Value::text(bad)).is_err(), "{bad}");
+            assert!(parse_goal(&Value::text(bad), &Places::new()).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn places_are_found_by_name_and_a_stranger_is_told_the_names() {
+        let sink = GoalPoint {
+            x: 0.88,
+            y: 0.09,
+            yaw: None,
+        };
+        let places: Places = [("sink".to_owned(), sink)].into();
+        assert_eq!(parse_goal(&Value::text(" sink "), &places), Ok(sink));
+        assert_eq!(parse_goals(&Value::text("sink|1;2|sink"), &places).unwrap().len(), 3);
+        assert!(parse_goal(&Value::text("table"), &places).is_err_and(|why| why.contains("(sink)")));
     }
 
     #[test]
@@ -291,10 +339,16 @@ mod tests {
                 yaw: Some(-1.5),
             },
         ];
-        assert_eq!(parse_goals(&goals_value(&goals).unwrap()).unwrap(), goals);
-        assert_eq!(parse_goals(&Value::text("1;-2.5|0.1;0.2;-1.5")).unwrap(), goals);
         assert_eq!(
-            parse_goals(&Value::text(r#"[{"x":1,"y":-2.5},"0.1;0.2;-1.5"]"#)).unwrap(),
+            parse_goals(&goals_value(&goals).unwrap(), &Places::new()).unwrap(),
+            goals
+        );
+        assert_eq!(
+            parse_goals(&Value::text("1;-2.5|0.1;0.2;-1.5"), &Places::new()).unwrap(),
+            goals
+        );
+        assert_eq!(
+            parse_goals(&Value::text(r#"[{"x":1,"y":-2.5},"0.1;0.2;-1.5"]"#), &Places::new()).unwrap(),
             goals
         );
         let path = parse_path(&Value::text("json:[[0,0],[3,4]]")).unwrap();
@@ -307,9 +361,12 @@ mod tests {
 
     #[test]
     fn laps_repeat_the_list_within_bounds() {
-        assert_eq!(parse_points(&Value::text("1;2|3;4|"), 2).unwrap().len(), 4);
-        assert!(parse_points(&Value::text(""), 1).is_err());
-        assert!(parse_points(&Value::text("1;2"), 0).is_ok_and(|points| points.is_empty()));
-        assert!(parse_points(&Value::text("1;2"), u64::MAX).is_err());
+        assert_eq!(
+            parse_points(&Value::text("1;2|3;4|"), 2, &Places::new()).unwrap().len(),
+            4
+        );
+        assert!(parse_points(&Value::text(""), 1, &Places::new()).is_err());
+        assert!(parse_points(&Value::text("1;2"), 0, &Places::new()).is_ok_and(|points| points.is_empty()));
+        assert!(parse_points(&Value::text("1;2"), u64::MAX, &Places::new()).is_err());
     }
 }

@@ -1,20 +1,19 @@
 //! ClearEntireCostmap and its kin, Cancel*, ToggleCollisionMonitor: Nav2's services to other parts, as far as they have a
 //! meaning here.
 
+use zenav_protocol::messages::MapAction;
+
+use super::mapping::{Acting, Action};
 use super::{AtOnce, fail, step};
 use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
-use zenav_protocol::time::Stamp;
 
-/// For so long a map is waited for, s.
-const PATIENCE: f64 = 5.0;
-
-/// A costmap is thrown away and filled anew. The global one is the mission's copy of the map: it is fetched whole again
-/// (what mapping takes for passing fades there by itself). A local one there is not: the robot's guard looks at the newest
-/// scan alone, so that nothing old is left to clear.
+/// A costmap is thrown away and filled anew. What this stack has of the global one is the map: mapping takes for gone what may
+/// only have passed by, and what is still there is seen again; what lasts is kept. A local one there is not: the robot's guard
+/// goes by the newest scan alone, so that nothing old is left to clear.
 #[derive(Default)]
 pub struct ClearCostmap {
-    since: Stamp,
+    action: Action,
 }
 
 impl Leaf<Context> for ClearCostmap {
@@ -24,24 +23,29 @@ impl Leaf<Context> for ClearCostmap {
             io.say("the robot's guard keeps nothing: it goes by the newest scan");
             return Status::Success;
         }
-        self.since = ctx.now;
-        ctx.map.refresh();
-        step(io, ctx, "fetches the map")
+        self.action.begin(io, ctx);
+        // The ask follows in the next tick, when the execution's id is stored.
+        step(io, ctx, "clears the map")
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        if !ctx.map.is_refreshing() {
-            io.say("the map is new");
-            return Status::Success;
+        match self.action.step(io, ctx, MapAction::Forget) {
+            Acting::Busy => step(io, ctx, "clears the map"),
+            Acting::Failed(why) => fail(io, ctx, None, why),
+            Acting::Done => {
+                io.say("what may have passed is gone");
+                Status::Success
+            }
         }
-        if ctx.now.secs_since(self.since) > PATIENCE {
-            return fail(io, ctx, None, "mapping does not answer");
-        }
-        step(io, ctx, "fetches the map")
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        self.start(io, ctx)
+        self.action.resume(ctx);
+        self.tick(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.action.forget(ctx);
     }
 }
 

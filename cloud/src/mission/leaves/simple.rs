@@ -1,6 +1,6 @@
 //! Wait, GoalReached, IsBatteryLow: leaves that only look, at the clock and at the robot.
 
-use super::ports::parse_goal;
+use super::ports::goal_on;
 use super::{fail, no_error, step};
 use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
@@ -52,7 +52,7 @@ pub struct GoalReached;
 
 impl Leaf<Context> for GoalReached {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let goal = match io.value("goal").map_err(|error| error.to_string()).and_then(parse_goal) {
+        let goal = match goal_on(io, ctx, "goal") {
             Ok(goal) => goal,
             Err(why) => return fail(io, ctx, None, why),
         };

@@ -90,6 +90,9 @@ pub struct RouteData {
     /// Goals that it passes on the way, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<GoalPoint>,
+    /// The place that the goal is, where it was named.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
 }
 
 /// Why there is no route.

@@ -322,7 +322,7 @@ fn a_replan_that_comes_late_still_begins_on_the_motion_that_it_replaces() {
 
 #[test]
 fn asks_that_change_something_carry_the_epoch() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::in_the_kitchen();
     rig.map.stored = false;
     rig.submit(GoalRequest {
         id: Some("k".into()),

@@ -13,13 +13,22 @@ fn kitchen() -> GoalRequest {
     }
 }
 
+#[test]
+fn in_a_world_without_its_places_the_mission_says_which_one_it_misses() {
+    let mut rig = Rig::new();
+    rig.submit(kitchen()).unwrap();
+    assert!(rig.run_until(60.0, |rig| rig.state("kitchen").is_end()));
+    let reason = rig.goal("kitchen").reason.clone().unwrap();
+    assert!(reason.contains("`corner`") && reason.contains("(sink)"), "{reason}");
+}
+
 fn names(goal: &GoalState) -> Vec<(&str, GoalPhase)> {
     goal.legs.iter().map(|leg| (leg.name.as_str(), leg.state)).collect()
 }
 
 #[test]
 fn without_a_map_it_maps_around_the_table_then_drives_to_the_corner_and_the_sink() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::in_the_kitchen();
     rig.map.stored = false;
     rig.submit(kitchen()).unwrap();
     assert!(rig.run_until(300.0, |rig| rig.state("kitchen").is_end()));
@@ -41,7 +50,7 @@ fn without_a_map_it_maps_around_the_table_then_drives_to_the_corner_and_the_sink
 
 #[test]
 fn with_a_stored_map_it_drives_at_once() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::in_the_kitchen();
     rig.submit(kitchen()).unwrap();
     assert!(rig.run_until(100.0, |rig| rig.state("kitchen").is_end()));
     let done = GoalPhase::Succeeded;
@@ -50,7 +59,7 @@ fn with_a_stored_map_it_drives_at_once() {
 
 #[test]
 fn a_restart_on_the_mapping_drive_keeps_the_map_and_the_place_in_the_loop() {
-    let mut rig = Rig::new();
+    let mut rig = Rig::in_the_kitchen();
     rig.map.stored = false;
     rig.submit(kitchen()).unwrap();
     rig.run(25.0);

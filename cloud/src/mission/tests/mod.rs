@@ -6,5 +6,7 @@ mod drives;
 mod intake;
 mod kitchen;
 mod nav2_trees;
+mod remote;
 mod rig;
+mod semantics;
 mod survival;

@@ -6,6 +6,7 @@ use zenav_protocol::messages::*;
 use super::rig::Rig;
 use crate::behaviour_tree::{Category, Limits, Registry, check, simulate};
 use crate::mission::context::Context;
+use crate::mission::exchange::{Ask, Request};
 use crate::mission::trees::registry;
 
 const DEFAULT: &str = include_str!("../../behaviour_tree/tests/navigate.xml");
@@ -324,6 +325,71 @@ fn paths_are_joined_and_smoothed_before_they_are_followed() {
 }
 
 #[test]
+fn a_pause_of_the_goal_reaches_a_tree_that_has_a_node_for_it() {
+    let tree = file(
+        r#"<PauseResumeController pause_service_name="hold" resume_service_name="go">
+            <NavigateToPose goal="{goal}"/><Wait name="Held" wait_duration="1000"/><Wait name="Stops" wait_duration="0.5"/>
+          </PauseResumeController>"#,
+    );
+    let pause = |rig: &mut Rig, resume: bool| {
+        let request = PauseRequest {
+            id: None,
+            resume,
+            request_id: None,
+        };
+        rig.answer(Request::Pause(request)).unwrap();
+    };
+    let runs = |rig: &Rig, name: &str| {
+        let nodes = &rig.status.as_ref().unwrap().nodes;
+        nodes.iter().any(|node| node.name == name && node.status == "RUNNING")
+    };
+    let mut rig = Rig::new();
+    rig.submit(goal(&tree, 4.0, 0.0)).unwrap();
+    rig.run(2.0);
+    pause(&mut rig, false);
+    assert!(rig.run_until(1.0, |rig| runs(rig, "Stops")) && rig.run_until(2.0, |rig| runs(rig, "Held")));
+    rig.run(3.0);
+    let held_at = rig.edge.driven;
+    rig.run(3.0);
+    assert_eq!((rig.state("g"), rig.edge.driven), (GoalPhase::Paused, held_at));
+    pause(&mut rig, true);
+    assert!(rig.run_until(60.0, |rig| rig.state("g").is_end()));
+    assert_there(&rig, 4.0, 0.0);
+}
+
+#[test]
+fn a_whole_navigation_is_an_action_that_survives_a_restart() {
+    let tree = file(
+        r#"<Sequence><NavigateToPose goal="2;0"/><NavigateThroughPoses goals="2;2|0;2" error_code_id="{code}"/></Sequence>"#,
+    );
+    let mut rig = Rig::new();
+    rig.submit(goal(&tree, 0.0, 0.0)).unwrap();
+    for _ in 0..4 {
+        rig.run(2.0);
+        rig.kill();
+        rig.run(1.0);
+        rig.start();
+    }
+    assert!(rig.run_until(60.0, |rig| rig.state("g").is_end()));
+    assert_there(&rig, 0.0, 2.0);
+    assert_eq!(rig.goal("g").legs.len(), 3, "no drive was begun twice");
+}
+
+#[test]
+fn a_navigation_inside_itself_ends() {
+    let tree = file(r#"<NavigateToPose goal="2;0" behavior_tree="{self}"/>"#);
+    let inner = file(
+        r#"<Sequence><Script code="self := @self"/><NavigateToPose goal="2;0" behavior_tree="{self}"/></Sequence>"#,
+    );
+    let request = GoalRequest {
+        blackboard: [("self".to_owned(), inner.into())].into(),
+        ..goal(&tree, 2.0, 0.0)
+    };
+    let rig = drive(request);
+    assert_eq!(rig.state("g"), GoalPhase::Aborted);
+}
+
+#[test]
 fn what_this_stack_does_not_have_fails_and_names_it() {
     for (node, what) in [
         (r#"<ComputeRoute goal="{goal}" path="{path}"/>"#, "route server"),
@@ -386,6 +452,20 @@ fn a_battery_a_clock_and_a_bump_are_watched() {
     let state = rig.goal("g");
     let took = state.ended.unwrap().secs_since(state.started.unwrap());
     assert!((2.4..3.5).contains(&took), "{took}");
+}
+
+#[test]
+fn clearing_the_global_costmap_asks_mapping_to_forget_what_may_have_passed() {
+    let tree = file(
+        r#"<Sequence><ClearEntireCostmap service_name="local_costmap/clear_entirely_local_costmap"/>
+          <ClearEntireCostmap service_name="global_costmap/clear_entirely_global_costmap"/></Sequence>"#,
+    );
+    let rig = drive(goal(&tree, 1.0, 0.0));
+    assert_eq!(rig.state("g"), GoalPhase::Succeeded);
+    let asked = rig.asked.iter().filter(|ask| {
+        matches!(ask, Ask::Map(request) if request.action == MapAction::Forget && request.epoch.is_some() && request.request_id.is_some())
+    });
+    assert_eq!(asked.count(), 1);
 }
 
 #[test]

@@ -269,6 +269,8 @@ impl Kept {
         }
     }
 }
+/// Answers remote actions.
+pub type RemoteServer = Box<dyn FnMut(&RemoteRequest) -> RemoteReply>;
 
 pub struct Rig {
     pub now: Stamp,
@@ -296,6 +298,8 @@ pub struct Rig {
     waiting: Vec<(Stamp, Ticket, Result<Answer, NoAnswer>)>,
     requests: Vec<(Client, Request)>,
     next_client: u64,
+    /// Does the remote actions on the key `kitchen/gripper`.
+    pub remote: Option<RemoteServer>,
     /// Writes after which the process dies, once; counted from the next one.
     pub dies_after_writes: Option<usize>,
 }
@@ -355,8 +359,35 @@ impl Rig {
             waiting: Vec::new(),
             requests: Vec::new(),
             next_client: 0,
+            remote: None,
             dies_after_writes: None,
         };
+        rig.start();
+        rig
+    }
+
+    /// In a world with the kitchen's places.
+    pub fn in_the_kitchen() -> Self {
+        let mut rig = Self::new();
+        let table = [
+            (-1.3, -1.1),
+            (-1.3, -2.4),
+            (-0.9, -3.1),
+            (0.0, -3.2),
+            (0.9, -2.95),
+            (1.3, -2.3),
+            (1.3, -1.3),
+            (1.0, -0.5),
+            (0.0, -0.25),
+            (-1.0, -0.45),
+        ];
+        let numbered = (1..)
+            .zip(table)
+            .map(|(number, place)| (format!("table_{number}"), place));
+        let named = [("sink", (0.88, 0.09)), ("corner", (-1.46, -3.12))].map(|(name, place)| (name.to_owned(), place));
+        for (name, (x, y)) in numbered.chain(named) {
+            rig.config.places.insert(name, GoalPoint { x, y, yaw: None });
+        }
         rig.start();
         rig
     }
@@ -605,6 +636,10 @@ impl Rig {
                     statistics,
                 })))
             }
+            Ask::Remote(server, request) => match &mut self.remote {
+                Some(done) if server == "kitchen/gripper" => Ok(Answer::Remote(Box::new(done(request)))),
+                _ => silent(),
+            },
             Ask::Map(request) => {
                 match request.action {
                     MapAction::Reset => {
@@ -642,7 +677,7 @@ impl Rig {
         })
     }
 
-    fn patch(&self) -> MapPatch {
+    pub fn patch(&self) -> MapPatch {
         let mut tiles = Vec::new();
         for y in 0..SPEC.height / TILE {
             for x in 0..SPEC.width / TILE {

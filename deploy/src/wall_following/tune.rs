@@ -1,0 +1,421 @@
+//! What does `zenav tune wall_follow` do? It searches the gains of the wall follower in rooms drawn from a seed, and tells how much
+//! better they are in rooms that the search has not seen.
+//!
+//! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's truth, along all walls and
+//! corners, from the moment on at which the robot first was near its distance; every contact costs another metre, and so does time that is not spent along walls. Every candidate drives in the same rooms
+//! with the same noise, each simulation on one of the threads; the result does not depend on their number.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use clap::{Args, Subcommand};
+use indicatif::ProgressBar;
+use serde::Serialize;
+use zenav_protocol::messages::exit_code;
+use zenav_protocol::robot::RobotModel;
+use zenav_sim::World;
+
+use super::alone;
+use super::chart;
+use super::evolution::Evolution;
+use super::rooms::room;
+use crate::batch::progress;
+use crate::connect::positive;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{self, Format};
+
+/// Standard deviation of the first generation, of the gains' logarithms.
+const SIGMA: f64 = 0.5;
+/// A gain of zero has no logarithm: it starts here.
+const LEAST_GAIN: f64 = 0.01;
+/// Greatest gain.
+const MOST_GAIN: f64 = 200.0;
+/// Gaps in the rooms, in target distances: the robot fits through with a wall on either side.
+const GAP: f64 = 3.4;
+/// Share of the time along walls above which nothing is to be paid.
+const FOLLOWING: f64 = 0.6;
+/// Rooms that the gains are judged in are drawn from seeds that far from those of the search.
+const UNSEEN: u64 = 500_000;
+
+/// Searching parameters.
+#[derive(Debug, Args)]
+pub struct TuneArgs {
+    #[command(subcommand)]
+    command: TuneCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum TuneCommand {
+    /// Search the gains of the wall follower; writes a robot file
+    #[command(name = "wall_follow", alias = "wall-follow")]
+    WallFollow(WallFollowArgs),
+}
+
+#[derive(Debug, Args)]
+struct WallFollowArgs {
+    /// Robot file or shipped name whose gains are searched
+    #[arg(long, default_value = "neato")]
+    robot: String,
+    /// Rooms to search in, and as many others to judge in
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rooms: u32,
+    /// Generations of the search
+    #[arg(long, default_value_t = 14, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    generations: u32,
+    /// Candidates a generation
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(4..=1000))]
+    population: u32,
+    /// Simulated time in each room, s
+    #[arg(long, default_value_t = 90.0, value_name = "SECS", value_parser = positive)]
+    time: f64,
+    /// Seed of rooms, noise and search
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Simulations at a time [default: one a core]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    threads: Option<u32>,
+    /// Folder for the robot file, `report.json` and `tuning.svg`
+    #[arg(long, default_value = "zenav-tune")]
+    out: PathBuf,
+    /// Form of the report on stdout
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// The gains that are searched.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Gains {
+    /// On the distance.
+    pub wall_p: f64,
+    /// On its sum.
+    pub wall_i: f64,
+    /// On its rate.
+    pub wall_d: f64,
+}
+
+impl Gains {
+    fn of(model: &RobotModel) -> Self {
+        let wall = &model.wall_following;
+        Self {
+            wall_p: wall.wall_p,
+            wall_i: wall.wall_i,
+            wall_d: wall.wall_d,
+        }
+    }
+
+    fn logarithms(self) -> [f64; 3] {
+        [self.wall_p, self.wall_i, self.wall_d].map(|gain| gain.max(LEAST_GAIN).ln())
+    }
+
+    fn of_logarithms(logarithms: &[f64]) -> Self {
+        let gain = |index: usize| logarithms.get(index).map_or(0.0, |log| log.exp().min(MOST_GAIN));
+        Self {
+            wall_p: gain(0),
+            wall_i: gain(1),
+            wall_d: gain(2),
+        }
+    }
+
+    fn on(self, model: &RobotModel) -> RobotModel {
+        let mut model = model.clone();
+        let wall = &mut model.wall_following;
+        (wall.wall_p, wall.wall_i, wall.wall_d) = (self.wall_p, self.wall_i, self.wall_d);
+        model
+    }
+}
+
+/// What gains cost in a room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Judged {
+    /// The cost.
+    pub cost: f64,
+    /// Root mean square of the distance error, m.
+    pub rms_m: f64,
+    /// 95th percentile of the error's size on straight walls, m.
+    pub straight_p95_m: f64,
+    /// Contacts.
+    pub collisions: u32,
+}
+
+/// One room that the search has not seen, with the gains before and after.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UnseenRoom {
+    /// Its name.
+    pub room: String,
+    /// With the gains of the robot's file.
+    pub before: Judged,
+    /// With those that were found.
+    pub after: Judged,
+}
+
+/// Report of `zenav tune wall_follow`.
+#[derive(Clone, Debug, Serialize)]
+pub struct TuneReport {
+    /// The robot.
+    pub robot: String,
+    /// Seed of rooms, noise and search.
+    pub seed: u64,
+    /// Rooms searched in.
+    pub rooms: usize,
+    /// Simulations of the search.
+    pub simulations: usize,
+    /// Simulated time of the search, s.
+    pub simulated_s: f64,
+    /// The gains of the robot's file.
+    pub before: Gains,
+    /// Those that were found.
+    pub after: Gains,
+    /// Mean cost in the rooms of the search, before and after.
+    pub cost_seen: [f64; 2],
+    /// Mean cost in rooms that the search has not seen, before and after.
+    pub cost_unseen: [f64; 2],
+    /// Share by which the cost has fallen in the rooms that the search has not seen.
+    pub improvement: f64,
+    /// The least cost of each generation, in the rooms of the search.
+    pub history: Vec<f64>,
+    /// Each room that the search has not seen.
+    pub unseen: Vec<UnseenRoom>,
+    /// The robot file with the gains that were found.
+    pub robot_file: PathBuf,
+}
+
+/// `zenav tune`.
+///
+/// # Errors
+/// Bad arguments, or files that cannot be written.
+pub fn tune(args: &TuneArgs) -> Outcome {
+    let TuneCommand::WallFollow(args) = &args.command;
+    let model = files::robot(&args.robot)?;
+    std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
+    let bench = Bench::new(args, &model)?;
+    let (report, traces) = bench.search(args)?;
+    let write = |name: &str, text: String| {
+        let file = args.out.join(name);
+        std::fs::write(&file, text).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
+    };
+    let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
+    let tuned = toml::to_string(&report.after.on(&model)).map_err(|error| failed(&error))?;
+    let head = format!(
+        "# {}, with the gains of `wall_following` found by: zenav tune wall_follow --robot {} --seed {}\n",
+        model.name, args.robot, args.seed
+    );
+    std::fs::write(&report.robot_file, head + &tuned)
+        .map_err(|error| Failure::failed(format!("{}: {error}", report.robot_file.display())))?;
+    let json = serde_json::to_string_pretty(&report).map_err(|error| failed(&error))?;
+    write("report.json", json + "\n")?;
+    write("tuning.svg", chart::draw(&report, &traces))?;
+    output::value(args.output, &report, text)?;
+    let better = report.improvement > 0.0 && report.unseen.iter().all(|room| room.after.collisions == 0);
+    Ok(if better { exit_code::OK } else { exit_code::FAILED })
+}
+
+/// The distance over time in one room, m, before and after.
+pub type Traces = [Vec<(f64, f64)>; 2];
+
+/// Rooms, and threads to drive in them.
+struct Bench<'a> {
+    model: &'a RobotModel,
+    seen: Vec<World>,
+    unseen: Vec<World>,
+    secs: f64,
+    seed: u64,
+    threads: usize,
+}
+
+impl<'a> Bench<'a> {
+    fn new(args: &WallFollowArgs, model: &'a RobotModel) -> Result<Self, Failure> {
+        let gap = GAP * model.wall_following.target_distance;
+        let rooms = |from: u64| -> Result<Vec<World>, Failure> {
+            (0..u64::from(args.rooms))
+                .map(|index| room(from.wrapping_add(index), gap))
+                .collect()
+        };
+        // Seeds side by side would share rooms.
+        let first = args.seed.wrapping_mul(1_000_003);
+        Ok(Self {
+            model,
+            seen: rooms(first)?,
+            unseen: rooms(first.wrapping_add(UNSEEN))?,
+            secs: args.time,
+            seed: args.seed,
+            threads: match args.threads {
+                Some(threads) => threads as usize,
+                None => std::thread::available_parallelism().map_or(1, usize::from),
+            },
+        })
+    }
+
+    /// What each of the gains costs in each of the rooms.
+    fn judge(&self, gains: &[Gains], rooms: &[World], bar: &ProgressBar) -> Result<Vec<Vec<Judged>>, Failure> {
+        let jobs = gains.len() * rooms.len();
+        let next = AtomicUsize::new(0);
+        let done: Mutex<Vec<Option<Result<Judged, Failure>>>> = Mutex::new((0..jobs).map(|_| None).collect());
+        std::thread::scope(|scope| {
+            for _ in 0..self.threads.min(jobs) {
+                scope.spawn(|| {
+                    loop {
+                        let job = next.fetch_add(1, Ordering::Relaxed);
+                        let (Some(gains), Some(room)) = (gains.get(job / rooms.len()), rooms.get(job % rooms.len()))
+                        else {
+                            return;
+                        };
+                        let judged = self.drive(*gains, room, job % rooms.len());
+                        if let Some(place) = done.lock().unwrap_or_else(PoisonError::into_inner).get_mut(job) {
+                            *place = Some(judged);
+                        }
+                        bar.inc(1);
+                    }
+                });
+            }
+        });
+        let done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let judged: Vec<Judged> = done.into_iter().flatten().collect::<Result<_, _>>()?;
+        Ok(judged.chunks(rooms.len()).map(<[_]>::to_vec).collect())
+    }
+
+    fn drive(&self, gains: Gains, room: &World, index: usize) -> Result<Judged, Failure> {
+        let run = alone::run(
+            room,
+            &gains.on(self.model),
+            self.seed.wrapping_add(index as u64),
+            self.secs,
+        )?;
+        let idle = (FOLLOWING - run.following).max(0.0);
+        Ok(Judged {
+            cost: run.kept.rms_m + f64::from(run.truth.collisions) + idle,
+            rms_m: run.kept.rms_m,
+            straight_p95_m: run.kept.straight_p95_m,
+            collisions: run.truth.collisions,
+        })
+    }
+
+    fn search(&self, args: &WallFollowArgs) -> Result<(TuneReport, Traces), Failure> {
+        let before = Gains::of(self.model);
+        let (population, rooms) = (args.population as usize, self.seen.len());
+        let simulations = args.generations as usize * population * rooms;
+        let bar = progress(simulations + 4 * rooms);
+        let mut evolution = Evolution::new(&before.logarithms(), SIGMA, population, self.seed);
+        let mut history = Vec::new();
+        for _ in 0..args.generations {
+            let candidates = evolution.ask();
+            let gains: Vec<Gains> = candidates
+                .iter()
+                .map(|candidate| Gains::of_logarithms(candidate))
+                .collect();
+            let costs: Vec<f64> = self
+                .judge(&gains, &self.seen, &bar)?
+                .iter()
+                .map(|judged| mean(judged))
+                .collect();
+            history.push(costs.iter().copied().fold(f64::INFINITY, f64::min));
+            evolution.tell(&candidates, &costs);
+        }
+        // The middle of the search is steadier than the best of noisy candidates.
+        let after = Gains::of_logarithms(evolution.mean());
+        let seen = self.judge(&[before, after], &self.seen, &bar)?;
+        let unseen = self.judge(&[before, after], &self.unseen, &bar)?;
+        bar.finish_and_clear();
+        let [seen_before, seen_after] = [0, 1].map(|which| seen.get(which).map_or(f64::NAN, |judged| mean(judged)));
+        let [unseen_before, unseen_after] =
+            [0, 1].map(|which| unseen.get(which).map_or(f64::NAN, |judged| mean(judged)));
+        let pairs = unseen
+            .first()
+            .into_iter()
+            .flatten()
+            .zip(unseen.get(1).into_iter().flatten());
+        let report = TuneReport {
+            robot: self.model.name.clone(),
+            seed: self.seed,
+            rooms,
+            simulations,
+            simulated_s: simulations as f64 * self.secs,
+            before,
+            after,
+            cost_seen: [seen_before, seen_after],
+            cost_unseen: [unseen_before, unseen_after],
+            improvement: 1.0 - unseen_after / unseen_before,
+            history,
+            unseen: self
+                .unseen
+                .iter()
+                .zip(pairs)
+                .map(|(room, (before, after))| UnseenRoom {
+                    room: room.name().to_owned(),
+                    before: *before,
+                    after: *after,
+                })
+                .collect(),
+            robot_file: args.out.join(format!("{}.toml", self.model.name)),
+        };
+        let traces = [self.trace(before)?, self.trace(after)?];
+        Ok((report, traces))
+    }
+
+    /// The distance error over time in the first room that the search has not seen.
+    fn trace(&self, gains: Gains) -> Result<Vec<(f64, f64)>, Failure> {
+        let Some(room) = self.unseen.first() else {
+            return Ok(Vec::new());
+        };
+        let target = self.model.wall_following.target_distance;
+        let mut trace = Vec::new();
+        let mut count = 0_u32;
+        alone::watch(room, &gains.on(self.model), self.seed, self.secs, |truth, _| {
+            count += 1;
+            if count.is_multiple_of(10) {
+                let error = super::score::distance(room, truth.map_from_base.position()) - target;
+                trace.push((0.02 * f64::from(count), error));
+            }
+        })?;
+        Ok(trace)
+    }
+}
+
+fn mean(judged: &[Judged]) -> f64 {
+    judged.iter().map(|judged| judged.cost).sum::<f64>() / judged.len().max(1) as f64
+}
+
+fn text(report: &TuneReport) -> String {
+    let mm = |metres: f64| format!("{:.1}", 1e3 * metres);
+    let mut rows: Vec<Vec<String>> = report
+        .unseen
+        .iter()
+        .map(|room| {
+            vec![
+                room.room.clone(),
+                mm(room.before.rms_m),
+                mm(room.after.rms_m),
+                mm(room.before.straight_p95_m),
+                mm(room.after.straight_p95_m),
+                format!("{} {}", room.before.collisions, room.after.collisions),
+            ]
+        })
+        .collect();
+    let average =
+        |of: fn(&UnseenRoom) -> f64| mm(report.unseen.iter().map(of).sum::<f64>() / report.unseen.len().max(1) as f64);
+    rows.push(vec![
+        "mean".to_owned(),
+        average(|room| room.before.rms_m),
+        average(|room| room.after.rms_m),
+        average(|room| room.before.straight_p95_m),
+        average(|room| room.after.straight_p95_m),
+        String::new(),
+    ]);
+    let header = ["UNSEEN ROOM", "RMS mm", "TUNED", "STRAIGHT p95 mm", "TUNED", "CONTACTS"];
+    let gains = |gains: &Gains| format!("p {:.2} i {:.3} d {:.2}", gains.wall_p, gains.wall_i, gains.wall_d);
+    format!(
+        "{}\n\ngains before: {}\ngains after:  {}\nmean cost in rooms of the search {:.4} -> {:.4}, in unseen rooms {:.4} -> {:.4}: {:.1} % less\n{} simulations, {:.1} h simulated; robot file {}",
+        output::table(&header, &rows),
+        gains(&report.before),
+        gains(&report.after),
+        report.cost_seen[0],
+        report.cost_seen[1],
+        report.cost_unseen[0],
+        report.cost_unseen[1],
+        100.0 * report.improvement,
+        report.simulations,
+        report.simulated_s / 3600.0,
+        report.robot_file.display()
+    )
+}
