@@ -8,6 +8,7 @@
 //! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
 //! | [`worker_host`] | how does a worker that answers questions live on the network? |
 //! | [`mission`] | which goal is driven, and how is none lost? |
+//! | [`dispatch`] | which robot of a group does a goal? |
 //!
 //! # A leaf of one's own
 //!
@@ -49,6 +50,7 @@
 //! does an action by [`mission::leaves::remote`].
 
 pub mod behaviour_tree;
+pub mod dispatch;
 pub mod mapping;
 pub mod mission;
 pub mod planning;

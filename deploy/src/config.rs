@@ -32,6 +32,9 @@ pub struct Deployment {
     pub simulation: SimulationSection,
     /// The robots, by id.
     pub robots: BTreeMap<String, RobotSection>,
+    /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
+    #[serde(default)]
+    pub groups: BTreeMap<String, Vec<String>>,
     /// The mapping service.
     pub mapping: MappingSection,
     /// Planning and smoothing workers.
@@ -170,6 +173,28 @@ impl Deployment {
     }
 }
 
+impl Deployment {
+    /// The groups' names and robots, checked.
+    ///
+    /// # Errors
+    /// A usage failure that names the bad group.
+    pub fn group_ids(&self) -> Result<Vec<(Id, Vec<Id>)>, Failure> {
+        let check = |(name, robots): (&String, &Vec<String>)| {
+            let bad = |why: String| Failure::usage(format!("[groups] {name}: {why}"));
+            let group = Id::robot(name.clone()).map_err(|error| bad(error.to_string()))?;
+            if self.robots.contains_key(name) {
+                return Err(bad("a robot has this name".to_owned()));
+            }
+            if robots.is_empty() {
+                return Err(bad("expected names of robots".to_owned()));
+            }
+            let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
+            Ok((group, members.map_err(|error| bad(error.to_string()))?))
+        };
+        self.groups.iter().map(check).collect()
+    }
+}
+
 fn layers(file: Option<&Path>) -> Result<Figment, Failure> {
     let mut figment = Figment::from(Toml::string(SINGLE));
     if let Some(path) = file {
@@ -232,6 +257,7 @@ pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
         return Err(Failure::usage((*what).to_owned()));
     }
     deployment.robot_ids()?;
+    deployment.group_ids()?;
     Ok(deployment)
 }
 

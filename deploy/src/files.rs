@@ -5,15 +5,18 @@ use std::sync::Arc;
 
 use zenav_cloud::mapping::map_file;
 use zenav_cloud::space::Zones;
-use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
-use zenav_protocol::robot::{self, RobotModel};
+use zenav_protocol::robot::{self, Footprint, RobotModel};
 use zenav_sim::{World, world};
 
 use crate::failure::Failure;
 
 /// Largest text file that is read, bytes.
 const MAX_TEXT: u64 = 64 * 1024 * 1024;
+/// Room around the start in a world that is a map, m.
+const ROOM: f64 = 0.6;
 /// Side of a cell where a map file does not say, m: that of a Moving AI map or a bare image.
 pub const BARE_RESOLUTION: f64 = 0.05;
 
@@ -56,7 +59,25 @@ fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) 
     ))
 }
 
-/// A world by file or shipped name.
+/// A world that is a map: its first robot starts at the origin, or where there is room nearest to it.
+fn map_world(name: &str, map: OccupancyGrid) -> World {
+    let probe = World::from_map(name, map.clone(), Pose2::IDENTITY);
+    let spec = *map.spec();
+    let free = map
+        .values()
+        .iter()
+        .enumerate()
+        .filter(|(_, value)| Occupancy::of(**value) == Occupancy::Free);
+    let mut starts: Vec<_> = free.map(|(index, _)| spec.center(spec.cell(index))).collect();
+    starts.sort_by(|a, b| a.coords.norm_squared().total_cmp(&b.coords.norm_squared()));
+    let poses = starts.into_iter().map(|at| Pose2::new(at.x, at.y, 0.0));
+    let start = poses
+        .into_iter()
+        .find(|pose| probe.clearance(&Footprint::Radius(0.0), *pose) > ROOM);
+    World::from_map(name, map, start.unwrap_or_default())
+}
+
+/// A world by file or shipped name; a ROS map's `.yaml` is one too.
 ///
 /// # Errors
 /// Exit code 3 when there is none, 2 when it is bad, with line and key.
@@ -67,6 +88,15 @@ pub fn world(name: &str) -> Result<World, Failure> {
             return World::shipped(name).map_err(|error| Failure::failed(error.to_string()));
         }
         return Err(unknown("world", name, world::SHIPPED.iter().map(|(known, _)| *known)));
+    }
+    if path
+        .extension()
+        .is_some_and(|ending| ending == "yaml" || ending == "yml")
+    {
+        let stem = path
+            .file_stem()
+            .map_or_else(|| name.into(), |stem| stem.to_string_lossy());
+        return Ok(map_world(&stem, map(path)?));
     }
     let folder = path.parent().unwrap_or_else(|| Path::new("."));
     let load = |yaml: &str| map_file::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use tokio::task::JoinSet;
-use zenav_cloud::{mapping, mission, planning, smoothing};
+use zenav_cloud::{dispatch, mapping, mission, planning, smoothing};
 use zenav_edge::{Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Router, RouterConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
@@ -325,6 +325,17 @@ impl Parts {
         Ok(())
     }
 
+    /// Starts what takes goals for a group of robots.
+    fn dispatch(&mut self, deployment: &Deployment, world: &World, group: Id, robots: Vec<Id>) {
+        let bus = BusConfig::service(&format!("dispatch-{group}"), &deployment.bus.connect);
+        let places = places(world);
+        self.spawn(format!("group {group}"), bus, move |bus, shutdown| async move {
+            dispatch::service::run(bus, group, robots, places, shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
+        });
+    }
+
     /// Starts all off-board services of a deployment that run.
     ///
     /// # Errors
@@ -343,6 +354,11 @@ impl Parts {
             }
             if wanted(CloudPart::Mission) && deployment.mission.enabled {
                 self.mission(deployment, world, &id)?;
+            }
+        }
+        if wanted(CloudPart::Mission) && deployment.mission.enabled {
+            for (group, robots) in deployment.group_ids()? {
+                self.dispatch(deployment, world, group, robots);
             }
         }
         if wanted(CloudPart::Planning) {

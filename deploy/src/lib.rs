@@ -16,9 +16,11 @@
 //! | `batch` | planning, smoothing and mapping offline |
 //! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
+//! | `canvas` | how something in the world is painted |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod batch;
+pub mod canvas;
 pub mod cli;
 pub mod config;
 pub mod connect;

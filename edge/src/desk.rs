@@ -1,11 +1,13 @@
 //! How are asks to the robot answered? Every one of them works with no cloud.
 
 use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 
 use crate::authority::Ruling;
 use crate::mailbox::{Answer, Question};
+use crate::nearest_free::{backs_into_the_unknown, nearest_free};
 use crate::params;
 use crate::pilot::Pilot;
 use crate::recoveries::Behaviour;
@@ -92,12 +94,23 @@ impl Pilot {
                 reason: format!("the behaviour {running} runs"),
             });
         }
+        let odom_from_base = self.estimator.odom_from_base();
+        let way_to_free = |clearance, within| {
+            let points: Vec<_> = self.around.in_base(odom_from_base).collect();
+            let is_free = |base_from_there: Pose2, twist, secs| {
+                let there = odom_from_base * base_from_there;
+                self.guard.free_time(twist, secs, &self.around, there).is_none()
+                    && !backs_into_the_unknown(&self.config.model.footprint, &self.around, there, twist, secs)
+            };
+            nearest_free(&self.config.model.footprint, &points, clearance, within, is_free)
+        };
         let behaviour = Behaviour::begin(
             &request.id,
             &request.action,
             now,
-            self.estimator.odom_from_base(),
+            odom_from_base,
             &self.config.model.drive,
+            way_to_free,
         )
         .map_err(Refusal::bad_request)?;
         self.discard_plan(now, "a behaviour was started");

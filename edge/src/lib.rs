@@ -11,7 +11,7 @@
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
+//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
@@ -37,6 +37,7 @@ pub mod journal;
 pub mod limiter;
 pub mod link;
 pub mod mailbox;
+pub mod nearest_free;
 pub mod params;
 pub mod pilot;
 pub mod recoveries;

@@ -1,4 +1,4 @@
-//! What can the robot do by itself, without a plan? Spin, drive straight (back up), wait. Each is watched by the guard
+//! What can the robot do by itself, without a plan? Spin, drive straight (back up), wait, drive to the nearest free place. Each is watched by the guard
 //! and fails, rather than waits, when something is in the way.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -6,12 +6,16 @@ use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourState}
 use zenav_protocol::robot::Drive;
 use zenav_protocol::time::Stamp;
 
+use crate::nearest_free::Way;
+
 /// Remaining turn and way at which a motion is done, rad and m.
 const DONE: (f64, f64) = (0.02, 0.005);
 /// Blocked by the guard for this long a motion has failed, s.
 const BLOCKED: f64 = 1.0;
 /// Heading feedback of a straight drive, 1/s.
 const STRAIGHT_GAIN: f64 = 2.0;
+/// Speed on the way to a free place, m/s.
+const CAREFUL: f64 = 0.1;
 /// Share of the robot's top speeds that behaviours use.
 const SHARE: f64 = 0.8;
 
@@ -21,6 +25,8 @@ pub struct Behaviour {
     id: String,
     drive: Drive,
     motion: Motion,
+    /// What follows it.
+    next: Option<Motion>,
     deadline: Stamp,
     blocked: f64,
     begun: Pose2,
@@ -28,9 +34,19 @@ pub struct Behaviour {
 
 #[derive(Clone, Copy, Debug)]
 enum Motion {
-    Spin { left: f64, last_yaw: f64 },
-    Drive { distance: f64, speed: f64 },
-    Wait { until: Stamp },
+    Spin {
+        left: f64,
+        last_yaw: f64,
+    },
+    Drive {
+        distance: f64,
+        speed: f64,
+    },
+    Wait {
+        until: Stamp,
+    },
+    /// There is no place to go to.
+    Nowhere,
 }
 
 /// One tick of a behaviour.
@@ -43,7 +59,7 @@ pub enum Step {
 }
 
 impl Behaviour {
-    /// Begins an action from `odom_from_base`.
+    /// Begins an action from `odom_from_base`; `way_to_free` is asked for where it leads to a free place.
     ///
     /// # Errors
     /// What is wrong with the request, for values that no robot does.
@@ -53,7 +69,9 @@ impl Behaviour {
         now: Stamp,
         odom_from_base: Pose2,
         drive: &Drive,
+        way_to_free: impl FnOnce(f64, f64) -> Option<Way>,
     ) -> Result<Self, String> {
+        let mut next = None;
         let (motion, allowance) = match *action {
             BehaviourAction::Spin { angle } => {
                 if !angle.is_finite() || angle.abs() > 4.0 * std::f64::consts::PI {
@@ -74,6 +92,26 @@ impl Behaviour {
                 let speed = speed.min(SHARE * drive.top_speed());
                 (Motion::Drive { distance, speed }, 5.0 + 4.0 * distance.abs() / speed)
             }
+            BehaviourAction::ToFree { clearance, within } => {
+                if !((0.0..=10.0).contains(&clearance) && (0.0..=10.0).contains(&within)) {
+                    return Err("expected a clearance and a distance of at most 10 m".into());
+                }
+                match way_to_free(clearance, within) {
+                    None => (Motion::Nowhere, 1.0),
+                    Some(Way { turn, distance }) => {
+                        let speed = CAREFUL.min(SHARE * drive.top_speed());
+                        next = Some(Motion::Drive { distance, speed });
+                        let spin = Motion::Spin {
+                            left: turn,
+                            last_yaw: odom_from_base.yaw,
+                        };
+                        (
+                            spin,
+                            10.0 + 4.0 * (turn.abs() / drive.top_yaw_rate() + distance.abs() / speed),
+                        )
+                    }
+                }
+            }
             BehaviourAction::Wait { secs } => {
                 if !(0.0..=3600.0).contains(&secs) {
                     return Err("expected 0 to 3600 s".into());
@@ -91,6 +129,7 @@ impl Behaviour {
             id: id.to_owned(),
             drive: drive.clone(),
             motion,
+            next,
             deadline: now.plus_secs(allowance),
             blocked: 0.0,
             begun: odom_from_base,
@@ -109,7 +148,7 @@ impl Behaviour {
         match self.motion {
             Motion::Spin { left, .. } => Some((Twist2::new(0.0, left.signum()), left.abs())),
             Motion::Drive { distance, .. } => Some((Twist2::new(distance.signum(), 0.0), distance.abs())),
-            Motion::Wait { .. } => None,
+            Motion::Wait { .. } | Motion::Nowhere => None,
         }
     }
 
@@ -122,6 +161,22 @@ impl Behaviour {
         if now >= self.deadline {
             return Step::Done(self.report(BehaviourState::Failed, Some("it took too long")));
         }
+        let step = self.advance(now, odom_from_base, velocity);
+        match (step, self.next.take()) {
+            (Step::Done(report), Some(next)) if report.state == BehaviourState::Succeeded => {
+                self.motion = next;
+                self.begun = odom_from_base;
+                Step::Go(Twist2::ZERO)
+            }
+            (step, next) => {
+                self.next = next;
+                step
+            }
+        }
+    }
+
+    /// One tick of the motion that is under way.
+    fn advance(&mut self, now: Stamp, odom_from_base: Pose2, velocity: Twist2) -> Step {
         let slow = velocity.v.abs() < 0.02 && velocity.w.abs() < 0.05;
         match &mut self.motion {
             Motion::Spin { left, last_yaw } => {
@@ -143,6 +198,7 @@ impl Behaviour {
                 let v = approach(left.abs(), 0.5 * self.drive.acceleration(), 2.0).min(*speed);
                 Step::Go(Twist2::new(v * left.signum(), -STRAIGHT_GAIN * gone.yaw))
             }
+            Motion::Nowhere => Step::Done(self.report(BehaviourState::Failed, Some("no free place is within reach"))),
             Motion::Wait { until } => {
                 if now >= *until {
                     return Step::Done(self.report(BehaviourState::Succeeded, None));
@@ -179,7 +235,13 @@ mod tests {
         let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
         let mut pose = Pose2::new(1.0, 2.0, 3.0);
         let mut now = Stamp::from_secs(5.0);
-        let mut behaviour = Behaviour::begin("b1", action, now, pose, &drive).unwrap();
+        let way = |_, within: f64| {
+            Some(Way {
+                turn: 0.8,
+                distance: -within,
+            })
+        };
+        let mut behaviour = Behaviour::begin("b1", action, now, pose, &drive, way).unwrap();
         let mut limiter = Limiter::new(&drive);
         loop {
             now = now.plus_secs(0.02);
@@ -218,6 +280,21 @@ mod tests {
     }
 
     #[test]
+    fn to_a_free_place_it_turns_first_and_then_drives() {
+        let action = BehaviourAction::ToFree {
+            clearance: 0.1,
+            within: 0.4,
+        };
+        let (report, pose) = run(&action, false);
+        assert_eq!(report.state, BehaviourState::Succeeded);
+        let gone = Pose2::new(1.0, 2.0, 3.8).inverse() * pose;
+        assert!(
+            (gone.x + 0.4).abs() < 0.02 && gone.y.abs() < 0.02 && gone.yaw.abs() < 0.05,
+            "{gone:?}"
+        );
+    }
+
+    #[test]
     fn a_blocked_motion_fails_and_says_why() {
         let (report, _) = run(
             &BehaviourAction::Drive {
@@ -242,9 +319,13 @@ mod tests {
                 speed: 0.0,
             },
             BehaviourAction::Wait { secs: f64::INFINITY },
+            BehaviourAction::ToFree {
+                clearance: f64::NAN,
+                within: 1.0,
+            },
         ] {
             assert!(
-                Behaviour::begin("b", &action, Stamp::ZERO, Pose2::IDENTITY, &drive).is_err(),
+                Behaviour::begin("b", &action, Stamp::ZERO, Pose2::IDENTITY, &drive, |_, _| None).is_err(),
                 "{action:?}"
             );
         }

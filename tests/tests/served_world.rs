@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
-use std::time::Duration;
+use std::process::Output;
+use std::time::{Duration, Instant};
 
 use tokio::time::timeout;
 use zenav_protocol::bus::{Bus, RawReply};
@@ -27,7 +28,20 @@ model = \"turtlebot3_waffle\"
 listen = \"tcp/127.0.0.1:0\"
 attach = true
 start = { x = 7.0, y = 0.1, yaw = 1.0 }
+[groups]
+all = [\"driver\", \"bystander\"]
 ";
+
+/// The output of a command once it succeeds: robots and missions may just be starting.
+fn retried(command: impl Fn() -> Output) -> Output {
+    let deadline = Instant::now() + LONG;
+    loop {
+        let output = command();
+        if output.status.success() || Instant::now() > deadline {
+            return output;
+        }
+    }
+}
 
 /// Readings of a robot in their order, until `enough`.
 async fn listen(bus: &Bus, robot: &str, mut enough: impl FnMut(&[Readings]) -> bool) -> Vec<Readings> {
@@ -57,6 +71,35 @@ async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_di
         "it names the missing field"
     );
     let mut robots = deployment.start_up_attached(TWO);
+    // Of the two the bystander is nearer; sent again it is the same goal.
+    let group = [
+        "goal",
+        "submit",
+        "--group",
+        "all",
+        "--id",
+        "step",
+        "8",
+        "0.4",
+        "--timeout",
+        "40",
+        "-o",
+        "json",
+    ];
+    let stepped = retried(|| deployment.client(&[&group[..], &["--wait"]].concat()));
+    let report: serde_json::Value = serde_json::from_slice(&stepped.stdout).unwrap();
+    assert_eq!(
+        (&report["robot"], &report["state"]),
+        (&"bystander".into(), &"Succeeded".into()),
+        "{stepped:?}"
+    );
+    let again: serde_json::Value = serde_json::from_slice(&deployment.client(&group).stdout).unwrap();
+    assert_eq!(
+        (&again["robot"], &again["state"]),
+        (&"bystander".into(), &"Succeeded".into()),
+        "{again}"
+    );
+
     let goal = ["goal", "submit", "--robot", "driver", "--timeout", "40"];
     let there = deployment.client(&[&goal[..], &["--place", "far_end", "--wait"]].concat());
     assert_eq!(there.status.code(), Some(0), "{there:?}\n{}", robots.log());

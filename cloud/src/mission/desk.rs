@@ -95,6 +95,7 @@ impl Mission {
         let robot = self.ctx.config.robot.to_string();
         self.goals.accept(&robot, id.clone(), request, urgent, self.ctx.now);
         Ok(GoalReply {
+            robot: None,
             id,
             state: GoalPhase::Accepted,
             reason: None,

@@ -1,5 +1,6 @@
 //! Which goals are there, and how do they end? Every change becomes a record; an end comes once.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use zenav_protocol::messages::*;
@@ -68,7 +69,8 @@ impl GoalBook {
     /// The goal whose turn is next.
     #[must_use]
     pub fn next(&self) -> Option<&StoredGoal> {
-        self.waiting().min_by_key(|goal| (!goal.urgent, goal.sequence))
+        self.waiting()
+            .min_by_key(|goal| (!goal.urgent, Reverse(goal.state.request.priority), goal.sequence))
     }
 
     fn waiting(&self) -> impl Iterator<Item = &StoredGoal> {
@@ -258,6 +260,7 @@ impl GoalBook {
 #[must_use]
 pub fn reply(goal: &GoalState) -> GoalReply {
     GoalReply {
+        robot: None,
         id: goal.id.clone(),
         state: goal.state,
         reason: goal.reason.clone(),
@@ -297,12 +300,20 @@ mod tests {
     }
 
     #[test]
-    fn goals_take_their_turn_and_an_urgent_one_goes_before() {
+    fn goals_take_their_turn_by_urgency_priority_and_age() {
         let mut book = book(&["a", "b"]);
         assert_eq!(book.next().unwrap().state.id, "a");
         book.accept("r", "c".into(), GoalRequest::default(), true, Stamp(2));
         assert_eq!(book.next().unwrap().state.id, "c");
         assert_eq!(book.queued(), 3);
+        let first = GoalRequest {
+            priority: 5,
+            ..GoalRequest::default()
+        };
+        book.accept("r", "d".into(), first, false, Stamp(3));
+        assert_eq!(book.next().unwrap().state.id, "c", "urgent goes before any priority");
+        assert!(book.end("c", GoalPhase::Canceled, None, Stamp(4)));
+        assert_eq!(book.next().unwrap().state.id, "d", "then the greatest priority");
     }
 
     #[test]

@@ -255,6 +255,7 @@ mod tests {
         let (store, first) = Store::open(&path).unwrap();
         assert_eq!(first.incarnation, 1);
         let reply = GoalReply {
+            robot: None,
             id: "a".into(),
             state: GoalPhase::Canceled,
             reason: None,

@@ -13,6 +13,7 @@
 //! | [`theta`] | a short way in any direction? |
 //! | [`taut`] | which corners of a way are needed? |
 //! | `oriented` | is there a way for the true footprint of a robot that is longer than wide? |
+//! | `roomy` | is there a way on which it may turn anywhere? |
 //! | [`planner`] | which planners are there (and where to add one)? |
 //! | [`searcher`] | which search runs, and on what memory? |
 //! | [`way`] | what does a search give? |
@@ -33,6 +34,7 @@ pub mod plan;
 pub mod planner;
 mod records;
 pub mod replan;
+mod roomy;
 pub mod sampling;
 pub mod searcher;
 pub mod service;

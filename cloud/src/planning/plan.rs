@@ -10,6 +10,7 @@ use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
 use super::oriented;
 use super::planner::PlanOptions;
+use super::roomy;
 use super::searcher::{Query, Searched, Searcher};
 use crate::space::{ConfigurationSpace, DistanceCost, Sight as _};
 
@@ -89,7 +90,19 @@ fn fit_footprint(
     {
         return;
     }
-    let searched = oriented::search(space, &comfort(space, options), query, budget);
+    let costs = comfort(space, options);
+    if let PlanOutcome::Found { length, .. } = planned.outcome {
+        let roomy = roomy::search(space, &costs, query, budget);
+        planned.expansions += roomy.expansions;
+        if let Ok(path) = roomy.result
+            && let outcome @ PlanOutcome::Found { length: longer, .. } = found(path)
+            && longer <= length * DETOUR
+        {
+            (planned.outcome, planned.origin) = (outcome, PlanOrigin::Searched);
+            return;
+        }
+    }
+    let searched = oriented::search(space, &costs, query, budget);
     planned.expansions += searched.expansions;
     planned.origin = PlanOrigin::Searched;
     match (searched.result, &planned.outcome) {
@@ -99,6 +112,9 @@ fn fit_footprint(
         (Err(_), _) => {}
     }
 }
+
+/// So many times longer than the inscribed disc's way, a way with room to turn is as good as any.
+const DETOUR: f64 = 1.1;
 
 fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
     let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();

@@ -3,7 +3,7 @@
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
-use zenav_protocol::robot::Drive;
+use zenav_protocol::robot::{Drive, Footprint};
 
 use super::corridor::Room;
 use super::shortcut::is_permitted_along;
@@ -32,7 +32,11 @@ pub fn clearance(
     limits: &Limits,
     exempt: f64,
 ) -> Result<Option<f64>, Collision> {
-    let period = (STEP / limits.speed).min(TURN / limits.yaw_rate);
+    let turning = match space.footprint() {
+        Footprint::Polygon(_) => TURN / limits.yaw_rate,
+        Footprint::Radius(_) => f64::INFINITY,
+    };
+    let period = (STEP / limits.speed).min(turning);
     // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
     let bulge = limits.lateral_acceleration * period * period / 8.0;
     let all: Vec<Pose2> = motion

@@ -5,6 +5,7 @@
 //! | [`shortcut`] | which corners of a way are needed? |
 //! | [`corridor`] | how much room is there around it? |
 //! | [`fit`] | which curve through that room bends least? |
+//! | `cost` | what does a curve cost? |
 //! | [`curve`] | where does a curve run? |
 //! | `part` | which curve leads from one stop to the next, for the true footprint? |
 //! | `course` | where does the robot brake, stop and turn, and on which curves does it go between? |
@@ -17,6 +18,7 @@
 
 pub mod certificate;
 pub mod corridor;
+mod cost;
 mod course;
 pub mod curve;
 pub mod fit;

@@ -279,7 +279,7 @@ impl ConfigurationSpace {
 }
 
 /// Squared half cells that the distance of a free cell's centre must exceed, for a radius in cells.
-fn threshold(radius: f64) -> i64 {
+pub(super) fn threshold(radius: f64) -> i64 {
     if radius <= 0.0 {
         return 0;
     }

@@ -240,7 +240,18 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         return;
     }
     let last_column = f64::from(bits.width() - 1);
+    let word = |x: f64| x.clamp(0.0, last_column) as usize / 64;
+    let (left, right) = outline
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(left, right), p| {
+            (left.min(p.x), right.max(p.x))
+        });
+    let words = word(left)..=word(right);
     for y in rows_within(bits, low, high) {
+        // Most rows have nothing near.
+        if bits.row(y)[words.clone()].iter().all(|word| *word == 0) {
+            continue;
+        }
         let Some((left, right)) = columns_between(outline, (f64::from(y), f64::from(y) + 1.0)) else {
             continue;
         };

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use zenav_protocol::bus::overhead;
 use zenav_protocol::messages::exit_code;
 
+use super::show::{self, ShowArgs};
 use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -25,6 +26,8 @@ pub struct SimArgs {
 enum SimCommand {
     /// Measure rays a second and the real-time factor
     Bench(SimBenchArgs),
+    /// Draw a world with its robots, movers and doors as a PNG
+    Show(ShowArgs),
     /// Hold one world for robots on several machines
     Serve(ServeArgs),
 }
@@ -58,6 +61,7 @@ struct SimBenchArgs {
 pub fn sim(args: &SimArgs) -> Outcome {
     match &args.command {
         SimCommand::Bench(args) => bench_simulator(args),
+        SimCommand::Show(args) => show::show(args),
         SimCommand::Serve(args) => served_world::serve(args),
     }
 }

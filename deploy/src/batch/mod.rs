@@ -7,15 +7,18 @@
 //! | `plan` | `zenav plan`: searches alone |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
 //! | `bench` | `zenav sim bench`, `zenav bench bus` |
+//! | `show` | `zenav sim show`: a picture of a world |
 
 mod bench;
 mod plan;
 mod queries;
+mod show;
 mod smooth;
 mod watchdog;
 
 pub use bench::{BenchArgs, SimArgs, bench, sim};
 pub use plan::{PlanArgs, plan};
+pub(crate) use show::backdrop;
 pub use smooth::{SmoothArgs, smooth};
 
 use std::io::{BufWriter, IsTerminal as _, Write};

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::time::{Duration, Instant};
 
+use nalgebra::Point2;
 use zenav_edge::Referee;
 use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription};
 use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState, exit_code};
@@ -13,6 +14,8 @@ use zenav_protocol::topics;
 use zenav_sim::World;
 
 use super::{DemoArgs, Script, progress_bar};
+use crate::batch::backdrop;
+use crate::canvas::Color;
 use crate::config::Deployment;
 use crate::failure::Failure;
 use crate::files;
@@ -40,6 +43,9 @@ const LOG_EVERY: Duration = Duration::from_secs(5);
 const ALLOWED: f64 = 0.03;
 /// Share of the time that the robot must spend along walls.
 const FOLLOWING: f64 = 0.5;
+/// Pixels of the picture's longer side, and the colour of the way.
+const PICTURE: u32 = 1000;
+const DRIVEN: Color = [215, 60, 40];
 /// Time for the robot to come up, and for the last events to arrive, wall.
 const PATIENCE: Duration = Duration::from_secs(20);
 const LAST_EVENTS: Duration = Duration::from_millis(500);
@@ -56,6 +62,8 @@ struct Watch<'a> {
     errors: Errors,
     sampled: Stamp,
     following: f64,
+    /// Where the robot has been, map frame.
+    driven: Vec<Point2<f64>>,
     /// The run counts up to here.
     end: Stamp,
 }
@@ -89,6 +97,7 @@ pub(super) async fn play(
         errors: Errors::default(),
         sampled: Stamp::ZERO,
         following: 0.0,
+        driven: Vec::new(),
         end: Stamp::from_secs(script.time_limit),
     };
     tokio::select! {
@@ -98,6 +107,7 @@ pub(super) async fn play(
     }
     bus.close().await;
     write_log(args, &watch.log)?;
+    draw(args, world, &watch.driven)?;
     Ok(watch.report(script, args))
 }
 
@@ -111,6 +121,14 @@ fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure>
         writeln!(out, "{line}").map_err(failed)?;
     }
     out.flush().map_err(failed)
+}
+
+/// The room and the way driven.
+fn draw(args: &DemoArgs, world: &World, driven: &[Point2<f64>]) -> Result<(), Failure> {
+    let mut canvas = backdrop(world, PICTURE);
+    canvas.polyline(driven, DRIVEN, 1);
+    let file = args.out.join("path.png");
+    std::fs::write(&file, canvas.png()?).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
 }
 
 impl Watch<'_> {
@@ -169,12 +187,13 @@ impl Watch<'_> {
             return;
         }
         self.sampled = now;
+        let at = self.referee.truth().map_from_base.position();
+        self.driven.push(at);
         let follows = self.state.as_ref().is_some_and(|state| {
             state.mode == Mode::WallFollow && state.wall_follower == Some(WallFollowerState::WallFollow)
         });
         if follows {
             self.following += since;
-            let at = self.referee.truth().map_from_base.position();
             self.errors.sample(self.world, at, self.target);
         }
     }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Duration;
 
 use clap::ValueEnum;
-use zenav_protocol::bus::AskError;
+use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
 use zenav_protocol::topics;
@@ -44,6 +45,12 @@ pub(super) struct SubmitArgs {
     /// What to do when another goal runs
     #[arg(long, value_enum, default_value_t)]
     on_busy: OnBusyArg,
+    /// Of goals that wait the one with the greatest priority has its turn first
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    priority: i32,
+    /// A group of robots instead of one: the nearest of those that are free takes the goal
+    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = goal_id)]
+    group: Option<String>,
     /// Give the goal up after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
     deadline: Option<f64>,
@@ -113,6 +120,7 @@ impl SubmitArgs {
                 OnBusyArg::Preempt => OnBusy::Preempt,
                 OnBusyArg::Reject => OnBusy::Reject,
             },
+            priority: self.priority,
             deadline_secs: self.deadline,
             tolerance: self.tolerance,
         })
@@ -141,24 +149,36 @@ fn tree(text: &str) -> Result<String, Failure> {
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outcome {
     let request = args.request()?;
     let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let id = request.id.clone().unwrap_or_default();
-        // Before the goal is sent, so that no end is missed.
-        let watch = follow::Watch::new(&bus, &robot, &id)?;
-        let report = match bus.ask(&topics::GOAL, &[&robot], &request, patience).await {
-            Ok(reply) if !args.wait || reply.state.is_end() => {
-                Report::new(&robot, &reply.id, reply.state, reply.reason)
+    match &args.group {
+        Some(group) => connect::on_bus(&robot.link, async |bus| {
+            submit(&bus, group, &request, patience, args.wait, format).await
+        }),
+        None => connect::on_robot(robot, async |bus, robot| {
+            submit(&bus, &robot, &request, patience, args.wait, format).await
+        }),
+    }
+}
+
+/// Sends a goal to a robot or a group.
+async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, wait: bool, format: Format) -> Outcome {
+    let id = request.id.clone().unwrap_or_default();
+    let report = match bus.ask(&topics::GOAL, &[to], request, patience).await {
+        Ok(reply) => {
+            let robot = reply.robot.as_deref().unwrap_or(to);
+            if wait && !reply.state.is_end() {
+                // The mission keeps the last state for those who come late: no end is missed.
+                return finish(follow::Watch::new(bus, robot, &id)?, &reply, format).await;
             }
-            Ok(reply) => return finish(watch, &reply, format).await,
-            Err(AskError::Refused(Refusal::Rejected { reason, nearest_free })) => Report {
-                nearest_free,
-                ..Report::new(&robot, &id, GoalPhase::Rejected, Some(reason))
-            },
-            Err(error) => return Err(error.into()),
-        };
-        output::value(format, &report, Report::line)?;
-        Ok(phase_code(report.state))
-    })
+            Report::new(robot, &reply.id, reply.state, reply.reason)
+        }
+        Err(AskError::Refused(Refusal::Rejected { reason, nearest_free })) => Report {
+            nearest_free,
+            ..Report::new(to, &id, GoalPhase::Rejected, Some(reason))
+        },
+        Err(error) => return Err(error.into()),
+    };
+    output::value(format, &report, Report::line)?;
+    Ok(phase_code(report.state))
 }
 
 async fn finish(watch: follow::Watch, reply: &GoalReply, format: Format) -> Outcome {

@@ -282,7 +282,10 @@ impl Session {
         let command = match (&self.held, &state.lease.holder) {
             (Some(_), _) => "YOU".to_owned(),
             (None, Some(holder)) if state.lease.live => holder.clone(),
-            _ => "nobody".to_owned(),
+            _ => match (state.mode, state.wall_follower) {
+                (Mode::WallFollow, Some(follower)) => format!("itself: {}", follower.name()),
+                _ => "nobody".to_owned(),
+            },
         };
         let age = at.elapsed();
         let link = if age > OLD {

@@ -45,7 +45,7 @@ impl Panel {
             let (_, y) = self.at(self.x.0, value);
             let _ = writeln!(
                 out,
-                r##"<line x1="{}" x2="{}" y1="{y:.1}" y2="{y:.1}" stroke="#e2e6eb"/><text x="{}" y="{:.1}" text-anchor="end">{value:.0}</text>"##,
+                r##"<line x1="{}" x2="{}" y1="{y:.1}" y2="{y:.1}" stroke="#e2e6eb"/><text x="{}" y="{:.1}" text-anchor="end">{value:.1}</text>"##,
                 self.left,
                 self.left + self.width,
                 self.left - 6.0,

@@ -37,7 +37,7 @@ const GAP: f64 = 3.4;
 /// Share of the time along walls above which nothing is to be paid.
 const FOLLOWING: f64 = 0.6;
 /// Rooms that the gains are judged in are drawn from seeds that far from those of the search.
-const UNSEEN: u64 = 1 << 32;
+const UNSEEN: u64 = 500_000;
 
 /// Searching parameters.
 #[derive(Debug, Args)]

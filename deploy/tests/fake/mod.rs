@@ -182,6 +182,7 @@ impl Memory {
             )
         });
         Ok(GoalReply {
+            robot: None,
             id,
             state: goal.state,
             reason: goal.reason.clone(),
@@ -200,6 +201,7 @@ impl Memory {
         (goal.state, goal.reason) = (GoalPhase::Canceled, Some("by hand".into()));
         publisher.put(goal);
         Ok(GoalReply {
+            robot: None,
             id: goal.id.clone(),
             state: goal.state,
             reason: goal.reason.clone(),

@@ -325,6 +325,37 @@ fn a_behaviour_runs_once_for_its_id() {
 }
 
 #[test]
+fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
+    let mut rig = fresh();
+    rig.pose = Pose2::new(ROOM - 0.265 - 0.03, 0.0, 0.0);
+    rig.pilot = crate::pilot::Pilot::new(
+        crate::config::EdgeConfig::new(zenav_protocol::id::Id::robot("r").unwrap(), rig.model.clone(), rig.pose),
+        "boot-1".into(),
+        Persisted::default(),
+    );
+    rig.run(0.3);
+    let epoch = rig.mission();
+    let to_free = |id: &str, within| {
+        Question::Behaviour(BehaviourRequest {
+            id: id.into(),
+            action: BehaviourAction::ToFree { clearance: 0.2, within },
+            epoch: Some(epoch),
+        })
+    };
+    rig.ask(to_free("near", 0.05)).unwrap();
+    rig.run(0.5);
+    let report = rig.state.as_ref().unwrap().behaviour.clone().unwrap();
+    assert_eq!(report.state, BehaviourState::Failed, "not within five centimetres");
+    assert!(rig.at_rest());
+    rig.ask(to_free("free", 1.0)).unwrap();
+    rig.run(15.0);
+    let report = rig.state.as_ref().unwrap().behaviour.clone().unwrap();
+    assert_eq!((report.id.as_str(), report.state), ("free", BehaviourState::Succeeded), "{report:?} {:?}", rig.pose);
+    let clearance = ROOM - rig.pose.x.abs().max(rig.pose.y.abs()) - 0.265;
+    assert!((0.18..0.3).contains(&clearance), "{clearance}: {:?}", rig.pose);
+}
+
+#[test]
 fn a_blind_robot_stops() {
     let (mut rig, _, _) = driving();
     rig.scanning = false;

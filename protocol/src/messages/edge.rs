@@ -425,6 +425,13 @@ pub enum BehaviourAction {
         /// m/s, positive.
         speed: f64,
     },
+    /// Drive to the nearest place that keeps a distance from everything seen: one turn, one straight drive.
+    ToFree {
+        /// Distance of the footprint from everything there, m.
+        clearance: f64,
+        /// The place is searched within this distance, m.
+        within: f64,
+    },
     /// Stay.
     Wait {
         /// s.

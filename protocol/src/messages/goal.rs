@@ -49,6 +49,9 @@ pub struct GoalRequest {
     /// What to do when another goal runs.
     #[serde(default)]
     pub on_busy: OnBusy,
+    /// Of goals that wait the one with the greatest has its turn first, then the oldest.
+    #[serde(default)]
+    pub priority: i32,
     /// Time after which the goal is given up, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_secs: Option<f64>,
@@ -107,6 +110,9 @@ pub struct GoalReply {
     /// Why, for an end that is not success.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// The robot that took it, where a group was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
 }
 
 /// A goal and what became of it.

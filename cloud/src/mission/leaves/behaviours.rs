@@ -1,4 +1,4 @@
-//! Spin, BackUp, DriveOnHeading: motions that the robot carries out by itself, by an execution id that it knows again.
+//! Spin, BackUp, DriveOnHeading, DriveToFree: motions that the robot carries out by itself, by an execution id that it knows again.
 
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
@@ -180,6 +180,10 @@ fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     Ok(match io.id() {
         "Spin" => BehaviourAction::Spin {
             angle: get("spin_dist", 1.57)?,
+        },
+        "DriveToFree" => BehaviourAction::ToFree {
+            clearance: get("clearance", 0.1)?,
+            within: get("within", 1.0)?,
         },
         "BackUp" => BehaviourAction::Drive {
             distance: -get("backup_dist", 0.15)?.abs(),

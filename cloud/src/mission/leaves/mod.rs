@@ -8,7 +8,7 @@
 //! | `follow_path` | FollowPath |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
-//! | `behaviours` | Spin, BackUp, DriveOnHeading |
+//! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
 //! | `looks` | TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
 //! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
@@ -126,6 +126,23 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
+    registry.leaf(
+        NodeSpec::action(
+            "DriveToFree",
+            "Drives to the nearest place that keeps a distance from everything seen.",
+        )
+        .input_or(
+            "clearance",
+            Double,
+            "0.1",
+            "distance of the footprint from everything there, m",
+        )
+        .input_or("within", Double, "1.0", "the place is searched within this distance, m")
+        .input_or("time_allowance", Double, "10.0", "it is given up after this time, s")
+        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
+        .output("error_msg", Text, "why it failed, in words"),
+        |_| Box::<behaviours::Behaviour>::default(),
+    )?;
     registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
     for spec in nav2_nodes() {
         if registry.spec(&spec.id).is_some() {

@@ -182,7 +182,7 @@ fn expand(
         let (cost, since) = (known.cost, known.turned);
         nodes += 1;
         if nodes > MOST_NODES {
-            break;
+            return Err(NotFound::TimedOut);
         }
         *expansions += CELLS_A_NODE;
         if budget.is_spent(*expansions) {

@@ -1,0 +1,118 @@
+//! How does a group's goal reach its robot? The missions tell their goals, the chosen one stores it; its answer is the group's.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use nalgebra::Point2;
+use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Shutdown};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::*;
+use zenav_protocol::topics;
+
+use super::{Candidate, choose, place_of};
+
+/// Wall time for the robots to tell their goals.
+const ROLL_CALL: Duration = Duration::from_millis(500);
+/// Wall time for the chosen robot's mission to store the goal.
+const STORED: Duration = Duration::from_secs(5);
+
+/// Takes goals for a group of robots until the shutdown.
+///
+/// # Errors
+/// [`BusError`] when the group's key cannot be served.
+pub async fn run(
+    bus: Bus,
+    group: Id,
+    robots: Vec<Id>,
+    places: BTreeMap<String, GoalPoint>,
+    shutdown: Shutdown,
+) -> Result<(), BusError> {
+    let mut server = bus.serve(&topics::GOAL, &[group.as_str()])?;
+    let mut poses = BTreeMap::new();
+    for robot in &robots {
+        poses.insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
+    }
+    tracing::info!(%group, robots = robots.len(), "takes goals for a group");
+    loop {
+        let request = tokio::select! {
+            () = shutdown.wait() => return Ok(()),
+            request = server.next() => match request {
+                Some(request) => request,
+                None => return Ok(()),
+            },
+        };
+        match give(&bus, &mut poses, &request.body, place_of(&request.body, &places)).await {
+            Ok(reply) => request.reply(&reply),
+            Err(refusal) => request.refuse(&refusal),
+        }
+    }
+}
+
+/// Gives a goal to a robot of the group.
+async fn give(
+    bus: &Bus,
+    poses: &mut BTreeMap<String, Latest<PoseEstimate>>,
+    request: &GoalRequest,
+    at: Option<Point2<f64>>,
+) -> Result<GoalReply, Refusal> {
+    let Some(id) = request.id.clone() else {
+        let reason = "id: expected one, for a goal that is sent again is the same goal";
+        return Err(Refusal::bad_request(reason.to_owned()));
+    };
+    let open = vec![GoalPhase::Accepted, GoalPhase::Active, GoalPhase::Paused];
+    let (known, open) = tokio::join!(
+        goals(
+            bus,
+            GoalsRequest {
+                id: Some(id),
+                ..GoalsRequest::default()
+            }
+        ),
+        goals(
+            bus,
+            GoalsRequest {
+                states: open,
+                ..GoalsRequest::default()
+            }
+        )
+    );
+    let robot = match known
+        .iter()
+        .find(|(robot, count)| **count > 0 && poses.contains_key(*robot))
+    {
+        Some((robot, _)) => robot.clone(),
+        None => {
+            let candidates: Vec<Candidate> = poses
+                .iter_mut()
+                .filter_map(|(robot, pose)| {
+                    Some(Candidate {
+                        robot: robot.clone(),
+                        position: pose.borrow().map(|pose| pose.map_from_base.position()),
+                        outstanding: *open.get(robot)?,
+                    })
+                })
+                .collect();
+            choose(&candidates, at, request.on_busy)?.robot.clone()
+        }
+    };
+    match bus.ask(&topics::GOAL, &[&robot], request, STORED).await {
+        Ok(reply) => Ok(GoalReply {
+            robot: Some(robot),
+            ..reply
+        }),
+        Err(AskError::Refused(refusal)) => Err(refusal),
+        Err(error) => Err(Refusal::Busy {
+            reason: format!("{robot}: {error}"),
+        }),
+    }
+}
+
+/// How many such goals each robot has that answers.
+async fn goals(bus: &Bus, request: GoalsRequest) -> BTreeMap<String, usize> {
+    let answers = bus.ask_all(&topics::GOALS, &["*"], &request, ROLL_CALL).await;
+    let counted = answers.unwrap_or_default().into_iter().filter_map(|answer| {
+        let reply: GoalsReply = answer.result.ok()?;
+        Some((answer.chunks.first()?.clone(), reply.goals.len()))
+    });
+    counted.collect()
+}

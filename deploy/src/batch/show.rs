@@ -1,0 +1,318 @@
+//! What does `zenav sim show` do? It draws a world as a PNG: what is solid, the robots and what their lidars see, movers with their ways,
+//! doors shut and slid aside, and places.
+
+use std::path::PathBuf;
+
+use nalgebra::{Point2, Vector2};
+use serde::Serialize;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::exit_code;
+use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_sim::movers::{MoverModel, Route};
+use zenav_sim::shape::Shape;
+use zenav_sim::{RobotSpec, Simulation, World, bench};
+
+use crate::canvas::{Canvas, Color, FREE, OCCUPIED, circle};
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{self, Format};
+
+const OUTSIDE: Color = [236, 238, 241];
+const GRID: Color = [228, 231, 235];
+const MOVER: Color = [240, 150, 0];
+const WAY: Color = [250, 214, 150];
+const ROBOT: Color = [40, 110, 220];
+const ROBOT_EDGE: Color = [15, 50, 120];
+const SEEN: Color = [215, 60, 40];
+const PLACE: Color = [30, 160, 80];
+
+/// Around the world's bounds, as a share of its longer side.
+const MARGIN: f64 = 0.03;
+/// Lines of the grid are this far apart, m.
+const METRE: f64 = 1.0;
+/// With more lines than this a grid only hides what it lies under.
+const MOST_LINES: f64 = 100.0;
+
+/// Drawing a world.
+#[derive(Debug, clap::Args)]
+pub(super) struct ShowArgs {
+    /// World: a file, a ROS map (`.yaml`) or a shipped name
+    #[arg(value_name = "WORLD")]
+    world: String,
+    /// Picture to write [default: the world's name, `.png`]
+    #[arg(long, visible_alias = "png", short = 'f', value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Robot: a file or shipped name
+    #[arg(long, value_name = "R", default_value = "tiago")]
+    robot: String,
+    /// Robots: the first at the world's start, the others wherever there is room
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    robots: usize,
+    /// Simulated time at which movers and doors are shown, s
+    #[arg(long, value_name = "SECS", default_value_t = 0.0)]
+    time: f64,
+    /// Seed of walkers and of the other robots' places
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Pixels of the longer side
+    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(64..=8192))]
+    size: u32,
+    /// Form of what is printed
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// What was drawn.
+#[derive(Debug, Serialize)]
+struct Shown {
+    world: String,
+    picture: PathBuf,
+    low: [f64; 2],
+    high: [f64; 2],
+    polygons: usize,
+    discs: usize,
+    map_cells: usize,
+    movers: usize,
+    places: Vec<String>,
+    robots: Vec<Pose2>,
+    time_s: f64,
+}
+
+/// Draws a world.
+///
+/// # Errors
+/// [`exit_code::USAGE`] for a world, robot or time that cannot be; a file that cannot be written.
+pub(super) fn show(args: &ShowArgs) -> Outcome {
+    if !(0.0..=86_400.0).contains(&args.time) {
+        return Err(Failure::usage(format!("--time {}: expected 0 to 86400 s", args.time)));
+    }
+    let world = files::world(&args.world)?;
+    let simulation = simulation(args, &world)?;
+    let bytes = draw(&world, &simulation, args.size)?;
+    let name: String = world
+        .name()
+        .chars()
+        .map(|c| if c.is_alphanumeric() { c } else { '_' })
+        .collect();
+    let picture = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.png")));
+    std::fs::write(&picture, bytes).map_err(|error| super::at(&picture, &error))?;
+    let (low, high) = world.bounds();
+    let shown = Shown {
+        world: world.name().to_owned(),
+        picture,
+        low: low.into(),
+        high: high.into(),
+        polygons: world.polygons().len(),
+        discs: world.discs().len(),
+        map_cells: world.map().map_or(0, |map| map.values().len()),
+        movers: world.movers().len(),
+        places: world.places().iter().map(|place| place.name.to_string()).collect(),
+        robots: (0..simulation.robots())
+            .map(|robot| simulation.truth(robot).map_from_base)
+            .collect(),
+        time_s: simulation.now().as_secs(),
+    };
+    output::value(args.output, &shown, |shown| {
+        let Shown { low, high, .. } = shown;
+        format!(
+            "{}: {:.2} x {:.2} m from ({:.2}, {:.2}); {} polygons, {} discs, {} cells of a map, {} movers and doors, {} robots, {} places, at {:.1} s\n{}",
+            shown.world,
+            high[0] - low[0],
+            high[1] - low[1],
+            low[0],
+            low[1],
+            shown.polygons,
+            shown.discs,
+            shown.map_cells,
+            shown.movers,
+            shown.robots.len(),
+            shown.places.len(),
+            shown.time_s,
+            shown.picture.display()
+        )
+    })?;
+    Ok(exit_code::OK)
+}
+
+/// The world with its robots, at the time asked for.
+fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
+    let model = files::robot(&args.robot)?;
+    let others = bench::scatter(world, &model, args.robots.saturating_sub(1), 0.1, args.seed);
+    let first = [world.start()].into_iter().take(args.robots);
+    let apart = |pose: &Pose2| pose.distance(&world.start()) > 2.0 * model.footprint.circumscribed_radius();
+    let starts = first.chain(others.into_iter().filter(apart));
+    let specs = starts
+        .enumerate()
+        .map(|(index, start)| {
+            let id = Id::robot(format!("robot_{index}")).map_err(|error| Failure::failed(error.to_string()))?;
+            let model = model.clone();
+            Ok(RobotSpec { id, model, start })
+        })
+        .collect::<Result<Vec<_>, Failure>>()?;
+    let mut simulation = match Simulation::new(world, specs, args.seed) {
+        Ok(simulation) => simulation,
+        Err(error) => {
+            // A world is worth seeing above all where something is wrong with its start.
+            tracing::warn!("drawn without robots: {error}");
+            Simulation::new(world, Vec::new(), args.seed).map_err(|error| Failure::usage(error.to_string()))?
+        }
+    };
+    while simulation.now().as_secs() < args.time {
+        simulation.step();
+    }
+    Ok(simulation)
+}
+
+fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Vec<u8>, Failure> {
+    let mut canvas = backdrop(world, size);
+    for (mover, at) in world.movers().iter().zip(simulation.movers()) {
+        canvas.polygon(&placed(&mover.shape, at), MOVER);
+    }
+    for robot in 0..simulation.robots() {
+        self::robot(&mut canvas, simulation, robot);
+    }
+    canvas.png()
+}
+
+/// What does not move in a world, and the ways of what does, `size` pixels on the longer side.
+pub(crate) fn backdrop(world: &World, size: u32) -> Canvas {
+    let (low, high) = world.bounds();
+    let margin = MARGIN * (high - low).amax();
+    let (from, extent) = (low - Vector2::repeat(margin), (high - low).add_scalar(2.0 * margin));
+    let scale = f64::from(size) / extent.amax();
+    let pixels = |metres: f64| ((metres * scale).round() as u32).max(1);
+    let mut canvas = Canvas::new(from, scale, pixels(extent.x), pixels(extent.y), OUTSIDE);
+    let corners = [low, Point2::new(high.x, low.y), high, Point2::new(low.x, high.y)];
+    canvas.polygon(&corners, FREE);
+    if let Some(map) = world.map() {
+        canvas.map(map);
+    }
+    if (high - low).amax() < MOST_LINES * METRE {
+        grid(&mut canvas, low, high);
+    }
+    for mover in world.movers() {
+        way(&mut canvas, mover);
+    }
+    for polygon in world.polygons() {
+        canvas.polygon(polygon, OCCUPIED);
+    }
+    for disc in world.discs() {
+        canvas.disc(disc.center, disc.radius, OCCUPIED);
+    }
+    for place in world.places() {
+        let at = Point2::new(place.x, place.y);
+        canvas.dot(at, PLACE, 4);
+        if let Some(yaw) = place.yaw {
+            canvas.line(at, at + Pose2::new(0.0, 0.0, yaw).heading() * 0.3, PLACE, 1);
+        }
+    }
+    canvas
+}
+
+fn grid(canvas: &mut Canvas, low: Point2<f64>, high: Point2<f64>) {
+    let lines = |from: f64, to: f64| {
+        let first = (from / METRE).ceil() as i64;
+        (first..=(to / METRE).floor() as i64).map(|line| line as f64 * METRE)
+    };
+    for x in lines(low.x, high.x) {
+        canvas.line(Point2::new(x, low.y), Point2::new(x, high.y), GRID, 0);
+    }
+    for y in lines(low.y, high.y) {
+        canvas.line(Point2::new(low.x, y), Point2::new(high.x, y), GRID, 0);
+    }
+}
+
+/// A form at a place.
+fn placed(shape: &Shape, at: Point2<f64>) -> Vec<Point2<f64>> {
+    match shape {
+        Shape::Disc(radius) => circle(at, *radius),
+        Shape::Polygon(corners) => corners.iter().map(|corner| at + corner.coords).collect(),
+    }
+}
+
+/// The way of a mover: its corners with its outline there, or the box that it walks in. A door's are shut and slid aside.
+fn way(canvas: &mut Canvas, mover: &MoverModel) {
+    match &mover.route {
+        Route::Path(corners) => {
+            let points: Vec<Point2<f64>> = corners.iter().map(|(at, _)| *at).collect();
+            canvas.outline(&points, WAY, 1);
+            for at in points {
+                canvas.outline(&placed(&mover.shape, at), WAY, 0);
+            }
+        }
+        Route::Walk { low, high, .. } => {
+            let corners = [*low, Point2::new(high.x, low.y), *high, Point2::new(low.x, high.y)];
+            canvas.outline(&corners, WAY, 1);
+        }
+    }
+}
+
+/// A robot: its outline, its heading, and the returns of its lidar.
+fn robot(canvas: &mut Canvas, simulation: &Simulation, robot: usize) {
+    let model = simulation.model(robot);
+    let pose = simulation.truth(robot).map_from_base;
+    let outline: Vec<Point2<f64>> = match &model.footprint {
+        Footprint::Radius(radius) => circle(pose.position(), *radius),
+        Footprint::Polygon(corners) => corners.iter().map(|corner| pose.transform_point(*corner)).collect(),
+    };
+    canvas.polygon(&outline, ROBOT);
+    canvas.outline(&outline, ROBOT_EDGE, 0);
+    let nose = pose.position() + pose.heading() * model.footprint.inscribed_radius();
+    canvas.line(pose.position(), nose, FREE, 1);
+    if let Some(sweep) = simulation.readings(robot).sweep {
+        let laser = pose * model.lidar.mount;
+        for (beam, range) in sweep.ranges.iter().enumerate() {
+            if let Some(hit) = hit(&model.lidar, laser, beam, f64::from(*range)) {
+                canvas.dot(hit, SEEN, 1);
+            }
+        }
+    }
+}
+
+fn hit(lidar: &LidarModel, laser: Pose2, beam: usize, range: f64) -> Option<Point2<f64>> {
+    let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+    let there = || laser.transform_point(Point2::new(range * angle.cos(), range * angle.sin()));
+    (range >= lidar.range_min && range <= lidar.range_max).then(there)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zenav_cloud::mapping::image;
+
+    fn gray(world: &World, at: &[(f64, f64)]) -> Vec<u8> {
+        let simulation = Simulation::new(world, Vec::new(), 1).unwrap();
+        let picture = image::decode(draw(world, &simulation, 200).unwrap()).unwrap();
+        let (low, high) = world.bounds();
+        let margin = MARGIN * (high - low).amax();
+        let scale = 200.0 / ((high - low).amax() + 2.0 * margin);
+        at.iter()
+            .map(|(x, y)| {
+                let column = ((x - low.x + margin) * scale) as u32;
+                let row = picture.height - 1 - ((y - low.y + margin) * scale) as u32;
+                picture.gray[(row * picture.width + column) as usize]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_is_solid_is_dark_and_a_shut_door_is_drawn_where_it_is() {
+        let text = "size = [10, 5]\norigin = [-2, 0]\n[[polygon]]\npoints = [[0, 0], [2, 0], [2, 2], [0, 2]]\n\
+                    [[circle]]\nx = 5\ny = 3\nradius = 0.5\n\
+                    [[door]]\nfrom = [6, 1]\nto = [7, 1]\nthickness = 0.4\nclosed_secs = 5\nopen_secs = 5\n";
+        let world = World::from_toml(text, "w.toml", &|_| Err(String::new())).unwrap();
+        let shades = gray(&world, &[(1.0, 1.0), (5.0, 3.0), (6.5, 1.0), (3.4, 3.6)]);
+        assert!(shades[0] < 60 && shades[1] < 60, "{shades:?}");
+        assert!((120..220).contains(&shades[2]) && shades[3] == 255, "{shades:?}");
+    }
+
+    #[test]
+    fn every_shipped_world_can_be_drawn() {
+        for (name, _) in zenav_sim::world::SHIPPED {
+            let world = World::shipped(name).unwrap();
+            let simulation = Simulation::new(&world, Vec::new(), 1).unwrap();
+            assert!(draw(&world, &simulation, 100).is_ok(), "{name}");
+        }
+    }
+}
