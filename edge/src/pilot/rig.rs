@@ -41,10 +41,10 @@ pub struct Rig {
 
 impl Rig {
     pub fn new(stored: Persisted) -> Self {
-        Self::of(
-            RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap(),
-            stored,
-        )
+        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        // It looks behind itself, too: it may back up.
+        model.lidar.field_of_view = std::f64::consts::TAU;
+        Self::of(model, stored)
     }
 
     pub fn of(model: RobotModel, stored: Persisted) -> Self {
