@@ -12,8 +12,9 @@ use crate::mailbox::{Answer, Persisted, Question};
 /// Nobody commands, and the policy is to follow walls.
 fn left_alone() -> (Rig, u64) {
     let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
-    // Enough for walls, and quick.
-    model.lidar.beams = 181;
+    // Enough for walls, and quick; and it sees where it backs up to.
+    model.lidar.beams = 180;
+    model.lidar.field_of_view = std::f64::consts::TAU;
     let mut rig = Rig::of(model, Persisted::default());
     let epoch = rig.mission();
     rig.ask(Question::Mode(ModeRequest {
@@ -161,8 +162,8 @@ fn a_bump_from_anywhere_is_left_only_by_an_operator_who_drives_away() {
         rig.run(0.2);
         by_hand(&mut rig, epoch, 0.1, 1.5);
         assert_eq!(state(&rig), Some(WallFollowerState::Bump), "towards the obstacle");
-        by_hand(&mut rig, epoch, -0.2, 2.0);
-        assert_eq!(state(&rig), Some(WallFollowerState::WallSearch));
+        by_hand(&mut rig, epoch, -0.2, 4.0);
+        assert_eq!(state(&rig), Some(WallFollowerState::WallSearch), "after {secs} s: {:?}", rig.pose);
         give_back(&mut rig);
         rig.run(1.0);
         assert!(!rig.at_rest());

@@ -6,7 +6,7 @@
 //! | file | answers |
 //! |---|---|
 //! | [`filter`] | which returns are walls, and which are noise? |
-//! | [`line`] | which straight walls do they show? |
+//! | [`mod@line`] | which straight walls do they show? |
 //! | [`beside`] | where is the wall beside the robot, what is in its way, and how is the distance kept? |
 
 pub mod beside;
