@@ -163,7 +163,12 @@ fn a_bump_from_anywhere_is_left_only_by_an_operator_who_drives_away() {
         by_hand(&mut rig, epoch, 0.1, 1.5);
         assert_eq!(state(&rig), Some(WallFollowerState::Bump), "towards the obstacle");
         by_hand(&mut rig, epoch, -0.2, 4.0);
-        assert_eq!(state(&rig), Some(WallFollowerState::WallSearch), "after {secs} s: {:?}", rig.pose);
+        assert_eq!(
+            state(&rig),
+            Some(WallFollowerState::WallSearch),
+            "after {secs} s: {:?}",
+            rig.pose
+        );
         give_back(&mut rig);
         rig.run(1.0);
         assert!(!rig.at_rest());
