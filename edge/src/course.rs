@@ -7,7 +7,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
 use crate::surroundings::Surroundings;
-use crate::trackers::{Progress, Timeline, TrajectoryTracker, View, WaypointTracker};
+use crate::trackers::{Progress, Timeline, Tracker, View, along_trajectory, through_waypoints};
 
 /// Share of the normal deceleration that braking for the expiry reckons with.
 const BRAKING_SHARE: f64 = 0.9;
@@ -21,15 +21,9 @@ const LOST_TRACK: f64 = 0.6;
 pub struct Course {
     plan: Plan,
     expiry: Stamp,
-    tracker: Tracker,
+    tracker: Box<dyn Tracker>,
     expiry_told: bool,
     end_told: bool,
-}
-
-#[derive(Clone, Debug)]
-enum Tracker {
-    Waypoints(WaypointTracker),
-    Trajectory(TrajectoryTracker),
 }
 
 /// Where the robot is and what it sees, when a plan is judged.
@@ -78,9 +72,15 @@ impl Course {
         }
         judge_course(&plan, &scene.model.drive)?;
         let tracker = if plan.trajectory.is_empty() {
-            Tracker::Waypoints(WaypointTracker::new(&scene.model.drive, plan.waypoints.clone()))
+            let model = scene.model;
+            through_waypoints(
+                model.controller.tracker,
+                &model.drive,
+                scene.map_from_base,
+                plan.waypoints.clone(),
+            )
         } else {
-            Tracker::Trajectory(Self::begin(current.as_ref(), &plan, scene)?)
+            Self::begin(current.as_ref(), &plan, scene)?
         };
         *current = Some(Self {
             plan,
@@ -93,47 +93,38 @@ impl Course {
     }
 
     /// A tracker for a trajectory that begins at a splice of the current one, or where the robot is.
-    fn begin(current: Option<&Self>, plan: &Plan, scene: &Scene<'_>) -> Result<TrajectoryTracker, Rejection> {
+    fn begin(current: Option<&Self>, plan: &Plan, scene: &Scene<'_>) -> Result<Box<dyn Tracker>, Rejection> {
         let drive = &scene.model.drive;
         let Some(first) = plan.trajectory.first() else {
             return Err(Rejection::Empty);
         };
-        let splice = plan.splice.and_then(|splice| match current {
-            Some(Self {
-                plan: old,
-                tracker: Tracker::Trajectory(tracker),
-                ..
-            }) if old.trajectory_id == splice.trajectory_id && !tracker.progress().finished => Some((
-                splice.time.clamp(tracker.timeline().start(), tracker.timeline().end()),
-                tracker,
-            )),
-            _ => None,
+        let old = current
+            .filter(|old| !old.tracker.progress(&scene.map_from_base).finished)
+            .and_then(|old| Some((old.plan.trajectory_id, old.tracker.motion()?)));
+        let splice = plan.splice.and_then(|splice| {
+            let (_, (timeline, time)) = old.filter(|(id, _)| *id == splice.trajectory_id)?;
+            Some((splice.time.clamp(timeline.start(), timeline.end()), timeline, time))
         });
-        let tracker = match splice {
-            Some((until, old)) => {
-                let planned = old.timeline().sample(until);
+        let (timeline, time) = match splice {
+            Some((until, old, now)) => {
+                let planned = old.sample(until);
                 judge_start(first, planned.pose(), planned.twist(), drive)?;
-                let late = old.time() - until;
+                let late = now - until;
                 if late > 0.0 {
                     let there = Timeline::new(plan.trajectory.clone()).sample(late.min(LATE_SPLICE));
-                    judge_start(&there, scene.map_from_base, old.reference().twist(), drive)?;
+                    judge_start(&there, scene.map_from_base, old.sample(now).twist(), drive)?;
                 }
-                let timeline = old.timeline().spliced(old.time(), until, &plan.trajectory);
-                TrajectoryTracker::new(drive, timeline, old.time() - until)
+                (old.spliced(now, until, &plan.trajectory), late)
             }
             None => {
                 judge_start(first, scene.map_from_base, scene.velocity, drive)?;
-                TrajectoryTracker::new(drive, Timeline::new(plan.trajectory.clone()), 0.0)
+                (Timeline::new(plan.trajectory.clone()), 0.0)
             }
         };
         let obstacles: Vec<_> = scene.around.seen_in(scene.map_from_odom).collect();
-        judge_free(
-            tracker.timeline().points(),
-            scene.model,
-            scene.map_from_base,
-            &obstacles,
-        )?;
-        Ok(tracker)
+        judge_free(timeline.points(), scene.model, scene.map_from_base, &obstacles)?;
+        let kind = scene.model.controller.tracker;
+        Ok(along_trajectory(kind, drive, timeline, time, &plan.waypoints))
     }
 
     /// Whether it has not expired.
@@ -158,21 +149,13 @@ impl Course {
             velocity,
             speed_cap: speed_cap(drive, self.expiry.secs_since(now), dt),
         };
-        match &mut self.tracker {
-            Tracker::Waypoints(tracker) => tracker.step(&view, gains),
-            Tracker::Trajectory(tracker) => tracker.step(&view, gains),
-        }
+        self.tracker.step(&view, gains)
     }
 
     /// Why the plan can no longer be followed, if so.
     #[must_use]
     pub fn lost(&self) -> Option<&'static str> {
-        match &self.tracker {
-            Tracker::Trajectory(tracker) if tracker.off_track() > LOST_TRACK => {
-                Some("too far from where the plan has the robot")
-            }
-            _ => None,
-        }
+        (self.tracker.off_track() > LOST_TRACK).then_some("too far from where the plan has the robot")
     }
 
     /// True once, when the end has been reached.
@@ -202,10 +185,7 @@ impl Course {
     }
 
     fn raw_progress(&self, map_from_base: &Pose2) -> Progress {
-        match &self.tracker {
-            Tracker::Waypoints(tracker) => tracker.progress(map_from_base),
-            Tracker::Trajectory(tracker) => tracker.progress(),
-        }
+        self.tracker.progress(map_from_base)
     }
 
     /// How far it is.
@@ -230,10 +210,7 @@ impl Course {
     /// What to draw: the waypoint or the place that the robot drives to now.
     #[must_use]
     pub fn marker(&self, now: Stamp) -> Option<Marker> {
-        let (name, point) = match &self.tracker {
-            Tracker::Waypoints(tracker) => ("waypoint", tracker.target()?),
-            Tracker::Trajectory(tracker) => ("reference", tracker.reference().pose().position()),
-        };
+        let (name, point) = self.tracker.target()?;
         Some(Marker {
             stamp: now,
             name: name.to_owned(),

@@ -35,6 +35,8 @@ pub struct Guard {
     scan_timeout: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
+    /// Fastest speed to where the lidar does not look, m/s.
+    pub blind_speed: f64,
     zone: GuardZone,
     since: Stamp,
 }
@@ -59,6 +61,7 @@ impl Guard {
             tick,
             scan_timeout,
             margin: model.controller.guard_margin,
+            blind_speed: model.controller.blind_speed,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
         }
@@ -148,7 +151,7 @@ impl Guard {
             (motion.past_obstacles(around, odom_from_base), "an obstacle in the way"),
             (motion.past_intruders(around, odom_from_base), "something moves nearby"),
             (
-                motion.into_the_blind(now, around, odom_from_base),
+                motion.into_the_blind(around, odom_from_base, self.blind_speed),
                 "nobody looks where it leads",
             ),
         ];
@@ -219,10 +222,17 @@ mod tests {
         RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
     }
 
+    /// A TIAGo that looks all around.
+    fn all_seeing() -> RobotModel {
+        let mut model = tiago();
+        model.lidar.field_of_view = std::f64::consts::TAU;
+        model
+    }
+
     /// A wall across the way at `distance` ahead of the base.
     fn wall(model: &RobotModel, distance: f64) -> Surroundings {
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
+        let mut around = Surroundings::new(lidar, &model.footprint);
         let range = |beam: usize| {
             let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
             if cos > 0.05 {
@@ -258,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_robot_at_a_wall_may_turn_and_back_away() {
-        let model = tiago();
+        let model = all_seeing();
         let around = wall(&model, 0.28);
         assert_eq!(judge(&model, &around, Twist2::new(0.0, 1.5)).twist.w, 1.5);
         assert_eq!(judge(&model, &around, Twist2::new(-0.3, 0.0)).twist.v, -0.3);
@@ -268,7 +278,7 @@ mod tests {
     fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
         let model = tiago();
         let lidar = &model.lidar;
-        let mut around = Surroundings::new(lidar, model.footprint.circumscribed_radius(), 0.6);
+        let mut around = Surroundings::new(lidar, &model.footprint);
         let ranges = (0..lidar.beams).map(|beam| {
             let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
             if sin > 0.05 {
@@ -303,7 +313,7 @@ mod tests {
         let none = guard.judge(
             Stamp::from_secs(1.6),
             Twist2::new(0.1, 0.0),
-            &Surroundings::new(&model.lidar, 0.3, 0.6),
+            &Surroundings::new(&model.lidar, &model.footprint),
             Pose2::IDENTITY,
             &NO_BUMP,
         );
@@ -312,7 +322,7 @@ mod tests {
 
     #[test]
     fn contact_allows_only_the_way_back() {
-        let model = tiago();
+        let model = all_seeing();
         let around = wall(&model, 3.0);
         let bump = Bump {
             stamp: Stamp::ZERO,
@@ -334,6 +344,66 @@ mod tests {
                 .v,
             -0.2
         );
+    }
+
+    /// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.
+    fn looked(around: &mut Surroundings, model: &RobotModel, secs: f64, yaw: f64) {
+        let sweep = Sweep {
+            stamp: Stamp::from_secs(secs),
+            ranges: vec![f32::INFINITY; model.lidar.beams],
+        };
+        assert!(around.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
+    }
+
+    #[test]
+    fn where_nobody_looks_it_backs_up_over_known_floor_only_and_as_slowly_as_it_is_told() {
+        let model = tiago();
+        let mut guard = Guard::new(&model, 0.02, 0.5);
+        let mut back = |around: &Surroundings, allowed: f64| {
+            guard.blind_speed = allowed;
+            let wanted = Twist2::new(-0.3, 0.0);
+            -guard
+                .judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+                .twist
+                .v
+        };
+        let mut ahead = Surroundings::new(&model.lidar, &model.footprint);
+        looked(&mut ahead, &model, 1.0, 0.0);
+        assert!(back(&ahead, 0.15) <= 0.01, "never seen");
+        let mut both = Surroundings::new(&model.lidar, &model.footprint);
+        looked(&mut both, &model, 0.5, std::f64::consts::PI);
+        looked(&mut both, &model, 1.0, 0.0);
+        assert!((back(&both, 0.15) - 0.15).abs() < 1e-9);
+        assert!(back(&both, 0.0) <= 0.01, "somebody may have come up");
+    }
+
+    #[test]
+    fn what_comes_at_the_robot_stops_it_earlier_than_what_stands() {
+        let model = tiago();
+        let lidar = &model.lidar;
+        let mut moving = Surroundings::new(lidar, &model.footprint);
+        let mut standing = Surroundings::new(lidar, &model.footprint);
+        let post = |distance: f64, secs: f64| Sweep {
+            stamp: Stamp::from_secs(secs),
+            ranges: (0..lidar.beams)
+                .map(|beam| {
+                    let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+                    if angle.abs() < 0.2 {
+                        distance as f32
+                    } else {
+                        f32::INFINITY
+                    }
+                })
+                .collect(),
+        };
+        for (secs, distance) in [(0.6, 0.7), (0.8, 0.6), (1.0, 0.5)] {
+            moving.insert(&post(distance, secs), Pose2::IDENTITY);
+            standing.insert(&post(0.5, secs), Pose2::IDENTITY);
+        }
+        let wanted = Twist2::new(0.5, 0.0);
+        assert_eq!(judge(&model, &standing, wanted).twist.v, 0.5);
+        let verdict = judge(&model, &moving, wanted);
+        assert!(verdict.twist.v < 0.4 && verdict.change.unwrap().contains("moves"));
     }
 
     proptest! {

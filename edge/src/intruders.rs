@@ -29,10 +29,6 @@ const NEIGHBOURS: usize = 2;
 /// An intruder is at least this wide, m, and so many times as wide as the beams lie apart where it is: an earlier sweep may
 /// have missed what is thinner.
 const WIDTH: (f64, f64) = (0.04, 2.5);
-/// Returns this far apart belong to two intruders, m.
-const APART: f64 = 0.4;
-/// Intruders that are kept in mind, and for how long, s.
-const LAST_SEEN: (usize, f64) = (32, 10.0);
 
 /// Returns on what moves.
 #[derive(Clone, Debug)]
@@ -42,10 +38,6 @@ pub struct Intruders {
     looks: VecDeque<Look>,
     /// Points of the newest sweep, odometry frame.
     points: Vec<Point2<f64>>,
-    /// Where each intruder was seen last, odometry frame.
-    last_seen: Vec<(Stamp, Point2<f64>)>,
-    /// As fast as one may go, m/s.
-    speed: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -56,16 +48,14 @@ struct Look {
 }
 
 impl Intruders {
-    /// None yet; they may go at `speed`, m/s.
+    /// None yet.
     #[must_use]
-    pub fn new(lidar: &LidarModel, speed: f64) -> Self {
+    pub fn new(lidar: &LidarModel) -> Self {
         Self {
             lidar: lidar.clone(),
             view: View::new(lidar),
             looks: VecDeque::new(),
             points: Vec::new(),
-            last_seen: Vec::new(),
-            speed,
         }
     }
 
@@ -87,7 +77,6 @@ impl Intruders {
         }
         self.end_run(&mut begun, odom_from_laser.position());
         self.look(sweep, odom_from_laser);
-        self.keep_in_mind(sweep.stamp);
     }
 
     /// Drops a run of neighbouring returns that is too narrow to be trusted.
@@ -146,49 +135,12 @@ impl Intruders {
         });
     }
 
-    /// Every intruder in sight takes over the nearest one that it may have been; the others stay in mind for a while.
-    fn keep_in_mind(&mut self, now: Stamp) {
-        let mut known = std::mem::take(&mut self.last_seen);
-        known.retain(|(stamp, _)| now.secs_since(*stamp) <= LAST_SEEN.1);
-        let mut last: Option<Point2<f64>> = None;
-        for point in &self.points {
-            let same = last.is_some_and(|last| (last - point).norm() < APART);
-            last = Some(*point);
-            if same {
-                continue;
-            }
-            let distance = |(_, then): &(Stamp, Point2<f64>)| (then - point).norm();
-            let nearest = (0..known.len()).min_by(|a, b| {
-                let of = |index: &usize| known.get(*index).map_or(f64::INFINITY, distance);
-                of(a).total_cmp(&of(b))
-            });
-            if let Some(index) = nearest
-                && let Some(candidate) = known.get(index)
-                && distance(candidate) <= APART + self.speed * now.secs_since(candidate.0)
-            {
-                known.swap_remove(index);
-            }
-            self.last_seen.push((now, *point));
-        }
-        self.last_seen.extend(known);
-        self.last_seen.truncate(LAST_SEEN.0);
-    }
-
     /// What moves, in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = odom_from_base.inverse();
         self.points
             .iter()
             .map(move |point| base_from_odom.transform_point(*point))
-    }
-
-    /// Whether something that moves may by now have come within `reach` (m) of a robot at `odom_from_base`.
-    #[must_use]
-    pub fn may_be_near(&self, now: Stamp, odom_from_base: Pose2, reach: f64) -> bool {
-        self.last_seen.iter().any(|(stamp, point)| {
-            let way = (point - odom_from_base.position()).norm() - reach;
-            way <= self.speed * now.secs_since(*stamp)
-        })
     }
 }
 
@@ -224,8 +176,8 @@ mod tests {
     #[test]
     fn what_comes_nearer_intrudes_and_what_stands_does_not() {
         let lidar = lidar();
-        let mut still = Intruders::new(&lidar, 0.5);
-        let mut moving = Intruders::new(&lidar, 0.5);
+        let mut still = Intruders::new(&lidar);
+        let mut moving = Intruders::new(&lidar);
         for step in 0..20 {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
@@ -235,16 +187,5 @@ mod tests {
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
         assert!(moving.in_base(Pose2::IDENTITY).count() > 5);
-    }
-
-    #[test]
-    fn who_went_out_of_sight_may_be_anywhere_within_his_reach() {
-        let lidar = lidar();
-        let mut intruders = Intruders::new(&lidar, 0.5);
-        intruders.insert(&sweep(&lidar, 1.0, Pose2::IDENTITY, None), Pose2::IDENTITY);
-        intruders.insert(&sweep(&lidar, 1.2, Pose2::IDENTITY, Some(2.0)), Pose2::IDENTITY);
-        intruders.insert(&sweep(&lidar, 1.3, Pose2::IDENTITY, None), Pose2::IDENTITY);
-        let near = |secs| intruders.may_be_near(Stamp::from_secs(secs), Pose2::IDENTITY, 0.3);
-        assert!(!near(2.0) && near(5.0));
     }
 }

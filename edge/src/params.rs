@@ -9,14 +9,21 @@ use zenav_protocol::wall_following::WallFollowing;
 /// A gain's name, bounds and place.
 type Param = (&'static str, f64, f64, fn(&mut ControllerGains) -> &mut f64);
 
-const PARAMS: [Param; 7] = [
+const PARAMS: [Param; 14] = [
     ("heading_gain", 0.0, 20.0, |gains| &mut gains.heading_gain),
     ("distance_gain", 0.0, 20.0, |gains| &mut gains.distance_gain),
     ("waypoint_threshold", 0.05, 2.0, |gains| &mut gains.waypoint_threshold),
     ("along_gain", 0.0, 5.0, |gains| &mut gains.along_gain),
     ("cross_gain", 0.0, 50.0, |gains| &mut gains.cross_gain),
     ("yaw_gain", 0.0, 20.0, |gains| &mut gains.yaw_gain),
+    ("go_gain", 0.0, 10.0, |gains| &mut gains.go_gain),
+    ("turn_gain", 0.0, 10.0, |gains| &mut gains.turn_gain),
+    ("pid_p", 0.0, 100.0, |gains| &mut gains.pid_p),
+    ("pid_i", 0.0, 100.0, |gains| &mut gains.pid_i),
+    ("pid_d", 0.0, 100.0, |gains| &mut gains.pid_d),
+    ("lookahead_secs", 0.1, 5.0, |gains| &mut gains.lookahead_secs),
     ("guard_margin", 0.01, 0.5, |gains| &mut gains.guard_margin),
+    ("blind_speed", 0.0, 5.0, |gains| &mut gains.blind_speed),
 ];
 
 /// One gain, or all of them without a name; those of the wall follower too.

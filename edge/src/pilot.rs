@@ -26,6 +26,8 @@ use crate::wall_follower::{Sight, WallFollower};
 
 /// A tick longer than this is not integrated by controllers and limiters, s.
 const LONGEST_TICK: f64 = 0.1;
+/// A recovery may back up at this speed over floor that was seen before, m/s: its way was checked when it began.
+const RECOVERY_BLIND_SPEED: f64 = 0.15;
 /// Discarded motions remembered.
 const DISCARDED: usize = 32;
 /// Refused plans remembered.
@@ -69,11 +71,7 @@ impl Pilot {
             behaviours: Behaviours::default(),
             journal: Journal::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: Surroundings::new(
-                &model.lidar,
-                model.footprint.circumscribed_radius(),
-                model.drive.top_speed(),
-            ),
+            around: Surroundings::new(&model.lidar, &model.footprint),
             guard: Guard::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),
@@ -375,6 +373,10 @@ impl Pilot {
     fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
         let drive = &self.config.model.drive;
         let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
+        self.guard.blind_speed = match self.mode {
+            Mode::Behaviour => self.gains.blind_speed.max(RECOVERY_BLIND_SPEED),
+            _ => self.gains.blind_speed,
+        };
         let verdict = self.guard.judge(
             now,
             limited,

@@ -9,7 +9,6 @@
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{Drive, Footprint};
-use zenav_protocol::time::Stamp;
 
 use crate::contact::Sweeper;
 use crate::limiter::wheel_surface_speed;
@@ -31,8 +30,8 @@ const SAMPLE: f64 = 0.04;
 const UNSEEN_MARGIN: f64 = 0.03;
 /// Most poses checked.
 const MAX_POSES: f64 = 100.0;
-/// Speed into what may have been entered unseen, m/s.
-const GENTLE: f64 = 0.008;
+/// Contact at this speed is no harm, m/s.
+pub(crate) const GENTLE: f64 = 0.008;
 
 /// A wanted motion, and how it can be ended.
 #[derive(Clone, Copy, Debug)]
@@ -157,10 +156,10 @@ impl<'a> Motion<'a> {
         })
     }
 
-    /// Into what the lidar does not see: only as far as it was seen before, and hardly at all when something that moves
-    /// may be there by now.
+    /// Into what the lidar does not see: only as far as it was seen before, and backwards no faster than `allowed` (m/s), for
+    /// somebody may have come up behind.
     #[must_use]
-    pub fn into_the_blind(&self, now: Stamp, around: &Surroundings, odom_from_base: Pose2) -> f64 {
+    pub fn into_the_blind(&self, around: &Surroundings, odom_from_base: Pose2, allowed: f64) -> f64 {
         let trodden = around.trodden();
         if !trodden.has_blind_sector() {
             return 1.0;
@@ -170,11 +169,16 @@ impl<'a> Motion<'a> {
         let way = self.way(1.0) * (outline_speed / self.speed).max(1.0);
         let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
         let step = way / outline_speed / poses;
+        let mut fastest: f64 = 0.0;
         let samples: Vec<_> = outline(self.footprint, self.margin + UNSEEN_MARGIN)
             .into_iter()
             .filter(|(at, normal)| {
                 let velocity = Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x);
-                velocity.dot(normal) > 1e-3
+                let outward = velocity.dot(normal);
+                if trodden.is_blind(at.coords) {
+                    fastest = fastest.max(outward);
+                }
+                outward > 1e-3
             })
             .collect();
         let mut share: f64 = 1.0;
@@ -188,15 +192,11 @@ impl<'a> Motion<'a> {
                 }
             }
         }
-        let backwards = self.twist.v.abs() > 1e-3 && trodden.is_blind(Vector2::new(self.twist.v, 0.0));
-        if backwards
-            && around
-                .intruders()
-                .may_be_near(now, odom_from_base, reach + self.keep_off(1.0) + way)
-        {
-            share = share.min(GENTLE / outline_speed);
+        share = share.max(GENTLE / fastest.max(1e-9));
+        if trodden.is_blind(Vector2::new(self.twist.v, 0.0)) {
+            share = share.min(allowed.max(GENTLE) / self.twist.v.abs().max(1e-9));
         }
-        share
+        share.min(1.0)
     }
 }
 

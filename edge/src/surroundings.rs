@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
 
 use crate::intruders::Intruders;
@@ -57,10 +57,9 @@ impl View {
 }
 
 impl Surroundings {
-    /// Nothing seen yet. `reach` is the circumscribed radius of the robot, m: what it needs to turn where it starts.
-    /// `others`: as fast as anything else may move, m/s.
+    /// Nothing seen yet.
     #[must_use]
-    pub fn new(lidar: &LidarModel, reach: f64, others: f64) -> Self {
+    pub fn new(lidar: &LidarModel, footprint: &Footprint) -> Self {
         let direction = |beam: usize| {
             let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
             Vector2::new(angle.cos(), angle.sin())
@@ -71,8 +70,8 @@ impl Surroundings {
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
-            intruders: Intruders::new(lidar, others),
-            trodden: Trodden::new(lidar, reach),
+            intruders: Intruders::new(lidar),
+            trodden: Trodden::new(lidar, footprint),
         }
     }
 
@@ -191,7 +190,7 @@ mod tests {
     #[test]
     fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
         assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
         assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
@@ -208,7 +207,7 @@ mod tests {
     #[test]
     fn what_the_lidar_sees_again_is_not_remembered() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
         around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
         around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
@@ -217,7 +216,7 @@ mod tests {
     #[test]
     fn a_broken_sweep_is_no_sweep() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, 0.265, 0.6);
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
         assert!(!around.insert(
             &Sweep {
                 stamp: Stamp(5),

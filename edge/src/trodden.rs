@@ -6,7 +6,7 @@
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::{Footprint, LidarModel};
 
 use crate::surroundings::{MEMORY_RANGE, View};
 
@@ -28,6 +28,7 @@ const AT_START: f64 = 0.16;
 pub struct Trodden {
     lidar: LidarModel,
     view: View,
+    /// Radius of what is taken for free at the start, m.
     reach: f64,
     cells: Vec<Cell>,
     /// Counts the sweeps.
@@ -46,9 +47,14 @@ struct Cell {
 }
 
 impl Trodden {
-    /// Nothing known. `reach`: circumscribed radius of the robot, m.
+    /// Nothing known but what the robot needs to turn where it starts.
     #[must_use]
-    pub fn new(lidar: &LidarModel, reach: f64) -> Self {
+    pub fn new(lidar: &LidarModel, footprint: &Footprint) -> Self {
+        let reach = match footprint {
+            // A disc turns where it stands.
+            Footprint::Radius(_) => 0.0,
+            Footprint::Polygon(_) => footprint.circumscribed_radius() + AT_START,
+        };
         Self {
             lidar: lidar.clone(),
             view: View::new(lidar),
@@ -77,7 +83,7 @@ impl Trodden {
                 doubt: DOUBT,
             };
             self.cells = vec![nowhere; (SIDE * SIDE) as usize];
-            self.tread(odom_from_base.position(), self.reach + AT_START);
+            self.tread(odom_from_base.position(), self.reach);
         }
         let laser = odom_from_base * self.lidar.mount;
         let increment = self.lidar.angle_increment();
@@ -162,7 +168,7 @@ impl Trodden {
             .is_none_or(|known| known.at != cell || known.doubt > 0)
     }
 
-    /// Whether a direction (base frame) leads where the lidar does not look.
+    /// Whether a direction from the base leads where the lidar does not look.
     #[must_use]
     pub fn is_blind(&self, direction: Vector2<f64>) -> bool {
         let (sin, cos) = self.lidar.mount.yaw.sin_cos();
@@ -188,10 +194,14 @@ mod tests {
     use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
 
+    fn jackal() -> RobotModel {
+        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+    }
+
     #[test]
     fn what_was_never_seen_is_unknown_and_what_was_seen_stays_known() {
         let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
-        let mut trodden = Trodden::new(&lidar, 0.265);
+        let mut trodden = Trodden::new(&lidar, &jackal().footprint);
         let sweep = Sweep {
             stamp: Stamp(1),
             ranges: vec![2.0; lidar.beams],
@@ -215,6 +225,6 @@ mod tests {
     #[test]
     fn a_lidar_that_looks_all_around_has_no_blind_sector() {
         let lidar = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap().lidar;
-        assert!(!Trodden::new(&lidar, 0.17).has_blind_sector());
+        assert!(!Trodden::new(&lidar, &Footprint::Radius(0.17)).has_blind_sector());
     }
 }

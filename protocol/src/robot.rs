@@ -372,10 +372,29 @@ impl Default for BatteryModel {
     }
 }
 
+/// The law that follows a plan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TrackerKind {
+    /// The trajectory's own time law as feed-forward, feedback on the pose error.
+    #[default]
+    TimeLaw,
+    /// Wheel speeds in proportion to bearing and distance of the next waypoint.
+    WheelLaw,
+    /// Turns to the next waypoint, then drives at it.
+    HeadingFirst,
+    /// PID on the distance from the path.
+    Pid,
+    /// Regulated pure pursuit.
+    PurePursuit,
+}
+
 /// Gains of the trackers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControllerGains {
+    /// The law that follows a plan.
+    pub tracker: TrackerKind,
     /// Waypoint law: wheel speed for the heading error, rad/s for each rad.
     pub heading_gain: f64,
     /// Waypoint law: wheel speed for the distance, rad/s for each m.
@@ -388,20 +407,43 @@ pub struct ControllerGains {
     pub cross_gain: f64,
     /// Trajectory tracker: gain of the heading, 1/m.
     pub yaw_gain: f64,
+    /// Heading-first law (`Kv`): speed for the distance, 1/s.
+    pub go_gain: f64,
+    /// Heading-first law (`Kw`): yaw rate for the bearing, 1/s.
+    pub turn_gain: f64,
+    /// PID law: yaw rate for the distance from the path, rad/s for each m.
+    pub pid_p: f64,
+    /// PID law: for its integral, rad/s for each m s.
+    pub pid_i: f64,
+    /// PID law: for its rate, rad for each m.
+    pub pid_d: f64,
+    /// Pure pursuit: time to the point ahead, s.
+    pub lookahead_secs: f64,
     /// Distance at which the guard stops, beyond the braking distance, m.
     pub guard_margin: f64,
+    /// Fastest speed to where the lidar does not look, over floor that it saw before, m/s: more than zero only where nobody
+    /// comes up behind. Recoveries back up slowly all the same.
+    pub blind_speed: f64,
 }
 
 impl Default for ControllerGains {
     fn default() -> Self {
         Self {
+            tracker: TrackerKind::default(),
             heading_gain: 4.0,
             distance_gain: 2.0,
             waypoint_threshold: 0.3,
             along_gain: 1.5,
             cross_gain: 8.0,
             yaw_gain: 4.0,
+            go_gain: 1.0,
+            turn_gain: 2.0,
+            pid_p: 6.0,
+            pid_i: 0.5,
+            pid_d: 6.0,
+            lookahead_secs: 1.5,
             guard_margin: 0.03,
+            blind_speed: 0.0,
         }
     }
 }
@@ -529,6 +571,7 @@ impl RobotModel {
             ("battery.rolling_power", self.battery.rolling_power),
             ("battery.acceleration_energy", self.battery.acceleration_energy),
             ("controller.guard_margin", self.controller.guard_margin),
+            ("controller.blind_speed", self.controller.blind_speed),
         ];
         for (field, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {

@@ -119,10 +119,10 @@ mod tests {
     #[test]
     fn a_neato_follows_the_walls_of_a_room_within_three_centimetres_and_touches_nothing() {
         let (world, model) = (files::world("wall_follow").unwrap(), files::robot("neato").unwrap());
-        let run = run(&world, &model, 1, 300.0).unwrap();
+        let run = run(&world, &model, 1, 200.0).unwrap();
         assert_eq!(run.truth.collisions, 0);
         assert!(run.kept.straight_p95_m < 0.03, "{:?}", run.kept);
-        assert!(run.kept.straight_samples > 500 && run.truth.length > 40.0);
+        assert!(run.kept.straight_samples > 300 && run.truth.length > 25.0);
         let mut at = "wall_search";
         for (from, to) in run.transitions() {
             assert_eq!(from, at);

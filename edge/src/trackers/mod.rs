@@ -1,12 +1,110 @@
-//! Which twist follows a plan? One file a law.
+//! Which twist follows a plan? One trait, one file a law; the robot's file names the law (`[controller] tracker = …`).
+//!
+//! | `tracker` | law | after |
+//! |---|---|---|
+//! | `time_law` (default) | feed-forward of the time-stamped trajectory, feedback on the pose error | Kanayama 1990, Samson 1990 |
+//! | `wheel_law` | wheel speeds in proportion to bearing and distance of the next waypoint | the two-wheel exercise |
+//! | `heading_first` | turns to the next waypoint, then drives at it | the go-to-goal exercise |
+//! | `pid` | PID on the distance from the path | |
+//! | `pure_pursuit` | an arc to a point ahead on the path, slowed in bends and near the end | Macenski et al. 2023 |
+//!
+//! A plan without a trajectory is driven by its waypoints: `time_law` falls back to `wheel_law`.
 
+mod heading_first;
+mod pid;
+mod pure_pursuit;
+mod rail;
+mod timeline;
 mod trajectory;
 mod waypoints;
 
-pub use trajectory::{Timeline, TrajectoryTracker};
+pub use heading_first::HeadingFirst;
+pub use pid::PidTracker;
+pub use pure_pursuit::PurePursuit;
+pub use rail::Rail;
+pub use timeline::Timeline;
+pub use trajectory::TrajectoryTracker;
 pub use waypoints::WaypointTracker;
 
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::robot::{ControllerGains, Drive, TrackerKind};
+
+/// A law that follows a plan.
+pub trait Tracker: std::fmt::Debug + Send + Sync {
+    /// One tick: the wanted twist.
+    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2;
+
+    /// How far it is, for a robot at `map_from_base`.
+    fn progress(&self, map_from_base: &Pose2) -> Progress;
+
+    /// What it drives at, map frame: its name and place.
+    fn target(&self) -> Option<(&'static str, Point2<f64>)>;
+
+    /// The motion and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
+    fn motion(&self) -> Option<(&Timeline, f64)>;
+
+    /// Distance from where the plan has the robot, m, at the last tick.
+    fn off_track(&self) -> f64;
+
+    /// A copy.
+    fn boxed(&self) -> Box<dyn Tracker>;
+}
+
+impl Clone for Box<dyn Tracker> {
+    fn clone(&self) -> Self {
+        self.boxed()
+    }
+}
+
+/// The law of a kind for a trajectory, from plan time `time` (s) on; `waypoints` are the plan's own.
+#[must_use]
+pub fn along_trajectory(
+    kind: TrackerKind,
+    drive: &Drive,
+    timeline: Timeline,
+    time: f64,
+    waypoints: &[Point2<f64>],
+) -> Box<dyn Tracker> {
+    // Without corner points the trajectory's own points will do.
+    let corners = || {
+        if waypoints.is_empty() {
+            timeline.places(0.5)
+        } else {
+            waypoints.to_vec()
+        }
+    };
+    match kind {
+        TrackerKind::TimeLaw => Box::new(TrajectoryTracker::new(drive, timeline, time)),
+        TrackerKind::WheelLaw => {
+            let corners = corners();
+            Box::new(WaypointTracker::new(drive, corners).on(Rail::new(timeline, time)))
+        }
+        TrackerKind::HeadingFirst => {
+            let corners = corners();
+            Box::new(HeadingFirst::new(drive, corners, Some(Rail::new(timeline, time))))
+        }
+        TrackerKind::Pid => Box::new(PidTracker::new(drive, Rail::new(timeline, time))),
+        TrackerKind::PurePursuit => Box::new(PurePursuit::new(drive, Rail::new(timeline, time))),
+    }
+}
+
+/// The law of a kind for bare waypoints, from a robot at `map_from_base`.
+#[must_use]
+pub fn through_waypoints(
+    kind: TrackerKind,
+    drive: &Drive,
+    map_from_base: Pose2,
+    waypoints: Vec<Point2<f64>>,
+) -> Box<dyn Tracker> {
+    let rail = || Rail::new(Timeline::through(drive, map_from_base, &waypoints), 0.0);
+    match kind {
+        TrackerKind::TimeLaw | TrackerKind::WheelLaw => Box::new(WaypointTracker::new(drive, waypoints)),
+        TrackerKind::HeadingFirst => Box::new(HeadingFirst::new(drive, waypoints, None)),
+        TrackerKind::Pid => Box::new(PidTracker::new(drive, rail())),
+        TrackerKind::PurePursuit => Box::new(PurePursuit::new(drive, rail())),
+    }
+}
 
 /// What a tracker sees in one tick.
 #[derive(Clone, Copy, Debug)]
@@ -34,4 +132,10 @@ pub struct Progress {
     pub time_left: f64,
     /// Whether the robot is at rest at the end.
     pub finished: bool,
+}
+
+/// Scales a twist down to a wheel surface speed; the curvature stays.
+fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
+    let share = (cap / crate::limiter::wheel_surface_speed(drive, twist).max(1e-9)).min(1.0);
+    Twist2::new(share * twist.v, share * twist.w)
 }

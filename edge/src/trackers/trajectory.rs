@@ -5,12 +5,14 @@
 //! Plan time advances with progress: its rate falls below one when the robot lags behind, must brake for the plan's
 //! expiry, or still speeds up from rest. Nothing is ever caught up.
 
-use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::TrajectoryPoint;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{Progress, View};
+use super::{Progress, Timeline, Tracker, View, capped};
 use crate::limiter::wheel_surface_speed;
+use crate::stopping::GENTLE;
 
 /// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
 const LAG: (f64, f64) = (0.05, 0.20);
@@ -30,95 +32,6 @@ const SETTLED: (f64, f64) = (0.015, 0.03);
 const SETTLE_TIME: f64 = 2.0;
 /// At rest: wheel surface speed, m/s.
 const AT_REST: f64 = 0.02;
-
-/// Trajectory points with the way along them. Time may begin below zero: what is left of the motion before a splice.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Timeline {
-    points: Vec<TrajectoryPoint>,
-    lengths: Vec<f64>,
-}
-
-impl Timeline {
-    /// From points in the order of time.
-    #[must_use]
-    pub fn new(points: Vec<TrajectoryPoint>) -> Self {
-        let mut length = 0.0;
-        let mut lengths = Vec::with_capacity(points.len());
-        let mut last: Option<Pose2> = None;
-        for point in &points {
-            length += last.map_or(0.0, |last| last.distance(&point.pose()));
-            lengths.push(length);
-            last = Some(point.pose());
-        }
-        Self { points, lengths }
-    }
-
-    /// The part of this motion from `now` up to `until`, then `next`, whose time zero is `until` here.
-    #[must_use]
-    pub fn spliced(&self, now: f64, until: f64, next: &[TrajectoryPoint]) -> Self {
-        let mut points = Vec::with_capacity(next.len() + 64);
-        if now < until {
-            let first = self.sample(now);
-            let rest = self.points.iter().filter(|point| point.t > now && point.t < until);
-            points.extend(std::iter::once(&first).chain(rest).map(|point| TrajectoryPoint {
-                t: point.t - until,
-                ..*point
-            }));
-        }
-        points.extend_from_slice(next);
-        Self::new(points)
-    }
-
-    /// The points.
-    #[must_use]
-    pub fn points(&self) -> &[TrajectoryPoint] {
-        &self.points
-    }
-
-    /// When it begins, s.
-    #[must_use]
-    pub fn start(&self) -> f64 {
-        self.points.first().map_or(0.0, |point| point.t)
-    }
-
-    /// When it ends, s.
-    #[must_use]
-    pub fn end(&self) -> f64 {
-        self.points.last().map_or(0.0, |point| point.t)
-    }
-
-    /// Where the robot is to be at a time; held at both ends.
-    #[must_use]
-    pub fn sample(&self, t: f64) -> TrajectoryPoint {
-        let after = self.points.partition_point(|point| point.t <= t);
-        let (Some(from), to) = (self.points.get(after.saturating_sub(1)), self.points.get(after)) else {
-            return TrajectoryPoint::default();
-        };
-        let Some(to) = to.filter(|_| after > 0) else {
-            return TrajectoryPoint { t, ..*from };
-        };
-        let share = (t - from.t) / (to.t - from.t);
-        let between = |a: f64, b: f64| a + share * (b - a);
-        TrajectoryPoint {
-            t,
-            x: between(from.x, to.x),
-            y: between(from.y, to.y),
-            yaw: wrap_angle(from.yaw + share * wrap_angle(to.yaw - from.yaw)),
-            v: between(from.v, to.v),
-            w: between(from.w, to.w),
-        }
-    }
-
-    /// Way from a time to the end, m.
-    #[must_use]
-    pub fn length_left(&self, t: f64) -> f64 {
-        let after = self.points.partition_point(|point| point.t <= t);
-        let Some((to, length)) = self.points.get(after).zip(self.lengths.get(after)) else {
-            return 0.0;
-        };
-        self.lengths.last().copied().unwrap_or(0.0) - length + self.sample(t).pose().distance(&to.pose())
-    }
-}
 
 /// Follows a trajectory.
 #[derive(Clone, Debug)]
@@ -146,72 +59,10 @@ impl TrajectoryTracker {
         }
     }
 
-    /// The motion.
-    #[must_use]
-    pub fn timeline(&self) -> &Timeline {
-        &self.timeline
-    }
-
-    /// Distance from where the robot should be, m, at the last tick.
-    #[must_use]
-    pub fn off_track(&self) -> f64 {
-        self.off
-    }
-
-    /// Plan time reached, s.
-    #[must_use]
-    pub fn time(&self) -> f64 {
-        self.time
-    }
-
     /// Where the robot should be now.
     #[must_use]
     pub fn reference(&self) -> TrajectoryPoint {
         self.timeline.sample(self.time)
-    }
-
-    /// How far it is.
-    #[must_use]
-    pub fn progress(&self) -> Progress {
-        let end = self.timeline.end();
-        Progress {
-            time: self.time,
-            waypoint: 0,
-            distance_left: self.timeline.length_left(self.time),
-            time_left: (end - self.time).max(0.0),
-            finished: self.finished,
-        }
-    }
-
-    /// One tick: the wanted twist.
-    pub fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
-        let goal = self.timeline.sample(self.time);
-        let error = view.map_from_base.inverse() * goal.pose();
-        self.off = error.x.hypot(error.y);
-        if self.finished {
-            return Twist2::ZERO;
-        }
-        let ended = self.time >= self.timeline.end();
-        if ended {
-            return self.settle(view, &error, gains);
-        }
-        let rate = self.rate(view, &goal, &error);
-        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.timeline.end());
-
-        // The motors answer late: ask for the speed of the moment at which they will have it.
-        let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
-        let (v, w) = (rate * ahead.v, rate * ahead.w);
-        let sinc = if error.yaw.abs() < 1e-3 {
-            1.0
-        } else {
-            error.yaw.sin() / error.yaw
-        };
-        let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
-        let wanted = Twist2::new(
-            v * error.yaw.cos() + gains.along_gain * error.x,
-            w + gains.cross_gain * v * sinc * error.y + spin * error.yaw,
-        );
-        capped(&self.drive, wanted, view.speed_cap)
     }
 
     /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
@@ -258,17 +109,75 @@ impl TrajectoryTracker {
             return Twist2::ZERO;
         }
         let wanted = Twist2::new(
-            (gains.along_gain * error.x).clamp(-SETTLE_SPEED, SETTLE_SPEED),
+            onwards((gains.along_gain * error.x).min(SETTLE_SPEED), 0.0),
             SPIN_GAIN * error.yaw,
         );
         capped(&self.drive, wanted, view.speed_cap)
     }
 }
 
-/// Scales a twist down to a wheel surface speed; the curvature stays.
-fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
-    let share = (cap / wheel_surface_speed(drive, twist).max(1e-9)).min(1.0);
-    Twist2::new(share * twist.v, share * twist.w)
+impl Tracker for TrajectoryTracker {
+    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+        let goal = self.timeline.sample(self.time);
+        let error = view.map_from_base.inverse() * goal.pose();
+        self.off = error.x.hypot(error.y);
+        if self.finished {
+            return Twist2::ZERO;
+        }
+        let ended = self.time >= self.timeline.end();
+        if ended {
+            return self.settle(view, &error, gains);
+        }
+        let rate = self.rate(view, &goal, &error);
+        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.timeline.end());
+
+        // The motors answer late: ask for the speed of the moment at which they will have it.
+        let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
+        let (v, w) = (rate * ahead.v, rate * ahead.w);
+        let sinc = if error.yaw.abs() < 1e-3 {
+            1.0
+        } else {
+            error.yaw.sin() / error.yaw
+        };
+        let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
+        let wanted = Twist2::new(
+            onwards(v * error.yaw.cos() + gains.along_gain * error.x, goal.v),
+            w + gains.cross_gain * v * sinc * error.y + spin * error.yaw,
+        );
+        capped(&self.drive, wanted, view.speed_cap)
+    }
+
+    fn progress(&self, _: &Pose2) -> Progress {
+        let end = self.timeline.end();
+        Progress {
+            time: self.time,
+            waypoint: 0,
+            distance_left: self.timeline.length_left(self.time),
+            time_left: (end - self.time).max(0.0),
+            finished: self.finished,
+        }
+    }
+
+    fn target(&self) -> Option<(&'static str, Point2<f64>)> {
+        Some(("reference", self.reference().pose().position()))
+    }
+
+    fn motion(&self) -> Option<(&Timeline, f64)> {
+        Some((&self.timeline, self.time))
+    }
+
+    fn off_track(&self) -> f64 {
+        self.off
+    }
+
+    fn boxed(&self) -> Box<dyn Tracker> {
+        Box::new(self.clone())
+    }
+}
+
+/// A robot that is to go forwards does not drive back for a few centimetres: behind it nobody may look.
+fn onwards(speed: f64, planned: f64) -> f64 {
+    if planned < 0.0 { speed } else { speed.max(-GENTLE) }
 }
 
 #[cfg(test)]
@@ -276,6 +185,7 @@ fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
 mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
+    use zenav_protocol::geometry::wrap_angle;
     use zenav_protocol::robot::{RobotModel, shipped};
 
     fn model() -> RobotModel {
@@ -341,7 +251,9 @@ mod tests {
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 600, |_| f64::INFINITY);
         assert!(worst < 0.02, "{worst}");
         assert!(
-            tracker.progress().finished && pose.distance(&end) < 0.02 && wrap_angle(pose.yaw - end.yaw).abs() < 0.04,
+            tracker.progress(&pose).finished
+                && pose.distance(&end) < 0.02
+                && wrap_angle(pose.yaw - end.yaw).abs() < 0.04,
             "{pose:?} {end:?}"
         );
     }
@@ -360,7 +272,7 @@ mod tests {
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 800, halt);
         // The robot rolls out ahead of the reference, which comes after it.
         assert!(worst < 0.22, "{worst}");
-        assert!(tracker.progress().finished && pose.distance(&curve().sample(8.0).pose()) < 0.02);
+        assert!(tracker.progress(&pose).finished && pose.distance(&curve().sample(8.0).pose()) < 0.02);
     }
 
     #[test]
@@ -387,24 +299,8 @@ mod tests {
         let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
         let (_, pose) = drive(&mut tracker, Pose2::IDENTITY, 300, |_| f64::INFINITY);
         assert!(
-            tracker.progress().finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01,
+            tracker.progress(&pose).finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01,
             "{pose:?} {end}"
         );
-    }
-
-    #[test]
-    fn a_splice_keeps_the_old_motion_until_the_new_one_begins() {
-        let old = curve();
-        let next: Vec<_> = old
-            .points()
-            .iter()
-            .filter(|p| p.t >= 3.0)
-            .map(|p| TrajectoryPoint { t: p.t - 3.0, ..*p })
-            .collect();
-        let merged = old.spliced(2.5, 3.0, &next);
-        assert!((merged.start() + 0.5).abs() < 1e-12 && (merged.end() - 5.0).abs() < 1e-9);
-        let before = merged.sample(-0.25);
-        assert!(before.pose().distance(&old.sample(2.75).pose()) < 1e-9);
-        assert!(merged.points().windows(2).all(|pair| pair[0].t < pair[1].t));
     }
 }

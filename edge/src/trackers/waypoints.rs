@@ -10,7 +10,7 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{Progress, View};
+use super::{Progress, Rail, Timeline, Tracker, View};
 use crate::limiter::wheel_surface_speed;
 
 /// Bearing beyond which the robot turns on the spot, rad.
@@ -29,6 +29,8 @@ pub struct WaypointTracker {
     waypoints: Vec<Point2<f64>>,
     next: usize,
     finished: bool,
+    /// Where a plan with a trajectory has the robot.
+    rail: Option<Rail>,
 }
 
 impl WaypointTracker {
@@ -40,43 +42,21 @@ impl WaypointTracker {
             waypoints,
             next: 0,
             finished: false,
+            rail: None,
         }
+    }
+
+    /// The same for a plan with a trajectory.
+    #[must_use]
+    pub fn on(mut self, rail: Rail) -> Self {
+        self.rail = Some(rail);
+        self
     }
 
     /// The waypoint being driven to, map frame.
     #[must_use]
-    pub fn target(&self) -> Option<Point2<f64>> {
+    pub fn waypoint(&self) -> Option<Point2<f64>> {
         self.waypoints.get(self.next).copied()
-    }
-
-    /// One tick: the wanted twist.
-    pub fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
-        let here = view.map_from_base.position();
-        while let Some(target) = self.target() {
-            let last = self.next + 1 == self.waypoints.len();
-            let threshold = if last {
-                gains.waypoint_threshold.min(FINAL_THRESHOLD)
-            } else {
-                gains.waypoint_threshold
-            };
-            if (target - here).norm() >= threshold {
-                break;
-            }
-            self.next += 1;
-        }
-        let Some(target) = self.target() else {
-            self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
-            return Twist2::ZERO;
-        };
-        let limit = self.drive.max_wheel_speed.min(view.speed_cap / self.drive.wheel_radius);
-        let alpha = bearing(&view.map_from_base, target);
-        let rho = self.effective_distance(here).max(LEAST_RHO);
-        let turn = (gains.heading_gain * alpha).clamp(-limit, limit);
-        let fade = (1.0 - alpha.abs() / TURN_FIRST).max(0.0);
-        let forward = (gains.distance_gain * rho * fade)
-            .min(limit * fade)
-            .min(limit - turn.abs());
-        self.drive.twist([forward - turn, forward + turn])
     }
 
     /// The distance that the law sees: to the next waypoint, and on beyond it as far as the way goes straight on.
@@ -97,26 +77,74 @@ impl WaypointTracker {
         }
         rho
     }
+}
 
-    /// How far it is, for a robot at `map_from_base`.
-    #[must_use]
-    pub fn progress(&self, map_from_base: &Pose2) -> Progress {
+impl Tracker for WaypointTracker {
+    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+        if let Some(rail) = &mut self.rail {
+            rail.advance(&view.map_from_base);
+        }
+        let here = view.map_from_base.position();
+        while let Some(target) = self.waypoint() {
+            let last = self.next + 1 == self.waypoints.len();
+            let threshold = if last {
+                gains.waypoint_threshold.min(FINAL_THRESHOLD)
+            } else {
+                gains.waypoint_threshold
+            };
+            if (target - here).norm() >= threshold {
+                break;
+            }
+            self.next += 1;
+        }
+        let Some(target) = self.waypoint() else {
+            self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+            return Twist2::ZERO;
+        };
+        let limit = self.drive.max_wheel_speed.min(view.speed_cap / self.drive.wheel_radius);
+        let alpha = bearing(&view.map_from_base, target);
+        let rho = self.effective_distance(here).max(LEAST_RHO);
+        let turn = (gains.heading_gain * alpha).clamp(-limit, limit);
+        let fade = (1.0 - alpha.abs() / TURN_FIRST).max(0.0);
+        let forward = (gains.distance_gain * rho * fade)
+            .min(limit * fade)
+            .min(limit - turn.abs());
+        self.drive.twist([forward - turn, forward + turn])
+    }
+
+    fn progress(&self, map_from_base: &Pose2) -> Progress {
         let ahead = self.waypoints.iter().skip(self.next);
         let (distance_left, _) = ahead.fold((0.0, map_from_base.position()), |(sum, from), to| {
             (sum + (to - from).norm(), *to)
         });
         Progress {
-            time: 0.0,
+            time: self.rail.as_ref().map_or(0.0, Rail::time),
             waypoint: self.next,
             distance_left,
             time_left: distance_left / self.drive.top_speed(),
             finished: self.finished,
         }
     }
+
+    fn target(&self) -> Option<(&'static str, Point2<f64>)> {
+        self.waypoint().map(|place| ("waypoint", place))
+    }
+
+    fn motion(&self) -> Option<(&Timeline, f64)> {
+        self.rail.as_ref().map(Rail::motion)
+    }
+
+    fn off_track(&self) -> f64 {
+        self.rail.as_ref().map_or(0.0, Rail::off_track)
+    }
+
+    fn boxed(&self) -> Box<dyn Tracker> {
+        Box::new(self.clone())
+    }
 }
 
 /// Direction of a point relative to the robot's heading, rad.
-fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
+pub(super) fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
     let to = target - map_from_base.position();
     wrap_angle(to.y.atan2(to.x) - map_from_base.yaw)
 }

@@ -5,12 +5,18 @@
 #![expect(clippy::print_stdout, reason = "a command that prints its findings")]
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde_json::Value;
+use zenav_cloud::mapping::map_file::read_map;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::robot::TrackerKind;
+use zenav_sim::World;
+use zenav_tests::proving::ground::robot;
 use zenav_tests::proving::guard::GENTLE;
+use zenav_tests::proving::tracking::{self, percentile};
 
 /// Largest distance from a goal that counts as reached, m.
 const MAX_ERROR: f64 = 0.15;
@@ -21,6 +27,7 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words.as_slice() {
+        ["track", maps @ ..] => track(maps),
         ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
         ["kills", kills, rest @ ..] if kills.parse::<usize>().is_ok() => kill(kills.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
@@ -29,11 +36,72 @@ fn main() -> ExitCode {
         _ => {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
-                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance kills KILLS [SEED]"
+                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance kills KILLS [SEED]"
             );
             ExitCode::from(2)
         }
     }
+}
+
+/// Ways a map that every tracker drives.
+const WAYS: usize = 12;
+
+/// Drives the same ways by every tracker, in the kitchen and in maps, and prints a table.
+fn track(maps: &[&str]) -> ExitCode {
+    match tracked(maps) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn tracked(maps: &[&str]) -> Result<bool, Box<dyn std::error::Error>> {
+    let model = robot("tiago")?;
+    let mut worlds = vec![World::shipped("kitchen")?];
+    for name in maps {
+        let map = read_map(Path::new(name), 0.05)?;
+        worlds.push(World::from_map(name, map, Pose2::IDENTITY));
+    }
+    let mut good = true;
+    println!(
+        "{:30} {:14} {:>8} {:>8} {:>8} {:>9} {:>9} {:>8} {:>8}",
+        "map", "tracker", "p50, cm", "p95, cm", "max, cm", "reached", "time, s", "J/m", "guarded"
+    );
+    for world in &worlds {
+        let ways = tracking::ways(&tracking::true_map(world), &model, 1, WAYS);
+        let mut least = f64::INFINITY;
+        for (name, law) in tracking::LAWS {
+            let mut errors = Vec::new();
+            let (mut reached, mut secs, mut joules, mut metres, mut guarded) = (0, 0.0, 0.0, 0.0, 0);
+            for (seed, way) in ways.iter().enumerate() {
+                let drive = tracking::drive(world, &model, law, way, seed as u64 + 1)?;
+                errors.extend(drive.errors);
+                reached += usize::from(drive.secs.is_some() && drive.contacts == 0);
+                secs += drive.secs.unwrap_or(f64::NAN);
+                joules += drive.drawn_j;
+                metres += drive.length;
+                guarded += drive.interventions;
+            }
+            let mut cm = |share| 100.0 * percentile(&mut errors, share);
+            let (p50, p95, most) = (cm(0.5), cm(0.95), cm(1.0));
+            println!(
+                "{:30} {name:14} {p50:8.2} {p95:8.2} {most:8.2} {:>9} {secs:9.1} {:8.1} {guarded:8}",
+                world.name(),
+                format!("{reached}/{}", ways.len()),
+                joules / metres,
+            );
+            if law == TrackerKind::TimeLaw {
+                least = p95;
+                good &= p95 < 3.0 && reached == ways.len() && ways.len() == WAYS;
+            } else {
+                good &= least < p95;
+            }
+        }
+    }
+    Ok(good)
 }
 
 /// Drives in random worlds on every core, and prints a table by command.

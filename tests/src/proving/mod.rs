@@ -5,10 +5,12 @@
 //! |---|---|
 //! | [`ground`] | how do a world, a robot and its pilot step together? |
 //! | [`worlds`] | what does a random world look like? |
+//! | [`tracking`] | how near to its path does each tracker keep the robot? |
 //! | [`kills`] | is any goal lost when the orchestrator is killed? |
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
 
 pub mod ground;
 pub mod guard;
 pub mod kills;
+pub mod tracking;
 pub mod worlds;

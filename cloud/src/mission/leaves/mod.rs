@@ -5,7 +5,7 @@
 //! | `ports`, [`path`] | how goals, lists of them and paths are written in a tree; what there is to know of a path |
 //! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
 //! | `smooth_path` | SmoothPath |
-//! | `follow_path` | FollowPath |
+//! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
@@ -40,6 +40,7 @@ mod selectors;
 mod services;
 mod simple;
 mod smooth_path;
+mod tracking;
 
 use super::context::Context;
 use crate::behaviour_tree::{

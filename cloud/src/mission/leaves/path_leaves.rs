@@ -6,9 +6,9 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
-use super::follow_path::TrackingFeedback;
 use super::path::{self, Nearest};
 use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
+use super::tracking::TrackingFeedback;
 use super::{AtOnce, step};
 use crate::behaviour_tree::{LeafIo, Status, Value};
 use crate::mission::context::Context;
