@@ -171,7 +171,7 @@ fn a_way_through_poses_passes_all_of_them() {
     let through = file(&format!(
         r#"<RecoveryNode number_of_retries="6"><PipelineSequence>{SELECT}
           <RateController hz="0.333"><RecoveryNode><ReactiveSequence>
-            <RemovePassedGoals input_goals="{{goals}}" output_goals="{{goals}}" radius="0.7" input_waypoint_statuses="{{statuses}}" output_waypoint_statuses="{{statuses}}"/>
+            <RemovePassedGoals input_goals="{{goals}}" output_goals="{{goals}}" radius="0.7" input_waypoint_statuses="{{waypoint_statuses}}" output_waypoint_statuses="{{waypoint_statuses}}"/>
             <ComputePathThroughPoses goals="{{goals}}" path="{{path}}" planner_id="{{planner}}" error_code_id="{{plan_code}}"/>
           </ReactiveSequence><ClearEntireCostmap service_name="global_costmap/clear_entirely_global_costmap"/></RecoveryNode></RateController>
           {FOLLOW}</PipelineSequence><Wait wait_duration="1.0"/></RecoveryNode>"#
