@@ -219,7 +219,7 @@ impl<T: AtOnce> Leaf<Context> for Prompt<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match self.0.answer(io, ctx) {
             Ok(status) => status,
-            Err(why) => io.fail(why),
+            Err(why) => fail(io, ctx, None, why),
         }
     }
 }

@@ -244,7 +244,13 @@ fn a_tree_that_checks_the_bounds_of_the_path_drives_within_them() {
     rig.edge.stuck = true;
     rig.edge.pose.y += 0.5;
     assert!(rig.run_until(5.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.state("g"), GoalPhase::Aborted);
+    let state = rig.goal("g");
+    assert_eq!(state.state, GoalPhase::Aborted);
+    assert!(
+        state.reason.as_ref().unwrap().contains("beside the path"),
+        "{:?}",
+        state.reason
+    );
 }
 
 #[test]
