@@ -219,7 +219,7 @@ impl<T: AtOnce> Leaf<Context> for Prompt<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match self.0.answer(io, ctx) {
             Ok(status) => status,
-            Err(why) => io.fail(why),
+            Err(why) => fail(io, ctx, None, why),
         }
     }
 }
@@ -235,12 +235,11 @@ impl Travel for Context {
 
     fn measure(&self, path: &Value) -> Option<Measure> {
         let data = parse_path(path).ok()?;
-        let end = data.points.last()?;
         let pose = self.robot.pose()?;
         let length = path::length(&data.points);
         let near = path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY)?;
         Some(Measure {
-            end: [end.x, end.y],
+            end: [data.goal.x, data.goal.y],
             length,
             left: length - near.along,
         })
