@@ -23,7 +23,7 @@ pub trait Travel {
 /// What is to be known of a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
-    /// Its last point, m.
+    /// Where it leads, m.
     pub end: [f64; 2],
     /// Its length, m.
     pub length: f64,

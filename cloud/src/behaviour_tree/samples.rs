@@ -126,8 +126,6 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(300))]
-
         /// What the fuzzer does without its compiler: pieces of the corpus in another order.
         #[test]
         fn cut_and_joined_files_are_run_or_refused(

@@ -93,7 +93,9 @@ impl<C> Tree<C> {
 
     /// Whether the tree can be held from outside: it has a `PauseResumeController`.
     pub fn can_pause(&self) -> bool {
-        self.nodes.iter().any(|node| matches!(node.kind, Kind::PauseResume { .. }))
+        self.nodes
+            .iter()
+            .any(|node| matches!(node.kind, Kind::PauseResume { .. }))
     }
 
     /// Asks every `PauseResumeController` to pause, or to go on.

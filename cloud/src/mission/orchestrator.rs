@@ -403,6 +403,16 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
         Target::Pose(goal) => set("goal", Value::text(goal_text(goal)))?,
         Target::Waypoints(goals) => {
             set("goals", goals_value(goals)?)?;
+            if request.tree.is_some() {
+                // As Nav2 gives them to its trees: 0 is pending.
+                let statuses: Vec<serde_json::Value> = (0..goals.len())
+                    .map(|index| serde_json::json!({"waypoint_status": 0, "waypoint_index": index}))
+                    .collect();
+                set(
+                    "waypoint_statuses",
+                    Value::data(&statuses).map_err(|error| error.to_string())?,
+                )?;
+            }
         }
         Target::Tree => {}
     }

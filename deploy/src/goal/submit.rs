@@ -210,6 +210,18 @@ mod tests {
     }
 
     #[test]
+    fn a_tree_may_run_for_a_place_to_go_to() {
+        let goal = request(&["1", "2", "--tree", "navigate"]).unwrap();
+        assert_eq!((goal.x, goal.tree.as_deref()), (Some(1.0), Some("navigate")));
+        let goal = request(&["--place", "sink", "--tree", "navigate"]).unwrap();
+        assert_eq!(
+            (goal.place.as_deref(), goal.tree.as_deref()),
+            (Some("sink"), Some("navigate"))
+        );
+        assert!(request(&["1", "2", "--place", "sink", "--tree", "navigate"]).is_err());
+    }
+
+    #[test]
     fn negative_numbers_are_places_not_options() {
         let goal = request(&["-1.46", "-3.12", "-1.57", "--tolerance", "0.2"]).unwrap();
         assert_eq!(

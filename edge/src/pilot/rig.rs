@@ -44,6 +44,10 @@ impl Rig {
         let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
         // It looks behind itself, too: it may back up.
         model.lidar.field_of_view = std::f64::consts::TAU;
+        Self::of(model, stored)
+    }
+
+    pub fn of(model: RobotModel, stored: Persisted) -> Self {
         let config = EdgeConfig::new(Id::robot("tiago").unwrap(), model.clone(), Pose2::IDENTITY);
         let mut rig = Self {
             pilot: Pilot::new(config, "boot-1".into(), stored),

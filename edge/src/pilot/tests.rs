@@ -350,7 +350,12 @@ fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
     rig.ask(to_free("free", 1.0)).unwrap();
     rig.run(15.0);
     let report = rig.state.as_ref().unwrap().behaviour.clone().unwrap();
-    assert_eq!((report.id.as_str(), report.state), ("free", BehaviourState::Succeeded), "{report:?} {:?}", rig.pose);
+    assert_eq!(
+        (report.id.as_str(), report.state),
+        ("free", BehaviourState::Succeeded),
+        "{report:?} {:?}",
+        rig.pose
+    );
     let clearance = ROOM - rig.pose.x.abs().max(rig.pose.y.abs()) - 0.265;
     assert!((0.18..0.3).contains(&clearance), "{clearance}: {:?}", rig.pose);
 }

@@ -4,13 +4,17 @@
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::*;
+use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::rig::{ROOM, Rig};
 use crate::mailbox::{Answer, Persisted, Question};
 
 /// Nobody commands, and the policy is to follow walls.
 fn left_alone() -> (Rig, u64) {
-    let mut rig = Rig::new(Persisted::default());
+    let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    // Enough for walls, and quick.
+    model.lidar.beams = 181;
+    let mut rig = Rig::of(model, Persisted::default());
     let epoch = rig.mission();
     rig.ask(Question::Mode(ModeRequest {
         on_lost: Some(LostPolicy::WallFollow),
@@ -100,7 +104,6 @@ fn it_searches_approaches_turns_and_follows_at_its_distance() {
 #[test]
 fn its_distance_can_be_changed_while_it_follows_and_nonsense_changes_nothing() {
     let (mut rig, _) = left_alone();
-    rig.run(35.0);
     // Whoever sets a parameter holds the lease meanwhile.
     let epoch = operator(&mut rig, "p");
     let mut set = |name: &str, value| {
@@ -123,7 +126,7 @@ fn its_distance_can_be_changed_while_it_follows_and_nonsense_changes_nothing() {
     };
     assert_eq!(reply.params["target_distance"], 0.75);
     give_back(&mut rig);
-    rig.run(60.0);
+    rig.run(45.0);
     assert_eq!(state(&rig), Some(WallFollowerState::WallFollow));
     assert!((distance(&rig) - 0.75).abs() < 0.03, "{:?}", rig.pose);
 }
@@ -143,7 +146,7 @@ fn an_operator_stops_it_at_once_and_gives_it_back() {
 
 #[test]
 fn a_bump_from_anywhere_is_left_only_by_an_operator_who_drives_away() {
-    for secs in [0.5, 8.0, 35.0] {
+    for secs in [0.5, 8.0, 25.0] {
         let (mut rig, _) = left_alone();
         rig.run(secs);
         rig.bump = Some(0.3);

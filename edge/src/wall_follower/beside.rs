@@ -11,6 +11,8 @@ use super::line::Wall;
 
 /// Walls this far fore or aft of abeam are not beside: the tangent of 60 degrees.
 const FORE_AND_AFT: f64 = 1.732;
+/// A wall that is left behind or lies ahead counts as this many times farther.
+const PASSING: f64 = 1.5;
 /// What stands out from a wall by less is the wall, m.
 const ROUGHNESS: f64 = 0.05;
 /// Farther from the wall than it can correct at once, the robot heads towards it by no more than this, as a sine.
@@ -31,15 +33,19 @@ pub struct Beside {
     pub towards: Vector2<f64>,
     /// Whether the wall ends there: an outer corner.
     pub ends: bool,
+    /// Whether the wall comes nearer still, but fore or aft: it is left behind or lies ahead.
+    pub passes: bool,
 }
 
 impl Beside {
-    /// The nearest wall on the left.
+    /// The nearest wall on the left; one that comes nearer still fore or aft is behind others that are not much farther.
     #[must_use]
     pub fn of(walls: impl Iterator<Item = Wall>) -> Option<Self> {
-        walls
-            .filter_map(Self::on)
-            .min_by(|a, b| a.distance.total_cmp(&b.distance))
+        walls.filter_map(Self::on).min_by(|a, b| a.rank().total_cmp(&b.rank()))
+    }
+
+    fn rank(&self) -> f64 {
+        self.distance * if self.passes { PASSING } else { 1.0 }
     }
 
     fn on(wall: Wall) -> Option<Self> {
@@ -69,6 +75,7 @@ impl Beside {
             distance,
             towards: point.coords.try_normalize(1e-6)?,
             ends: (share <= 0.0 || share >= 1.0) && foot != share,
+            passes: foot.clamp(0.0, 1.0) != share,
         })
     }
 
@@ -145,6 +152,15 @@ mod tests {
             "the right"
         );
         assert_eq!(Beside::of([wall((1.0, 0.2), (1.0, -2.0))].into_iter()), None, "ahead");
+    }
+
+    #[test]
+    fn past_an_inner_corner_the_new_wall_counts_though_the_old_one_is_as_near() {
+        let old = wall((-0.3, 0.5), (-0.3, -2.0));
+        let new = wall((2.0, 0.5), (-0.3, 0.5));
+        let beside = Beside::of([old, new].into_iter()).unwrap();
+        assert_eq!((beside.wall, beside.distance, beside.passes), (new, 0.5, false));
+        assert!(Beside::of([old].into_iter()).unwrap().passes);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Trees inside trees, and what they see of the blackboard.
 
 use super::rig::Rig;
-use crate::behaviour_tree::Value;
+use crate::behaviour_tree::{Status, Value};
 
 /// `main` in the main tree, `sub` in the tree Sub.
 fn rig(main: &str, sub: &str) -> Rig {
@@ -91,4 +91,45 @@ fn the_model_of_a_subtree_gives_defaults_to_what_is_not_remapped() {
     );
     rig.ticks(1);
     assert_eq!(rig.log(), "4");
+}
+
+/// Groot2's own notes, both forms of a node, models of nodes that are known anyway.
+#[test]
+fn a_file_as_groot2_writes_it_is_read() {
+    let text = r#"<?xml version="1.0" encoding="UTF-8"?>
+<root BTCPP_format="4" project_name="Project" main_tree_to_execute="Main">
+  <!-- ////////// -->
+  <BehaviorTree ID="Main" editable="true" _fullpath="a/b" _description="main">
+    <Sequence name="root_seq" _uid="1" _description="x">
+      <Script code=" msg:='hello' " _onSuccess="done:=true"/>
+      <SubTree ID="Sub" _autoremap="true" name="s" _fullpath="s::4"/>
+      <Action ID="Sleep" msec="10" _skipIf="false"/>
+      <AlwaysSuccess _failureIf="" _while=" "/>
+      <Decorator ID="RateController" hz="5"><Condition ID="ScriptCondition" code="1 == 1"/></Decorator>
+    </Sequence>
+  </BehaviorTree>
+  <BehaviorTree ID="Sub"><AlwaysSuccess/></BehaviorTree>
+  <!-- Description of Node Models (used by Groot) -->
+  <TreeNodesModel>
+    <Action ID="Grab" editable="true">
+      <input_port name="where" type="std::string" default="here">place</input_port>
+      <MetadataFields><Metadata k="v"/></MetadataFields>
+    </Action>
+    <SubTree ID="Sub" editable="true"><MetadataFields><Metadata k="v"/></MetadataFields></SubTree>
+    <Decorator ID="RateController"><input_port name="hz" default="10.0" type="double"/></Decorator>
+  </TreeNodesModel>
+</root>"#;
+    let none = &mut |_: &str, _: &str| Err("none".to_owned());
+    let mut tree = crate::behaviour_tree::build("groot.xml", text.as_bytes(), &super::rig::registry(), None, none)
+        .unwrap_or_else(|errors| panic!("{errors}"));
+    let mut world = super::rig::World::default();
+    let mut answers = Vec::new();
+    for ms in [0, 20] {
+        answers.push(tree.tick(std::time::Duration::from_millis(ms), &mut world).unwrap());
+    }
+    assert_eq!(answers, [Status::Running, Status::Success]);
+    assert_eq!(
+        tree.blackboard().get("done").map(ToString::to_string).as_deref(),
+        Some("true")
+    );
 }

@@ -249,7 +249,10 @@ fn node(element: &Element, spec: &NodeSpec, forest: &Forest, errors: &mut Collec
 fn special(attribute: &Attribute, spec: &NodeSpec, errors: &mut Collector) {
     let name = attribute.name.as_str();
     if GUARDS.contains(&name) {
-        if let Err(wrong) = script::parse(&attribute.value) {
+        // An editor's empty field: no script.
+        if !attribute.value.trim().is_empty()
+            && let Err(wrong) = script::parse(&attribute.value)
+        {
             errors.add(
                 attribute.at,
                 format!("{name}: {} at character {}", wrong.message, wrong.at),

@@ -252,7 +252,8 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
     let Some(element) = forest.elements.get(id) else { return };
     let at = element.at;
     for attribute in &element.attributes {
-        if attribute.name != "ID" && !attribute.name.starts_with('_') {
+        // Groot2 notes what it may edit.
+        if !matches!(attribute.name.as_str(), "ID" | "editable") && !attribute.name.starts_with('_') {
             errors.add(
                 attribute.at,
                 format!("unknown attribute `{}` of <BehaviorTree>", attribute.name),

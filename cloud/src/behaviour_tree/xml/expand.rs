@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::check::{pointer, specification};
-use super::document::{Element, ElementId, Forest};
+use super::document::{Attribute, Element, ElementId, Forest};
 use super::error::{Collector, Place};
 use crate::behaviour_tree::blackboard::{Blackboard, ScopeId, Slot};
 use crate::behaviour_tree::builtins::{self, Ports};
@@ -316,7 +316,8 @@ impl<C> Site<'_, '_, C> {
         let mut guards = Guards::default();
         let mut any = false;
         let element = self.element;
-        for attribute in &element.attributes {
+        let filled = |attribute: &&Attribute| !attribute.value.trim().is_empty();
+        for attribute in element.attributes.iter().filter(filled) {
             let place = match attribute.name.as_str() {
                 "_failureIf" => &mut guards.failure_if,
                 "_successIf" => &mut guards.success_if,

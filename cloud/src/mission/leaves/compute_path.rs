@@ -1,17 +1,20 @@
 //! ComputePathToPose, ComputePathThroughPoses: a way to the goal or through goals, planned and smoothed by workers, put on
 //! the blackboard. With `start` it begins there, not where the robot is: then it is a way that nobody has made a motion yet.
 
+use nalgebra::Point2;
 use zenav_protocol::messages::GoalPoint;
 
 use super::ports::{goal_on, goals_on, pose_of};
 use super::selectors::Choice;
-use super::{fail, no_error, step};
+use super::{fail, no_error, path, step};
 use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
-use crate::mission::route::{Quest, RouteData, Search, Searching, error_code};
+use crate::mission::route::{Quest, Route, RouteData, Search, Searching, error_code};
 
 /// Nav2's codes of the same reasons are so much higher for a way through poses.
 const THROUGH_POSES: i64 = 100;
+/// The path on the blackboard leaves the motion by at most so much, m.
+const EXACT: f64 = 0.01;
 /// Nav2's code for no goals at all, ComputePathThroughPoses.
 const NO_VIAPOINTS_GIVEN: i64 = 309;
 
@@ -68,6 +71,16 @@ fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<Quest, (i64, String)> {
     })
 }
 
+/// The way as it will be driven: the motion cuts the corners of what the planner found.
+fn driven(route: &Route) -> Vec<Point2<f64>> {
+    let trajectory = &route.course.trajectory;
+    if trajectory.is_empty() {
+        return route.path.clone();
+    }
+    let points: Vec<Point2<f64>> = trajectory.iter().map(|point| Point2::new(point.x, point.y)).collect();
+    path::simplified(&points, EXACT)
+}
+
 impl Leaf<Context> for ComputePath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let quest = match quest(io, ctx) {
@@ -100,7 +113,7 @@ impl Leaf<Context> for ComputePath {
             Searching::Found(route) => {
                 let (via, only_a_way) = (std::mem::take(&mut quest.via), quest.from.is_some());
                 self.search = None;
-                let (goal, points, length) = (route.goal, route.path.clone(), route.length);
+                let (goal, points, length) = (route.goal, driven(&route), route.length);
                 let data = RouteData {
                     route: if only_a_way { 0 } else { ctx.keep_route(*route) },
                     goal,

@@ -5,18 +5,17 @@
 
 use std::sync::Arc;
 
-use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{GoalPhase, GoalPoint};
 use zenav_protocol::time::Stamp;
 
-use super::path;
 use super::ports::path_on;
 use super::progress::Progress;
 use super::selectors::Choice;
+use super::tracking::Tracking;
 use super::{fail, no_error, step};
-use crate::behaviour_tree::{Leaf, LeafIo, Status, Value};
+use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
 use crate::mission::motion::{Recheck, Standing, recheck};
 use crate::mission::route::{Quest, Route, RouteData, Search, Searching};
@@ -48,14 +47,8 @@ const CHOICES: [(&str, Choice); 4] = [
     ("progress_checker_id", Choice::ProgressChecker),
     ("path_handler_id", Choice::PathHandler),
 ];
-/// So far ahead on the way it is looked where the robot is, m.
-const AHEAD: f64 = 2.0;
-/// A goal to pass counts as passed so far before it, m.
-const AT_VIA: f64 = 0.1;
 /// Nearer than this to its goal a robot at rest is there, as a share of the tolerance.
 const THERE: f64 = 0.5;
-/// Time between two words on how exactly the path is kept to, s.
-const FEEDBACK_PERIOD: f64 = 0.1;
 
 /// What stands farther ahead than this can wait …
 const FAR_SECS: f64 = 4.0;
@@ -70,10 +63,7 @@ pub struct FollowPath {
     refusals: u32,
     misses: u32,
     path_sequence: u64,
-    /// The path on the port, and how much of it lies behind the robot, m.
-    path: Option<RouteData>,
-    behind: f64,
-    told: Stamp,
+    tracking: Tracking,
     cancels: u64,
     rechecked: u64,
     /// A better route than the one being driven, from the tree.
@@ -89,24 +79,6 @@ pub struct FollowPath {
 struct Memory {
     goal: GoalPoint,
     motion: Option<u64>,
-}
-
-/// How exactly the path is kept to, as IsWithinPathTrackingBounds reads it.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub struct TrackingFeedback {
-    /// Distance from the path, m; positive left of it.
-    pub position_tracking_error: f64,
-    /// Heading beside the path's, rad.
-    pub heading_tracking_error: f64,
-    /// Straight distance to the goal, m.
-    #[serde(default)]
-    pub distance_to_goal: f64,
-    /// Way left, m.
-    #[serde(default)]
-    pub remaining_path_length: f64,
-    /// Forward speed, m/s.
-    #[serde(default)]
-    pub speed: f64,
 }
 
 /// Whether the robot stands at a goal that asks for no heading.
@@ -151,17 +123,15 @@ impl Leaf<Context> for FollowPath {
         if self.offered.is_none() {
             self.follow_points(ctx, &data);
         }
-        self.path = Some(data);
+        self.tracking.follow(data);
         self.tick(io, ctx)
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.cancels = ctx.cancels(io.id());
         self.path_sequence = io.sequence("path");
-        self.path = path_on(io, "path").ok();
-        if let (Some(data), Some(pose)) = (&self.path, ctx.robot.pose()) {
-            let near = path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY);
-            self.behind = near.map_or(0.0, |near| near.along);
+        if let Ok(data) = path_on(io, "path") {
+            self.tracking.take_up(data, ctx);
         }
         let memory: Option<Memory> = io.recall();
         if memory.is_none_or(|memory| memory.motion.is_none() || memory.motion != ctx.motion.id()) {
@@ -186,7 +156,7 @@ impl Leaf<Context> for FollowPath {
             return Status::Success;
         }
         self.look_for_offer(io, ctx, &mut memory);
-        self.tell_tracking(io, ctx);
+        self.tracking.observe(io, ctx);
         if let Some(why) = ctx.obstacle_to_driving() {
             self.progress.reset();
             self.stop_search(ctx);
@@ -268,16 +238,12 @@ impl FollowPath {
             && !data.points.is_empty()
         {
             self.offered = ctx.route(data.route);
-            let other = self.path.as_ref() != Some(&data);
-            if self.offered.is_none() && other {
-                self.follow_points(ctx, &data);
-            }
             if memory.goal != data.goal {
                 memory.goal = data.goal;
                 self.remember(io, *memory);
             }
-            if other {
-                (self.path, self.behind) = (Some(data), 0.0);
+            if self.tracking.follow(data.clone()) && self.offered.is_none() {
+                self.follow_points(ctx, &data);
             }
         }
     }
@@ -290,34 +256,6 @@ impl FollowPath {
             ..Quest::to(data.goal)
         };
         self.search = Some(Search::new(ctx, quest, None, ctx.now));
-    }
-
-    /// Where the robot is beside the path: Nav2's TrackingFeedback, for those who listen.
-    fn tell_tracking(&mut self, io: &mut LeafIo<'_>, ctx: &Context) {
-        let (Some(pose), Some(data)) = (ctx.robot.pose(), &self.path) else {
-            return;
-        };
-        let whole = path::length(&data.points);
-        let (from, to) = (self.behind, self.behind + AHEAD);
-        let Some(near) = path::nearest(&data.points, pose.position(), from, to.min(whole)) else {
-            return;
-        };
-        self.behind = near.along;
-        if !io.is_writable("tracking_feedback") || ctx.now.secs_since(self.told) < FEEDBACK_PERIOD {
-            return;
-        }
-        self.told = ctx.now;
-        let feedback = TrackingFeedback {
-            position_tracking_error: near.left,
-            heading_tracking_error: wrap_angle(pose.yaw - near.heading),
-            distance_to_goal: (pose.x - data.goal.x).hypot(pose.y - data.goal.y),
-            remaining_path_length: whole - near.along,
-            speed: ctx.robot.velocity().v,
-        };
-        // A tree that has put something else on this port gets no feedback.
-        if let Ok(value) = Value::data(&feedback) {
-            let _ = io.set_fleeting("tracking_feedback", value);
-        }
     }
 
     /// Whether a route begins where the robot will be.
@@ -460,20 +398,10 @@ impl FollowPath {
         self.stop_search(ctx);
         let from = ctx.now.plus_secs(wait);
         let quest = Quest {
-            via: self.goals_ahead(),
+            via: self.tracking.goals_ahead(),
             ..Quest::to(goal)
         };
         self.search = Some(Search::new(ctx, quest, None, from));
-    }
-
-    /// Goals on the path that the robot has yet to pass.
-    fn goals_ahead(&self) -> Vec<GoalPoint> {
-        let Some(data) = &self.path else { return Vec::new() };
-        let is_ahead = |goal: &&GoalPoint| {
-            path::nearest(&data.points, Point2::new(goal.x, goal.y), self.behind, f64::INFINITY)
-                .is_some_and(|near| near.along > self.behind + AT_VIA)
-        };
-        data.via.iter().filter(is_ahead).copied().collect()
     }
 
     fn stop_search(&mut self, ctx: &mut Context) {

@@ -5,7 +5,7 @@
 //! | `ports`, [`path`] | how goals, lists of them and paths are written in a tree; what there is to know of a path |
 //! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
 //! | `smooth_path` | SmoothPath |
-//! | `follow_path` | FollowPath |
+//! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
@@ -40,6 +40,7 @@ mod selectors;
 mod services;
 mod simple;
 mod smooth_path;
+mod tracking;
 
 use super::context::Context;
 use crate::behaviour_tree::{
@@ -218,7 +219,7 @@ impl<T: AtOnce> Leaf<Context> for Prompt<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match self.0.answer(io, ctx) {
             Ok(status) => status,
-            Err(why) => io.fail(why),
+            Err(why) => fail(io, ctx, None, why),
         }
     }
 }
@@ -234,12 +235,11 @@ impl Travel for Context {
 
     fn measure(&self, path: &Value) -> Option<Measure> {
         let data = parse_path(path).ok()?;
-        let end = data.points.last()?;
         let pose = self.robot.pose()?;
         let length = path::length(&data.points);
         let near = path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY)?;
         Some(Measure {
-            end: [end.x, end.y],
+            end: [data.goal.x, data.goal.y],
             length,
             left: length - near.along,
         })

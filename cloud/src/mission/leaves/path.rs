@@ -12,7 +12,7 @@ pub struct Nearest {
     pub along: f64,
     /// Distance from the place, m.
     pub distance: f64,
-    /// The same, positive where the place lies left of the way.
+    /// The same, positive where the place lies left of the way; before its beginning, only what lies aside of it.
     pub left: f64,
     /// Heading of the way there, rad.
     pub heading: f64,
@@ -60,10 +60,15 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
         let across = place - (a + unit * at);
         let distance = across.norm();
         if best.is_none_or(|best| distance < best.distance) {
+            let aside = unit.x * across.y - unit.y * across.x;
             best = Some(Nearest {
                 along: begin + at,
                 distance,
-                left: distance.copysign(unit.x * across.y - unit.y * across.x),
+                left: if begin + at > 0.0 {
+                    distance.copysign(aside)
+                } else {
+                    aside
+                },
                 heading: unit.y.atan2(unit.x),
             });
         }
@@ -171,6 +176,8 @@ mod tests {
             (near.along - 3.0).abs() < 1e-12 && (near.left + 0.3).abs() < 1e-12,
             "{near:?}"
         );
+        let before = nearest(&corner(), Point2::new(-1.0, 0.1), 0.0, f64::INFINITY).unwrap();
+        assert!((before.left - 0.1).abs() < 1e-12 && before.distance > 1.0);
         assert_eq!(nearest(&[], Point2::origin(), 0.0, 1.0), None);
     }
 

@@ -6,10 +6,10 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
-use super::follow_path::TrackingFeedback;
 use super::path::{self, Nearest};
 use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
-use super::{AtOnce, step};
+use super::tracking::TrackingFeedback;
+use super::{AtOnce, fail, step};
 use crate::behaviour_tree::{LeafIo, Status, Value};
 use crate::mission::context::Context;
 use crate::mission::motion::{Recheck, recheck};
@@ -276,7 +276,7 @@ impl AtOnce for PathExpiringTimer {
 pub struct IsWithinPathTrackingBounds;
 
 impl AtOnce for IsWithinPathTrackingBounds {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         if io.value("tracking_feedback").is_err() {
             return Ok(Status::Success);
         }
@@ -288,7 +288,6 @@ impl AtOnce for IsWithinPathTrackingBounds {
         if aside && feedback.heading_tracking_error.abs() <= heading {
             return Ok(Status::Success);
         }
-        io.say(format!("{error:.2} m beside the path"));
-        Ok(Status::Failure)
+        Ok(fail(io, ctx, None, format!("{error:.2} m beside the path")))
     }
 }

@@ -33,7 +33,7 @@ pub fn parse_goal(value: &Value, places: &Places) -> Result<GoalPoint, String> {
             .or_else(|| text.trim_start().starts_with('{').then_some(text))
         {
             Some(json) => serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?,
-            None if text.trim_start().starts_with(char::is_alphabetic) => named(text.trim(), places)?,
+            None if !text.contains(';') => named(text.trim(), places)?,
             None => parse_numbers(text)?,
         },
         Value::Data(data) => {
@@ -50,9 +50,7 @@ pub fn parse_goal(value: &Value, places: &Places) -> Result<GoalPoint, String> {
 }
 
 fn named(name: &str, places: &Places) -> Result<GoalPoint, String> {
-    // Text that is a number though it begins with a letter: `NaN;1`, `inf;2`.
-    let is_name = !name.contains(';');
-    if let (true, Some(place)) = (is_name, places.get(name)) {
+    if let Some(place) = places.get(name) {
         return Ok(*place);
     }
     let names: Vec<&str> = places.keys().map(String::as_str).take(20).collect();

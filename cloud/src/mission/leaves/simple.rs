@@ -73,6 +73,9 @@ pub struct IsBatteryLow;
 
 impl Leaf<Context> for IsBatteryLow {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if io.get_optional("is_voltage").ok().flatten() == Some(true) {
+            return io.fail("robots tell the share of their charge: expected `is_voltage` to be false");
+        }
         let least = io.get_optional("min_battery").ok().flatten().unwrap_or(0.2);
         match ctx.robot.state() {
             Some(state) if state.battery < least => Status::Success,

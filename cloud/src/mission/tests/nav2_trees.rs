@@ -171,7 +171,7 @@ fn a_way_through_poses_passes_all_of_them() {
     let through = file(&format!(
         r#"<RecoveryNode number_of_retries="6"><PipelineSequence>{SELECT}
           <RateController hz="0.333"><RecoveryNode><ReactiveSequence>
-            <RemovePassedGoals input_goals="{{goals}}" output_goals="{{goals}}" radius="0.7" input_waypoint_statuses="{{statuses}}" output_waypoint_statuses="{{statuses}}"/>
+            <RemovePassedGoals input_goals="{{goals}}" output_goals="{{goals}}" radius="0.7" input_waypoint_statuses="{{waypoint_statuses}}" output_waypoint_statuses="{{waypoint_statuses}}"/>
             <ComputePathThroughPoses goals="{{goals}}" path="{{path}}" planner_id="{{planner}}" error_code_id="{{plan_code}}"/>
           </ReactiveSequence><ClearEntireCostmap service_name="global_costmap/clear_entirely_global_costmap"/></RecoveryNode></RateController>
           {FOLLOW}</PipelineSequence><Wait wait_duration="1.0"/></RecoveryNode>"#
@@ -244,7 +244,13 @@ fn a_tree_that_checks_the_bounds_of_the_path_drives_within_them() {
     rig.edge.stuck = true;
     rig.edge.pose.y += 0.5;
     assert!(rig.run_until(5.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.state("g"), GoalPhase::Aborted);
+    let state = rig.goal("g");
+    assert_eq!(state.state, GoalPhase::Aborted);
+    assert!(
+        state.reason.as_ref().unwrap().contains("beside the path"),
+        "{:?}",
+        state.reason
+    );
 }
 
 #[test]
