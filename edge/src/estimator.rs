@@ -1,11 +1,11 @@
 //! Where is the robot? Dead reckoning (`odom_from_base`, continuous) and its correction (`map_from_odom`), REP-105.
 //!
-//! An extended Kalman filter over (x, y, yaw, gyro bias) in the map frame: encoders and gyro predict, GPS, compass and
-//! corrections from off board update. A measurement is compared with the pose at its own stamp, reached backwards by
+//! An extended Kalman filter over (x, y, yaw, gyro bias, wheel scale) in the map frame: encoders and gyro predict, GPS, compass
+//! and corrections from off board update. A measurement is compared with the pose at its own stamp, reached backwards by
 //! odometry, so late and out-of-order ones count rightly; those that do not fit are gated by their Mahalanobis distance
 //! (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, ch. 5 and 11).
 
-use nalgebra::{Matrix3, Matrix4, RowVector4, SMatrix, SVector, Vector2, Vector3, Vector4};
+use nalgebra::{Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{Correction, Gps, Imu};
 use zenav_protocol::readings::Readings;
@@ -20,26 +20,40 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 const DOUBT_AFTER: u32 = 25;
 /// Least random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
 const SLIP: f64 = 1e-6;
+/// The wheels' variance is taken this much larger: arcs, steps and gates are not in the model.
+const CAUTION: f64 = 1.8;
 /// Wheels that have not turned for this long are at rest, s.
 const STILL: f64 = 0.5;
+/// A gyro that was silent for longer does not tell what happened meanwhile, s.
+const LONGEST_SPAN: f64 = 1.0;
 /// Random walk of the gyro's bias, (rad/s)² for each s.
 const BIAS_WALK: f64 = 1e-10;
+/// How far wheels may be from their stated radius, as a share (standard deviation), and how that wanders, 1/s.
+const SCALE: (f64, f64) = (0.01, 1e-9);
+/// Turns by wheels alone are wrong by this share: separation and unequal radii.
+const TURN_SHARE: f64 = 0.02;
+/// States: x, y, yaw, gyro bias, wheel scale.
+const STATES: usize = 5;
 
 /// The pose filter.
 #[derive(Clone, Debug)]
 pub struct Estimator {
     model: RobotModel,
-    /// x, y, yaw in the map, and the gyro's bias.
-    state: Vector4<f64>,
-    covariance: Matrix4<f64>,
+    /// x, y, yaw in the map, the gyro's bias, and how much larger the wheels are than stated, as a share.
+    state: SVector<f64, STATES>,
+    covariance: SMatrix<f64, STATES, STATES>,
     odom_from_base: Pose2,
     velocity: Twist2,
     history: PoseHistory,
     last: Option<(Stamp, [f64; 2])>,
     gyro: Option<(Stamp, f64)>,
+    /// Turn reckoned since the gyro's last reading, rad.
+    reckoned: f64,
     still: f64,
     stood_at: [f64; 2],
     rejected: [u32; 3],
+    /// Of each kind of measurement, the newest one's normalised innovation squared.
+    nis: [Option<f64>; 3],
 }
 
 /// What became of a measurement.
@@ -58,26 +72,30 @@ impl Estimator {
         let bias_std = model.imu.gyro_bias.abs().max(0.5 * model.imu.gyro_noise).max(1e-5);
         Self {
             model: model.clone(),
-            state: Vector4::new(start.x, start.y, start.yaw, 0.0),
-            covariance: Matrix4::from_diagonal(&Vector4::new(
+            state: SVector::from([start.x, start.y, start.yaw, 0.0, 0.0]),
+            covariance: SMatrix::from_diagonal(&SVector::from([
                 std * std,
                 std * std,
                 yaw_std * yaw_std,
                 bias_std * bias_std,
-            )),
+                SCALE.0 * SCALE.0,
+            ])),
             odom_from_base: Pose2::IDENTITY,
             velocity: Twist2::ZERO,
             history: PoseHistory::default(),
             last: None,
             gyro: None,
+            reckoned: 0.0,
             still: 0.0,
             stood_at: [0.0; 2],
             rejected: [0; 3],
+            nis: [None; 3],
         }
     }
 
     /// Takes one tick's readings: predicts, then updates by what came.
     pub fn step(&mut self, readings: &Readings) {
+        self.nis = [None; 3];
         self.predict(readings);
         if let Some(imu) = &readings.imu {
             self.compass(imu);
@@ -91,6 +109,12 @@ impl Estimator {
     #[must_use]
     pub fn map_from_base(&self) -> Pose2 {
         Pose2::new(self.state[0], self.state[1], self.state[2])
+    }
+
+    /// The normalised innovation squared of this tick's measurements: compass (1 degree of freedom), GPS (2), correction (3).
+    #[must_use]
+    pub fn nis(&self) -> [Option<f64>; 3] {
+        self.nis
     }
 
     /// Dead reckoning since start: continuous, drifting.
@@ -159,56 +183,88 @@ impl Estimator {
                 let metres = turn * drive.wheel_radius;
                 (self.model.encoders.noise * metres).powi(2) + slip * metres.abs()
             })
-            .sum::<f64>();
+            .sum::<f64>()
+            * CAUTION;
 
-        let mut variance = Vector4::new(
-            0.25 * wheel_variance,
-            0.0,
-            wheel_variance / drive.wheel_separation.powi(2),
-            BIAS_WALK * dt,
-        );
-        let (turn, by_gyro) = match self.gyro_rate(readings.imu.as_ref(), readings.stamp) {
-            Some(rate) => {
-                variance[2] = (self.model.imu.gyro_noise * dt).powi(2) + 1e-12;
-                ((rate - self.state[3]) * dt, true)
+        let forward_variance = 0.25 * wheel_variance;
+        let mut turn_variance = wheel_variance / drive.wheel_separation.powi(2) + (TURN_SHARE * rolled.w).powi(2);
+        let (turn, by_gyro) = match self.turned(readings.imu.as_ref(), readings.stamp, dt) {
+            Some((turn, variance)) => {
+                turn_variance = variance;
+                (turn, true)
             }
             None => (rolled.w, false),
         };
+        self.reckon(readings, turn);
         self.learn_bias_at_rest(wheels, dt);
 
+        let scale = 1.0 + self.state[4];
         let step = Twist2::new(rolled.v, turn);
         self.odom_from_base = self.odom_from_base.advance(step, 1.0);
         self.history.push(readings.stamp, self.odom_from_base);
         self.velocity = self.smoothed(Twist2::new(rolled.v / dt, turn / dt), dt);
 
         let heading = self.state[2] + 0.5 * turn;
-        let moved = self.map_from_base().advance(step, 1.0);
-        self.state = Vector4::new(moved.x, moved.y, moved.yaw, self.state[3]);
-        let mut jacobian = Matrix4::identity();
-        jacobian[(0, 2)] = -rolled.v * heading.sin();
-        jacobian[(1, 2)] = rolled.v * heading.cos();
+        let way = scale * rolled.v;
+        let moved = self.map_from_base().advance(Twist2::new(way, turn), 1.0);
+        self.state = SVector::from([moved.x, moved.y, moved.yaw, self.state[3], self.state[4]]);
+        let mut jacobian = SMatrix::<f64, STATES, STATES>::identity();
+        jacobian[(0, 2)] = -way * heading.sin();
+        jacobian[(1, 2)] = way * heading.cos();
+        jacobian[(0, 4)] = rolled.v * heading.cos();
+        jacobian[(1, 4)] = rolled.v * heading.sin();
         if by_gyro {
             jacobian[(2, 3)] = -dt;
+            jacobian[(0, 3)] = 0.5 * dt * way * heading.sin();
+            jacobian[(1, 3)] = -0.5 * dt * way * heading.cos();
         }
         let (sin, cos) = heading.sin_cos();
         // The forward error acts along the heading; a little sideways slip keeps the covariance regular.
         let along = Vector2::new(cos, sin);
         let across = Vector2::new(-sin, cos);
-        let position = along * along.transpose() * variance[0] + across * across.transpose() * (0.05 * variance[0]);
-        let mut noise = Matrix4::zeros();
+        let position =
+            along * along.transpose() * forward_variance + across * across.transpose() * (0.05 * forward_variance);
+        let mut noise = SMatrix::<f64, STATES, STATES>::zeros();
         noise.fixed_view_mut::<2, 2>(0, 0).copy_from(&position);
-        noise[(2, 2)] = variance[2];
-        noise[(3, 3)] = variance[3];
+        noise[(2, 2)] = turn_variance;
+        noise[(3, 3)] = BIAS_WALK * dt;
+        noise[(4, 4)] = SCALE.1 * dt;
         self.covariance = jacobian * self.covariance * jacobian.transpose() + noise;
     }
 
-    /// The mean yaw rate since the last tick, while the gyro is heard: it integrates between its readings.
-    fn gyro_rate(&mut self, imu: Option<&Imu>, now: Stamp) -> Option<f64> {
+    /// Keeps the turn that was reckoned since the gyro's last reading.
+    fn reckon(&mut self, readings: &Readings, turn: f64) {
+        match (&readings.imu, self.gyro) {
+            (Some(imu), Some((_, rate))) if imu.yaw_rate.is_finite() => {
+                let since = readings.stamp.secs_since(imu.stamp).clamp(0.0, LONGEST_SPAN);
+                self.reckoned = (rate - self.state[3]) * since;
+            }
+            _ => self.reckoned += turn,
+        }
+    }
+
+    /// The turn since the last tick by the gyro, rad, and its variance. A reading is the mean rate since the one before; while
+    /// none comes the last rate is held for a while, and the next reading makes up for what was reckoned without it.
+    fn turned(&mut self, imu: Option<&Imu>, now: Stamp, dt: f64) -> Option<(f64, f64)> {
+        let bias = self.state[3];
         if let Some(imu) = imu.filter(|imu| imu.yaw_rate.is_finite()) {
+            let span = self.gyro.map_or(dt, |(last, _)| imu.stamp.secs_since(last));
+            let (span, reckoned) = if span > 0.0 && span < LONGEST_SPAN {
+                (span, self.reckoned)
+            } else {
+                (dt, 0.0)
+            };
             self.gyro = Some((imu.stamp, imu.yaw_rate));
+            let rate = imu.yaw_rate - bias;
+            let since = rate * now.secs_since(imu.stamp).clamp(0.0, LONGEST_SPAN);
+            return Some((
+                rate * span + since - reckoned,
+                (self.model.imu.gyro_noise * span).powi(2) + 1e-12,
+            ));
         }
         let (stamp, rate) = self.gyro?;
-        (now.secs_since(stamp) <= 2.5 / self.model.imu.rate_hz).then_some(rate)
+        let held = now.secs_since(stamp) <= 2.5 / self.model.imu.rate_hz;
+        held.then_some(((rate - bias) * dt, 1e-12))
     }
 
     /// A gyro that turns while the wheels stand still shows its bias.
@@ -228,7 +284,7 @@ impl Estimator {
             && self.still > STILL
         {
             let noise = SMatrix::<f64, 1, 1>::new((2.0 * self.model.imu.gyro_noise).powi(2) + 1e-6);
-            let jacobian = RowVector4::new(0.0, 0.0, 0.0, 1.0);
+            let jacobian = RowSVector::from([0.0, 0.0, 0.0, 1.0, 0.0]);
             self.update(SVector::<f64, 1>::new(rate - self.state[3]), jacobian, noise, GATE[0]);
         }
     }
@@ -264,7 +320,7 @@ impl Estimator {
         Some(self.gated(
             0,
             SVector::<f64, 1>::new(innovation),
-            RowVector4::new(0.0, 0.0, 1.0, 0.0),
+            RowSVector::from([0.0, 0.0, 1.0, 0.0, 0.0]),
             SMatrix::<f64, 1, 1>::new(noise * noise + 1e-8),
         ))
     }
@@ -279,7 +335,8 @@ impl Estimator {
         }
         let predicted = self.map_from_base() * then;
         let lever = self.lever(&then);
-        let jacobian = SMatrix::<f64, 2, 4>::new(1.0, 0.0, lever.x, 0.0, 0.0, 1.0, lever.y, 0.0);
+        let jacobian =
+            SMatrix::<f64, 2, STATES>::from_row_slice(&[1.0, 0.0, lever.x, 0.0, 0.0, 0.0, 1.0, lever.y, 0.0, 0.0]);
         let variance = gps.std_dev * gps.std_dev + 1e-8;
         self.gated(
             1,
@@ -307,11 +364,11 @@ impl Estimator {
         );
         let lever = self.lever(&then);
         #[rustfmt::skip]
-        let jacobian = SMatrix::<f64, 3, 4>::new(
-            1.0, 0.0, lever.x, 0.0,
-            0.0, 1.0, lever.y, 0.0,
-            0.0, 0.0, 1.0, 0.0,
-        );
+        let jacobian = SMatrix::<f64, 3, STATES>::from_row_slice(&[
+            1.0, 0.0, lever.x, 0.0, 0.0,
+            0.0, 1.0, lever.y, 0.0, 0.0,
+            0.0, 0.0, 1.0, 0.0, 0.0,
+        ]);
         self.gated(2, innovation, jacobian, noise)
     }
 
@@ -320,40 +377,42 @@ impl Estimator {
         &mut self,
         sensor: usize,
         innovation: SVector<f64, N>,
-        jacobian: SMatrix<f64, N, 4>,
+        jacobian: SMatrix<f64, N, STATES>,
         noise: SMatrix<f64, N, N>,
     ) -> Fusion {
-        let fusion = self.update(innovation, jacobian, noise, GATE[N - 1]);
+        let (fusion, distance) = self.update(innovation, jacobian, noise, GATE[N - 1]);
+        self.nis[sensor] = Some(distance);
         let rejected = &mut self.rejected[sensor];
         *rejected = if fusion == Fusion::Fused { 0 } else { *rejected + 1 };
         if *rejected >= DOUBT_AFTER && innovation.iter().all(|value| value.is_finite()) {
             *rejected = 0;
-            self.covariance += Matrix4::from_diagonal(&Vector4::new(1.0, 1.0, 0.5, 0.0));
+            self.covariance += SMatrix::from_diagonal(&SVector::from([1.0, 1.0, 0.5, 0.0, 0.0]));
         }
         fusion
     }
 
+    /// Also tells the normalised innovation squared.
     fn update<const N: usize>(
         &mut self,
         innovation: SVector<f64, N>,
-        jacobian: SMatrix<f64, N, 4>,
+        jacobian: SMatrix<f64, N, STATES>,
         noise: SMatrix<f64, N, N>,
         gate: f64,
-    ) -> Fusion {
+    ) -> (Fusion, f64) {
         let spread = jacobian * self.covariance * jacobian.transpose() + noise;
         let Some(inverse) = spread.try_inverse() else {
-            return Fusion::Rejected;
+            return (Fusion::Rejected, f64::INFINITY);
         };
         let distance = (innovation.transpose() * inverse * innovation)[0];
         if !distance.is_finite() || distance > gate {
-            return Fusion::Rejected;
+            return (Fusion::Rejected, distance);
         }
         let gain = self.covariance * jacobian.transpose() * inverse;
         self.state += gain * innovation;
         self.state[2] = wrap_angle(self.state[2]);
         // Joseph's form stays symmetric and positive.
-        let rest = Matrix4::identity() - gain * jacobian;
+        let rest = SMatrix::<f64, STATES, STATES>::identity() - gain * jacobian;
         self.covariance = rest * self.covariance * rest.transpose() + gain * noise * gain.transpose();
-        Fusion::Fused
+        (Fusion::Fused, distance)
     }
 }

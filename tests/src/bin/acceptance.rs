@@ -16,6 +16,7 @@ use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
 use zenav_tests::proving::ground::robot;
 use zenav_tests::proving::guard::GENTLE;
+use zenav_tests::proving::pose;
 use zenav_tests::proving::tracking::{self, percentile};
 
 /// Largest distance from a goal that counts as reached, m.
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["track", maps @ ..] => track(maps),
+        ["pose", runs] if runs.parse::<u64>().is_ok() => pose(runs.parse().unwrap_or(0)),
         ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
         ["kills", kills, rest @ ..] if kills.parse::<usize>().is_ok() => kill(kills.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
@@ -36,11 +38,64 @@ fn main() -> ExitCode {
         _ => {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
-                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance kills KILLS [SEED]"
+                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS\n       acceptance kills KILLS [SEED]"
             );
             ExitCode::from(2)
         }
     }
+}
+
+/// Share of steps that must lie within the 95 % band.
+const CONSISTENT: f64 = 0.9;
+/// How long each drive takes, s.
+const DRIVE_SECS: f64 = 60.0;
+
+/// Estimates poses in many drives, and prints how often the mean error was as the covariance says.
+fn pose(runs: u64) -> ExitCode {
+    let mut good = true;
+    println!(
+        "{:20} {:16} {:>16} {:>10} {:>8}",
+        "conditions", "quantity", "band", "in band, %", "mean"
+    );
+    for conditions in pose::CONDITIONS {
+        let mut sums = pose::Sums::default();
+        for seed in 1..=runs {
+            if let Err(error) = pose::drive(&mut sums, &conditions, seed, DRIVE_SECS) {
+                eprintln!("{error}");
+                return ExitCode::FAILURE;
+            }
+        }
+        let count = runs as f64;
+        let mut line = |name: &str, means: &[f64], freedom: f64, of: f64| {
+            let band = pose::band(freedom, of);
+            let (share, mean) = pose::share(means, band);
+            good &= share >= CONSISTENT;
+            let band = format!("[{:.2}, {:.2}]", band.0, band.1);
+            println!(
+                "{:20} {name:16} {band:>16} {:10.1} {mean:8.2}",
+                conditions.name,
+                100.0 * share
+            );
+        };
+        let nees: Vec<f64> = sums.nees.iter().map(|sum| sum / count).collect();
+        line("NEES", &nees, 3.0, count);
+        for (name, freedom, sums) in [("NIS compass", 1.0, &sums.nis[0]), ("NIS GPS", 2.0, &sums.nis[1])] {
+            // Steps in which every drive had as many readings as usual.
+            let usual = sums.iter().map(|(_, readings)| *readings).max().unwrap_or(0);
+            let usual = (0.7 * f64::from(usual)) as u32;
+            let steps: Vec<_> = sums.iter().filter(|(_, readings)| *readings > usual).collect();
+            let readings = steps.iter().map(|(_, readings)| f64::from(*readings)).sum::<f64>();
+            let means: Vec<f64> = steps.iter().map(|(sum, readings)| sum / f64::from(*readings)).collect();
+            line(name, &means, freedom, readings / means.len().max(1) as f64);
+        }
+        println!(
+            "{:20} position error within three standard deviations in {:.2} % of steps, at most {:.3} m",
+            conditions.name,
+            100.0 * f64::from(sums.within.0) / f64::from(sums.within.1.max(1)),
+            sums.worst
+        );
+    }
+    if good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 /// Ways a map that every tracker drives.

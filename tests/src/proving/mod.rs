@@ -5,6 +5,7 @@
 //! |---|---|
 //! | [`ground`] | how do a world, a robot and its pilot step together? |
 //! | [`worlds`] | what does a random world look like? |
+//! | [`pose`] | is the estimate as good as its covariance says? |
 //! | [`tracking`] | how near to its path does each tracker keep the robot? |
 //! | [`kills`] | is any goal lost when the orchestrator is killed? |
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
@@ -12,5 +13,6 @@
 pub mod ground;
 pub mod guard;
 pub mod kills;
+pub mod pose;
 pub mod tracking;
 pub mod worlds;

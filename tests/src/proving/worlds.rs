@@ -37,6 +37,12 @@ impl Dice {
         ((self.0.random::<f64>() * count as f64) as usize).min(count.saturating_sub(1))
     }
 
+    /// A standard normal number (Box and Muller).
+    pub fn gauss(&mut self) -> f64 {
+        let (radius, turn) = (self.0.random::<f64>().max(1e-300), self.0.random::<f64>());
+        (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * turn).cos()
+    }
+
     /// True with a chance.
     pub fn chance(&mut self, share: f64) -> bool {
         self.0.random::<f64>() < share
