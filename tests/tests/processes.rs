@@ -23,6 +23,8 @@ const FAR_END: f64 = 15.0;
 
 /// Submits a goal at the far end and waits until the robot is well on its way, with more than 10 s left.
 async fn set_out(deployment: &Deployment, robot: &mut Observer, id: &str) -> EdgeState {
+    // A command does not wait for a router that is still starting.
+    deployment.bus().await.close().await;
     let submitted = deployment.client(&["goal", "submit", "--place", "far_end", "--id", id, "--timeout", "30"]);
     assert_eq!(submitted.status.code(), Some(0), "{submitted:?}");
     let under_way = |state: &EdgeState| {
