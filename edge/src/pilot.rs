@@ -28,6 +28,8 @@ use crate::wall_follower::{Sight, WallFollower};
 const LONGEST_TICK: f64 = 0.1;
 /// A recovery may back up at this speed over floor that was seen before, m/s: its way was checked when it began.
 const RECOVERY_BLIND_SPEED: f64 = 0.15;
+/// A low battery counts as charged again once it has so much more, as a share.
+const CHARGED: f64 = 0.05;
 /// Discarded motions remembered.
 const DISCARDED: usize = 32;
 /// Refused plans remembered.
@@ -56,6 +58,7 @@ pub struct Pilot {
     discarded: std::collections::VecDeque<u64>,
     last: Option<Stamp>,
     pressed: bool,
+    battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
 }
@@ -84,6 +87,7 @@ impl Pilot {
             discarded: std::collections::VecDeque::new(),
             last: None,
             pressed: false,
+            battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
             config,
@@ -181,6 +185,13 @@ impl Pilot {
             self.journal.tell(now, EventKind::Bumped);
         }
         self.pressed = readings.bump.pressed;
+        let charge = readings.battery.charge;
+        let low = self.config.model.battery.low;
+        if charge < low && !self.battery_is_low {
+            self.journal.tell(now, EventKind::BatteryLow { charge });
+        }
+        // Told once, until it has been charged.
+        self.battery_is_low = charge < low + if self.battery_is_low { CHARGED } else { 0.0 };
     }
 
     /// Of a burst, only the newest plan of the current grant counts.

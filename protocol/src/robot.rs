@@ -347,7 +347,7 @@ pub struct GpsModel {
     pub latency: f64,
 }
 
-/// Battery and consumption: `idle + rolling * |v| + heat * (left² + right²)`.
+/// Battery and consumption: power at rest and by rolling, energy by accelerating; nothing comes back by braking.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BatteryModel {
@@ -359,6 +359,8 @@ pub struct BatteryModel {
     pub rolling_power: f64,
     /// Drawn by accelerating, J for each m²/s² of speed gained (half the mass over the efficiency).
     pub acceleration_energy: f64,
+    /// Share of the charge below which the robot says that its battery is low.
+    pub low: f64,
 }
 
 impl Default for BatteryModel {
@@ -368,6 +370,7 @@ impl Default for BatteryModel {
             idle_power: 20.0,
             rolling_power: 40.0,
             acceleration_energy: 40.0,
+            low: 0.2,
         }
     }
 }
@@ -580,6 +583,7 @@ impl RobotModel {
         }
         let gps = self.gps.as_ref();
         for (field, share) in [
+            ("battery.low", self.battery.low),
             ("lidar.dropout", self.lidar.dropout),
             ("encoders.dropout", self.encoders.dropout),
             ("imu.dropout", self.imu.dropout),

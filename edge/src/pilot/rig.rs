@@ -27,6 +27,7 @@ pub struct Rig {
     pub wheels: [f64; 2],
     pub commanded: [f64; 2],
     pub events: Vec<EventKind>,
+    pub charge: f64,
     pub state: Option<EdgeState>,
     pub stored: Persisted,
     pub inbox: Inbox,
@@ -58,6 +59,7 @@ impl Rig {
             wheels: [0.0; 2],
             commanded: [0.0; 2],
             events: Vec::new(),
+            charge: 1.0,
             state: None,
             stored,
             inbox: Inbox::default(),
@@ -144,7 +146,7 @@ impl Rig {
             },
             battery: Battery {
                 stamp: self.now,
-                charge: 1.0,
+                charge: self.charge,
                 drawn_j: 0.0,
             },
         }

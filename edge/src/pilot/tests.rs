@@ -26,6 +26,20 @@ fn driving() -> (Rig, u64, Plan) {
 }
 
 #[test]
+fn a_low_battery_is_told_once_until_it_has_been_charged() {
+    let mut rig = fresh();
+    let told = |rig: &Rig| {
+        let low = |event: &&EventKind| matches!(event, EventKind::BatteryLow { .. });
+        rig.events.iter().filter(low).count()
+    };
+    for (charge, expected) in [(0.3, 0), (0.19, 1), (0.21, 1), (0.19, 1), (0.9, 1), (0.1, 2)] {
+        rig.charge = charge;
+        rig.run(0.5);
+        assert_eq!(told(&rig), expected, "at {charge}");
+    }
+}
+
+#[test]
 fn a_renewed_plan_is_driven_to_its_end() {
     let (mut rig, _, mut plan) = driving();
     for counter in 2..12 {

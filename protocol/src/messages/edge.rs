@@ -214,6 +214,11 @@ pub enum EventKind {
     },
     /// Contact.
     Bumped,
+    /// The battery's charge fell below what the robot's file calls low.
+    BatteryLow {
+        /// Charge left, 0 to 1.
+        charge: f64,
+    },
     /// The guard changed its mind.
     Guard {
         /// The zone from now on.
