@@ -59,7 +59,7 @@ enum Command {
     Smooth(batch::SmoothArgs),
     /// Search parameters in simulations; writes a robot file
     Tune(wall_following::TuneArgs),
-    /// The simulator: benches, and worlds for robots on several machines
+    /// The simulator: draw a world, hold one for robots on several machines, measure
     Sim(batch::SimArgs),
     /// What this machine holds
     Bench(batch::BenchArgs),

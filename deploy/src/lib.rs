@@ -4,7 +4,8 @@
 //! |---|---|
 //! | `cli` | which commands there are, and their exit codes |
 //! | `config` | what a deployment is made of, and where each value came from |
-//! | `launch` | how the parts start and end, in one process or in many |
+//! | `launch` | what `up`, `router`, `edge` and `cloud` run |
+//! | `parts` | how the parts start and end that share a process |
 //! | `router` | the router |
 //! | `receivers` | how many threads receive, in a process with a router |
 //! | `served_world` | how robots on several machines share one world |
@@ -33,6 +34,7 @@ pub mod launch;
 pub mod lockstep;
 pub mod operator;
 pub mod output;
+pub mod parts;
 pub mod receivers;
 pub mod report;
 pub mod router;

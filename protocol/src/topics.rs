@@ -244,7 +244,7 @@ pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
 
 /// Liveliness of a robot's component (`edge`, `mapping`, `mission`): discovery only, never authority.
 pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
-/// Liveliness of a stateless worker of `plan` or `smooth`.
+/// Liveliness of a stateless worker of `plan` or `smooth`, and of who takes goals for a group (`group-{name}`).
 pub const ALIVE_WORKER: &str = "zenav/svc/alive/{service}/{worker}";
 
 /// Fills the named chunks of a liveliness pattern in order.

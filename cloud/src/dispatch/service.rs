@@ -1,4 +1,5 @@
 //! How does a group's goal reach its robot? The missions tell their goals, the chosen one stores it; its answer is the group's.
+//! Where several processes serve a group, one of them takes the goals and the others stand by.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -32,6 +33,11 @@ pub async fn run(
     for robot in &robots {
         poses.insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
     }
+    // Of several orchestrators with this group the first by name takes its goals, so that no goal goes to two robots.
+    let service = format!("group-{group}");
+    let place = |worker: &str| topics::alive_key(topics::ALIVE_WORKER, &[&service, worker]);
+    let own = place(&bus.zid());
+    let _alive = bus.declare_alive(own.clone())?;
     tracing::info!(%group, robots = robots.len(), "takes goals for a group");
     loop {
         let request = tokio::select! {
@@ -41,6 +47,11 @@ pub async fn run(
                 None => return Ok(()),
             },
         };
+        let first = bus.list_alive(place("*"), ROLL_CALL).await?.into_iter().next();
+        if first.is_some_and(|first| first != own) {
+            request.refuse(&Refusal::NotLeader);
+            continue;
+        }
         match give(&bus, &mut poses, &request.body, place_of(&request.body, &places)).await {
             Ok(reply) => request.reply(&reply),
             Err(refusal) => request.refuse(&refusal),

@@ -19,7 +19,8 @@ use crate::canvas::Color;
 use crate::config::Deployment;
 use crate::failure::Failure;
 use crate::files;
-use crate::launch::{Parts, interrupted};
+use crate::launch::interrupted;
+use crate::parts::Parts;
 use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport};
 use crate::wall_following::score::Errors;
 

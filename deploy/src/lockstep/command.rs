@@ -18,8 +18,8 @@ use zenav_sim::{RobotSpec, Simulation, World};
 use super::stage::{Stage, StageConfig};
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::launch::places;
 use crate::output::{Format, value};
+use crate::parts::places;
 
 /// The robot's name in a run.
 const ROBOT: &str = "robot";

@@ -8,26 +8,32 @@
 //! | `pid` | PID on the distance from the path | |
 //! | `pure_pursuit` | an arc to a point ahead on the path, slowed in bends and near the end | Macenski et al. 2023 |
 //!
+//! What laws have in common is kept in `on_path` (laws on a path) and `waypoints` (laws that drive at the next waypoint).
+//!
 //! A plan without a trajectory is driven by its waypoints: `time_law` falls back to `wheel_law`.
 
 mod heading_first;
+mod on_path;
 mod pid;
 mod pure_pursuit;
 mod rail;
 mod timeline;
 mod trajectory;
 mod waypoints;
+mod wheel_law;
 
 pub use heading_first::HeadingFirst;
-pub use pid::PidTracker;
+pub use on_path::{OnPath, PathLaw, Wanted};
+pub use pid::Pid;
 pub use pure_pursuit::PurePursuit;
 pub use rail::Rail;
 pub use timeline::Timeline;
 pub use trajectory::TrajectoryTracker;
-pub use waypoints::WaypointTracker;
+pub use waypoints::{ThroughWaypoints, WaypointLaw};
+pub use wheel_law::WheelLaw;
 
 use nalgebra::Point2;
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::{ControllerGains, Drive, TrackerKind};
 
 /// A law that follows a plan.
@@ -78,14 +84,24 @@ pub fn along_trajectory(
         TrackerKind::TimeLaw => Box::new(TrajectoryTracker::new(drive, timeline, time)),
         TrackerKind::WheelLaw => {
             let corners = corners();
-            Box::new(WaypointTracker::new(drive, corners).on(Rail::new(timeline, time)))
+            Box::new(ThroughWaypoints::new(
+                WheelLaw,
+                drive,
+                corners,
+                Some(Rail::new(timeline, time)),
+            ))
         }
         TrackerKind::HeadingFirst => {
             let corners = corners();
-            Box::new(HeadingFirst::new(drive, corners, Some(Rail::new(timeline, time))))
+            Box::new(ThroughWaypoints::new(
+                HeadingFirst,
+                drive,
+                corners,
+                Some(Rail::new(timeline, time)),
+            ))
         }
-        TrackerKind::Pid => Box::new(PidTracker::new(drive, Rail::new(timeline, time))),
-        TrackerKind::PurePursuit => Box::new(PurePursuit::new(drive, Rail::new(timeline, time))),
+        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, Rail::new(timeline, time))),
+        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, Rail::new(timeline, time))),
     }
 }
 
@@ -99,10 +115,12 @@ pub fn through_waypoints(
 ) -> Box<dyn Tracker> {
     let rail = || Rail::new(Timeline::through(drive, map_from_base, &waypoints), 0.0);
     match kind {
-        TrackerKind::TimeLaw | TrackerKind::WheelLaw => Box::new(WaypointTracker::new(drive, waypoints)),
-        TrackerKind::HeadingFirst => Box::new(HeadingFirst::new(drive, waypoints, None)),
-        TrackerKind::Pid => Box::new(PidTracker::new(drive, rail())),
-        TrackerKind::PurePursuit => Box::new(PurePursuit::new(drive, rail())),
+        TrackerKind::TimeLaw | TrackerKind::WheelLaw => {
+            Box::new(ThroughWaypoints::new(WheelLaw, drive, waypoints, None))
+        }
+        TrackerKind::HeadingFirst => Box::new(ThroughWaypoints::new(HeadingFirst, drive, waypoints, None)),
+        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, rail())),
+        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, rail())),
     }
 }
 
@@ -132,6 +150,15 @@ pub struct Progress {
     pub time_left: f64,
     /// Whether the robot is at rest at the end.
     pub finished: bool,
+}
+
+/// At rest: wheel surface speed, m/s.
+const AT_REST: f64 = 0.02;
+
+/// Direction of a point relative to the robot's heading, rad.
+fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
+    let to = target - map_from_base.position();
+    wrap_angle(to.y.atan2(to.x) - map_from_base.yaw)
 }
 
 /// Scales a twist down to a wheel surface speed; the curvature stays.

@@ -10,7 +10,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::TrajectoryPoint;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{Progress, Timeline, Tracker, View, capped};
+use super::{AT_REST, Progress, Timeline, Tracker, View, capped};
 use crate::limiter::wheel_surface_speed;
 use crate::stopping::GENTLE;
 
@@ -30,8 +30,6 @@ const SETTLE_SPEED: f64 = 0.10;
 const SETTLED: (f64, f64) = (0.015, 0.03);
 /// Time to settle at the end; then where the robot stands is the end, s.
 const SETTLE_TIME: f64 = 2.0;
-/// At rest: wheel surface speed, m/s.
-const AT_REST: f64 = 0.02;
 
 /// Follows a trajectory.
 #[derive(Clone, Debug)]

@@ -1,115 +1,80 @@
-//! Which twist drives through a list of waypoints? The proportional wheel law of the classic two-wheel exercise:
-//! `left = -p_alpha * alpha + p_rho * rho`, `right = p_alpha * alpha + p_rho * rho`, with the bearing `alpha` and the
-//! distance `rho` of the next waypoint, clamped to the wheels' limit.
-//!
-//! Three changes make it drive well. The clamp takes from the distance term, never from the turn. The distance term
-//! fades as `alpha` grows, so that the robot turns first instead of swinging wide. And `rho` reaches beyond a waypoint
-//! that is passed straight on, so that the robot slows down for corners and the end only.
+//! How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only says how to drive at
+//! the next one.
 
 use nalgebra::Point2;
-use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{Progress, Rail, Timeline, Tracker, View};
+use super::{AT_REST, Progress, Rail, Timeline, Tracker, View};
 use crate::limiter::wheel_surface_speed;
 
-/// Bearing beyond which the robot turns on the spot, rad.
-const TURN_FIRST: f64 = 1.0;
-/// Where the last waypoint counts as reached, m: it is a place to be at, the others are passed.
+/// Where the last waypoint counts as reached at most, m: it is a place to be at, the others are passed.
 const FINAL_THRESHOLD: f64 = 0.1;
-/// Least `rho` on the way, m: the law alone would creep towards every waypoint.
-const LEAST_RHO: f64 = 0.6;
-/// At rest: wheel surface speed, m/s.
-const AT_REST: f64 = 0.02;
 
-/// Follows waypoints.
+/// A law that drives at a waypoint.
+pub trait WaypointLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
+    /// A waypoint nearer than this is passed, m.
+    fn threshold(&self, gains: &ControllerGains) -> f64;
+
+    /// One tick towards `target`, the first of those that are left.
+    fn twist(
+        &self,
+        drive: &Drive,
+        target: Point2<f64>,
+        left: &[Point2<f64>],
+        view: &View,
+        gains: &ControllerGains,
+    ) -> Twist2;
+}
+
+/// Follows waypoints by a law.
 #[derive(Clone, Debug)]
-pub struct WaypointTracker {
+pub struct ThroughWaypoints<L> {
+    law: L,
     drive: Drive,
     waypoints: Vec<Point2<f64>>,
     next: usize,
     finished: bool,
-    /// Where a plan with a trajectory has the robot.
     rail: Option<Rail>,
 }
 
-impl WaypointTracker {
-    /// From the first waypoint on.
+impl<L: WaypointLaw> ThroughWaypoints<L> {
+    /// From the first waypoint on; `rail` where the plan has a trajectory.
     #[must_use]
-    pub fn new(drive: &Drive, waypoints: Vec<Point2<f64>>) -> Self {
+    pub fn new(law: L, drive: &Drive, waypoints: Vec<Point2<f64>>, rail: Option<Rail>) -> Self {
         Self {
+            law,
             drive: drive.clone(),
             waypoints,
             next: 0,
             finished: false,
-            rail: None,
+            rail,
         }
-    }
-
-    /// The same for a plan with a trajectory.
-    #[must_use]
-    pub fn on(mut self, rail: Rail) -> Self {
-        self.rail = Some(rail);
-        self
-    }
-
-    /// The waypoint being driven to, map frame.
-    #[must_use]
-    pub fn waypoint(&self) -> Option<Point2<f64>> {
-        self.waypoints.get(self.next).copied()
-    }
-
-    /// The distance that the law sees: to the next waypoint, and on beyond it as far as the way goes straight on.
-    fn effective_distance(&self, here: Point2<f64>) -> f64 {
-        let mut rho = 0.0;
-        let mut weight = 1.0;
-        let mut from = here;
-        let mut direction: Option<nalgebra::Vector2<f64>> = None;
-        // Farther ahead than this the speed limit rules anyway.
-        for target in self.waypoints.iter().skip(self.next).take(8) {
-            let leg = target - from;
-            if let Some(before) = direction {
-                let cos = before.dot(&leg) / (before.norm() * leg.norm()).max(1e-9);
-                weight *= 0.5 * (1.0 + cos.clamp(-1.0, 1.0));
-            }
-            rho += weight * leg.norm();
-            (direction, from) = (Some(leg), *target);
-        }
-        rho
     }
 }
 
-impl Tracker for WaypointTracker {
+impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
     fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
         if let Some(rail) = &mut self.rail {
             rail.advance(&view.map_from_base);
         }
         let here = view.map_from_base.position();
-        while let Some(target) = self.waypoint() {
-            let last = self.next + 1 == self.waypoints.len();
-            let threshold = if last {
-                gains.waypoint_threshold.min(FINAL_THRESHOLD)
+        let threshold = self.law.threshold(gains);
+        while let [target, rest @ ..] = &self.waypoints[self.next..] {
+            let reached = if rest.is_empty() {
+                threshold.min(FINAL_THRESHOLD)
             } else {
-                gains.waypoint_threshold
+                threshold
             };
-            if (target - here).norm() >= threshold {
-                break;
+            if (target - here).norm() >= reached {
+                return self
+                    .law
+                    .twist(&self.drive, *target, &self.waypoints[self.next..], view, gains);
             }
             self.next += 1;
         }
-        let Some(target) = self.waypoint() else {
-            self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
-            return Twist2::ZERO;
-        };
-        let limit = self.drive.max_wheel_speed.min(view.speed_cap / self.drive.wheel_radius);
-        let alpha = bearing(&view.map_from_base, target);
-        let rho = self.effective_distance(here).max(LEAST_RHO);
-        let turn = (gains.heading_gain * alpha).clamp(-limit, limit);
-        let fade = (1.0 - alpha.abs() / TURN_FIRST).max(0.0);
-        let forward = (gains.distance_gain * rho * fade)
-            .min(limit * fade)
-            .min(limit - turn.abs());
-        self.drive.twist([forward - turn, forward + turn])
+        self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+        Twist2::ZERO
     }
 
     fn progress(&self, map_from_base: &Pose2) -> Progress {
@@ -127,7 +92,7 @@ impl Tracker for WaypointTracker {
     }
 
     fn target(&self) -> Option<(&'static str, Point2<f64>)> {
-        self.waypoint().map(|place| ("waypoint", place))
+        self.waypoints.get(self.next).map(|place| ("waypoint", *place))
     }
 
     fn motion(&self) -> Option<(&Timeline, f64)> {
@@ -143,22 +108,17 @@ impl Tracker for WaypointTracker {
     }
 }
 
-/// Direction of a point relative to the robot's heading, rad.
-pub(super) fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
-    let to = target - map_from_base.position();
-    wrap_angle(to.y.atan2(to.x) - map_from_base.yaw)
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use super::super::WheelLaw;
     use super::*;
     use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn the_wheels_get_what_the_law_says() {
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
-        let mut tracker = WaypointTracker::new(&model.drive, vec![Point2::new(1.0, 0.0)]);
+        let mut tracker = ThroughWaypoints::new(WheelLaw, &model.drive, vec![Point2::new(1.0, 0.0)], None);
         let view = View {
             dt: 0.02,
             map_from_base: Pose2::IDENTITY,
@@ -184,9 +144,11 @@ mod tests {
     #[test]
     fn waypoints_are_passed_within_the_threshold_and_the_last_one_is_reached() {
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
-        let mut tracker = WaypointTracker::new(
+        let mut tracker = ThroughWaypoints::new(
+            WheelLaw,
             &model.drive,
             vec![Point2::new(1.0, 0.0), Point2::new(1.5, 1.0), Point2::new(0.0, 1.0)],
+            None,
         );
         let mut pose = Pose2::IDENTITY;
         let mut limiter = crate::limiter::Limiter::new(&model.drive);

@@ -203,24 +203,50 @@ impl Leaf<Context> for MapEnvironment {
     }
 }
 
-/// Stores the map: from then on it exists.
-#[derive(Default)]
-pub struct SaveMap {
+/// Asks mapping for one action on the map, and waits until it is done.
+pub struct OnMap {
     action: Action,
+    which: MapAction,
+    doing: &'static str,
+    done: &'static str,
 }
 
-impl Leaf<Context> for SaveMap {
+impl OnMap {
+    /// Stores the map: from then on it exists.
+    #[must_use]
+    pub fn save() -> Self {
+        Self::new(MapAction::Save, "stores the map", "stored")
+    }
+
+    /// Takes for gone what may only have passed by; what is still there is seen again.
+    #[must_use]
+    pub fn forget() -> Self {
+        Self::new(MapAction::Forget, "clears the map", "what may have passed is gone")
+    }
+
+    fn new(which: MapAction, doing: &'static str, done: &'static str) -> Self {
+        Self {
+            action: Action::default(),
+            which,
+            doing,
+            done,
+        }
+    }
+}
+
+impl Leaf<Context> for OnMap {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.action.begin(io, ctx);
-        step(io, ctx, "stores the map")
+        // The ask follows in the next tick, when the execution's id is stored.
+        step(io, ctx, self.doing)
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        match self.action.step(io, ctx, MapAction::Save) {
-            Acting::Busy => step(io, ctx, "stores the map"),
+        match self.action.step(io, ctx, self.which) {
+            Acting::Busy => step(io, ctx, self.doing),
             Acting::Failed(why) => fail(io, ctx, None, why),
             Acting::Done => {
-                io.say("stored");
+                io.say(self.done);
                 Status::Success
             }
         }

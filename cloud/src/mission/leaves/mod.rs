@@ -7,7 +7,7 @@
 //! | `smooth_path` | SmoothPath |
 //! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
 //! | `follow_waypoints` | FollowWaypoints |
-//! | `mapping` | DoesMapExist, MapEnvironment, SaveMap |
+//! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
 //! | `looks` | TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
@@ -104,7 +104,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         |_| Box::<mapping::MapEnvironment>::default(),
     )?;
     registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
-        Box::<mapping::SaveMap>::default()
+        Box::new(mapping::OnMap::save())
     })?;
     registry.leaf(known("Wait", "Waits, s."), |_| Box::<simple::Wait>::default())?;
     registry.leaf(

@@ -1,19 +1,19 @@
 //! ClearEntireCostmap and its kin, Cancel*, ToggleCollisionMonitor: Nav2's services to other parts, as far as they have a
 //! meaning here.
 
-use zenav_protocol::messages::MapAction;
-
-use super::mapping::{Acting, Action};
-use super::{AtOnce, fail, step};
+use super::AtOnce;
+use super::mapping::OnMap;
 use crate::behaviour_tree::{Leaf, LeafIo, Status};
 use crate::mission::context::Context;
 
-/// A costmap is thrown away and filled anew. What this stack has of the global one is the map: mapping takes for gone what may
-/// only have passed by, and what is still there is seen again; what lasts is kept. A local one there is not: the robot's guard
-/// goes by the newest scan alone, so that nothing old is left to clear.
-#[derive(Default)]
-pub struct ClearCostmap {
-    action: Action,
+/// A costmap is thrown away and filled anew. What this stack has of the global one is the map ([`OnMap::forget`]). A local one there
+/// is not: the robot's guard goes by the newest scan alone, so that nothing old is left to clear.
+pub struct ClearCostmap(OnMap);
+
+impl Default for ClearCostmap {
+    fn default() -> Self {
+        Self(OnMap::forget())
+    }
 }
 
 impl Leaf<Context> for ClearCostmap {
@@ -23,29 +23,19 @@ impl Leaf<Context> for ClearCostmap {
             io.say("the robot's guard keeps nothing: it goes by the newest scan");
             return Status::Success;
         }
-        self.action.begin(io, ctx);
-        // The ask follows in the next tick, when the execution's id is stored.
-        step(io, ctx, "clears the map")
+        self.0.start(io, ctx)
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        match self.action.step(io, ctx, MapAction::Forget) {
-            Acting::Busy => step(io, ctx, "clears the map"),
-            Acting::Failed(why) => fail(io, ctx, None, why),
-            Acting::Done => {
-                io.say("what may have passed is gone");
-                Status::Success
-            }
-        }
+        self.0.tick(io, ctx)
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        self.action.resume(ctx);
-        self.tick(io, ctx)
+        self.0.resume(io, ctx)
     }
 
-    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
-        self.action.forget(ctx);
+    fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.0.halt(io, ctx);
     }
 }
 

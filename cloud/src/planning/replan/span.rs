@@ -1,0 +1,51 @@
+//! How near is what changed to a way? Cells of one row, and all around them that the change is felt in.
+
+use nalgebra::Point2;
+use zenav_protocol::grid::Cell;
+
+use super::super::lattice::octile;
+use super::super::records::Written;
+
+/// Cells of a row, and all within a margin of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Span {
+    pub columns: [u32; 2],
+    pub row: u32,
+    pub margin: u32,
+}
+
+impl Span {
+    /// Columns and rows between a cell and the nearest of these.
+    pub fn gaps(&self, cell: Cell) -> [u32; 2] {
+        let x = self.columns[0]
+            .saturating_sub(cell.x)
+            .max(cell.x.saturating_sub(self.columns[1]));
+        [x, cell.y.abs_diff(self.row)].map(|gap| gap.saturating_sub(self.margin))
+    }
+
+    /// Least cost between a cell and these.
+    pub fn distance(&self, cell: Cell) -> u32 {
+        let [x, y] = self.gaps(cell);
+        octile(Cell::new(0, 0), Cell::new(x, y))
+    }
+
+    /// Least distance between a point and the squares of these, in cells.
+    pub fn length(&self, p: Point2<f64>) -> f64 {
+        let [x, y] = self
+            .gaps(Cell::new(p.x as u32, p.y as u32))
+            .map(|gap| f64::from(gap.saturating_sub(1)));
+        x.hypot(y)
+    }
+
+    /// Whether a search may have reached any of these or one beside them.
+    pub fn touches(&self, reached: &Written, pitch: u32) -> bool {
+        let around = self.margin + 1;
+        let rows = self.row.saturating_sub(around)..=self.row + around;
+        let columns = [self.columns[0].saturating_sub(around), self.columns[1] + around];
+        // The lattice's border comes first.
+        rows.into_iter().any(|row| {
+            let [first, last] = columns.map(|column| (row + 1) * pitch + (column + 1).min(pitch - 1));
+            reached.any(first, last)
+        })
+    }
+}

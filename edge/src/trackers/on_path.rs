@@ -1,0 +1,94 @@
+//! How does a law that knows no time follow a path? Its place on the path is kept here, and whether it has arrived; the law only says how
+//! to get back to the path from where the robot is.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::robot::{ControllerGains, Drive};
+
+use super::{AT_REST, Progress, Rail, Timeline, Tracker, View, capped};
+use crate::limiter::{wheel_surface_speed, within_speed};
+
+/// The end is reached within this, m.
+const REACHED: f64 = 0.05;
+/// Turning on the spot: yaw rate for the heading error, 1/s.
+const SPIN_GAIN: f64 = 2.0;
+
+/// What a law wants.
+#[derive(Clone, Copy, Debug)]
+pub enum Wanted {
+    /// To turn on the spot, by this angle, rad.
+    Turn(f64),
+    /// To drive.
+    Drive(Twist2),
+}
+
+/// A law of feedback from a path.
+pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
+    /// One tick, on the way.
+    fn step(&mut self, rail: &Rail, drive: &Drive, view: &View, gains: &ControllerGains) -> Wanted;
+
+    /// What it drives at, map frame.
+    fn target(&self, rail: &Rail) -> Point2<f64>;
+}
+
+/// Follows a path by a law.
+#[derive(Clone, Debug)]
+pub struct OnPath<L> {
+    law: L,
+    drive: Drive,
+    rail: Rail,
+    arrived: bool,
+    finished: bool,
+}
+
+impl<L: PathLaw> OnPath<L> {
+    /// Along a path.
+    #[must_use]
+    pub fn new(law: L, drive: &Drive, rail: Rail) -> Self {
+        Self {
+            law,
+            drive: drive.clone(),
+            rail,
+            arrived: false,
+            finished: false,
+        }
+    }
+}
+
+impl<L: PathLaw> Tracker for OnPath<L> {
+    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+        self.rail.advance(&view.map_from_base);
+        let left = self.rail.left();
+        let to_end = (self.rail.end().pose().position() - view.map_from_base.position()).norm();
+        self.arrived |= left < REACHED && to_end < 2.0 * REACHED || left < 1e-6;
+        if self.arrived {
+            self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+            return Twist2::ZERO;
+        }
+        let wanted = match self.law.step(&self.rail, &self.drive, view, gains) {
+            Wanted::Turn(by) => Twist2::new(0.0, SPIN_GAIN * by),
+            Wanted::Drive(twist) => twist,
+        };
+        capped(&self.drive, within_speed(&self.drive, wanted), view.speed_cap)
+    }
+
+    fn progress(&self, _: &Pose2) -> Progress {
+        self.rail.progress(self.finished)
+    }
+
+    fn target(&self) -> Option<(&'static str, Point2<f64>)> {
+        Some(("reference", self.law.target(&self.rail)))
+    }
+
+    fn motion(&self) -> Option<(&Timeline, f64)> {
+        Some(self.rail.motion())
+    }
+
+    fn off_track(&self) -> f64 {
+        self.rail.off_track()
+    }
+
+    fn boxed(&self) -> Box<dyn Tracker> {
+        Box::new(self.clone())
+    }
+}
