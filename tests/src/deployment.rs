@@ -141,6 +141,23 @@ impl Deployment {
         ])
     }
 
+    /// `zenav cloud mission` under a name, which is its folder's too.
+    #[must_use]
+    pub fn start_mission(&self, holder: &str) -> Process {
+        self.start(&[
+            "cloud",
+            "mission",
+            "--connect",
+            &self.router,
+            "--data",
+            holder,
+            "--holder",
+            holder,
+            "--world",
+            &self.world,
+        ])
+    }
+
     /// `zenav up`: everything in one process, from a deployment file.
     ///
     /// # Panics

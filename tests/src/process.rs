@@ -72,6 +72,30 @@ impl Process {
         let _ = self.child.wait();
     }
 
+    /// Holds it, as `kill -STOP` does.
+    ///
+    /// # Errors
+    /// When the system does not.
+    pub fn pause(&self) -> Result<(), String> {
+        self.signal(rustix::process::Signal::STOP)
+    }
+
+    /// Lets it go on.
+    ///
+    /// # Errors
+    /// When the system does not.
+    pub fn resume(&self) -> Result<(), String> {
+        self.signal(rustix::process::Signal::CONT)
+    }
+
+    fn signal(&self, signal: rustix::process::Signal) -> Result<(), String> {
+        let id = i32::try_from(self.child.id())
+            .ok()
+            .and_then(rustix::process::Pid::from_raw);
+        let id = id.ok_or_else(|| format!("`zenav {}` has no number", self.name))?;
+        rustix::process::kill_process(id, signal).map_err(|error| error.to_string())
+    }
+
     /// Whether it still runs.
     #[must_use]
     pub fn is_running(&mut self) -> bool {

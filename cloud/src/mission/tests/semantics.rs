@@ -14,6 +14,7 @@ use crate::mission::MissionConfig;
 use crate::mission::context::Context;
 use crate::mission::exchange::{Answer, Ask};
 use crate::mission::leaves::parse_path;
+use crate::mission::records::Restored;
 use crate::mission::trees::build;
 
 use Status::{Failure, Running, Success};
@@ -37,7 +38,7 @@ impl Stand {
     /// With a rig's map.
     fn on(node: &str, rig: &Rig) -> Stand {
         let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
-        let mut ctx = Context::new(config, 1);
+        let mut ctx = Context::new(config, &Restored::fresh());
         ctx.map.observe(Stamp(1), Some(rig.map.clone()), &[rig.patch()]);
         ctx.robot.step(Stamp(1), &mut ctx.asks).unwrap();
         let (ticket, ask) = ctx.asks.take_new().pop().unwrap();
