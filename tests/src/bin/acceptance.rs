@@ -14,6 +14,7 @@ use zenav_cloud::mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
+use zenav_tests::proving::fleet;
 use zenav_tests::proving::ground::robot;
 use zenav_tests::proving::guard::GENTLE;
 use zenav_tests::proving::handover::Blow;
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         ["handover", deaths, rest @ ..] if deaths.parse::<usize>().is_ok() => {
             handover(deaths.parse().unwrap_or(0), rest)
         }
+        ["fleet", robots, rest @ ..] if robots.parse::<usize>().is_ok() => fleet(robots.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
             demo(scenario, seeds.parse().unwrap_or(0), rest)
         }
@@ -46,7 +48,8 @@ fn main() -> ExitCode {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
                  acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS\n       acceptance kills KILLS [SEED]\n       \
-                 acceptance handover DEATHS [PAUSES [SEED]]"
+                 acceptance handover DEATHS [PAUSES [SEED]]\n       \
+                 acceptance fleet ROBOTS [SECONDS]"
             );
             ExitCode::from(2)
         }
@@ -264,6 +267,48 @@ fn handover(deaths: usize, rest: &[&str]) -> ExitCode {
         &blows,
         seed,
     ))
+}
+
+/// Largest median and 99th percentile of the lateness of a mission's step, s.
+const JITTER: (f64, f64) = (0.005, 0.05);
+
+/// Runs the missions of one robot, then of many, with one orchestrator on one core.
+fn fleet(robots: usize, rest: &[&str]) -> ExitCode {
+    let secs = rest.first().and_then(|word| word.parse().ok()).unwrap_or(60.0);
+    let run = async {
+        let alone = fleet::run(&zenav().to_string_lossy(), 1, 10.0).await?;
+        let many = fleet::run(&zenav().to_string_lossy(), robots, secs).await?;
+        Ok::<_, String>((alone, many))
+    };
+    let found = tokio::runtime::Runtime::new()
+        .map_err(|error| error.to_string())
+        .and_then(|runtime| runtime.block_on(run));
+    let (alone, mut many) = match found {
+        Ok(found) => found,
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let each = (many.memory - alone.memory) / (robots.saturating_sub(1).max(1) as f64);
+    let mut jitter = |share| percentile(&mut many.jitter, share);
+    let (p50, p99, most) = (jitter(0.5), jitter(0.99), jitter(1.0));
+    println!(
+        "{robots} robots: {:.0} % of a core; a step is off by {:.1} ms (p50), {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; \
+         {} goals driven, {} faults",
+        100.0 * many.load,
+        1e3 * p50,
+        1e3 * p99,
+        1e3 * most,
+        many.memory,
+        many.goals,
+        many.faults
+    );
+    if many.faults == 0 && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1 {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
 }
 
 /// Prints what was found when orchestrators died or froze.

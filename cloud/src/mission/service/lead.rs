@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
-use tokio::time::Instant;
+use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{Bus, BusError, Latest, Publisher, Subscription};
 use zenav_protocol::messages::*;
 use zenav_protocol::topics;
@@ -26,7 +26,9 @@ const MAX_ANSWERS: usize = 512;
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
 const MAX_GOAL_PUBLISHERS: usize = 64;
-/// A leader with standbys that was held up for longer in the midst of a step does not tell what came of it: others may have led since.
+/// Time between two looks at whether this process was held up.
+const PULSE: Duration = Duration::from_millis(200);
+/// A leader with standbys that was held up for longer tells nothing more before the robot has said that it leads: others may have led since.
 const HELD_UP: Duration = Duration::from_secs(1);
 
 /// Leads, or asks to, until the end or until another mission does.
@@ -37,9 +39,14 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
     let mut shell = Shell::open(post, restored.standing, restored.incarnation)?;
     let mut mission = Mission::new(post.config.clone(), restored);
     let mut ticks = post.clock.interval(PERIOD);
+    // The robot's clock may stand still; this one does not.
+    let mut pulse = tokio::time::interval(PULSE);
+    pulse.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut last = Instant::now();
     loop {
         let mut inputs = Inputs::default();
         tokio::select! {
+            _ = pulse.tick() => {}
             () = post.shutdown.wait() => break,
             _ = ticks.tick() => {}
             request = post.desk.next() => match request {
@@ -53,6 +60,12 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
             },
             Some(answer) = shell.answers.recv() => inputs.answers.push(answer),
         }
+        if shell.standbys.are_any() && last.elapsed() > HELD_UP {
+            tracing::warn!(robot = %post.config.robot, "this mission was held up: others may have led since");
+            shell.dismiss();
+            return Ok(Turn::Follow);
+        }
+        last = Instant::now();
         shell.drain(&mut inputs);
         let effects = mission.step(post.clock.now(), inputs);
         match shell.carry_out(&mut mission, effects).await {
