@@ -53,7 +53,9 @@ pub async fn run(
         since: Instant::now(),
     };
     for robot in &robots {
-        known.poses.insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
+        known
+            .poses
+            .insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
     }
     // Of several orchestrators with this group the first by name takes its goals, so that no goal goes to two robots.
     let service = format!("group-{group}");

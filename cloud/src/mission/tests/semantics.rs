@@ -205,6 +205,10 @@ fn validate_path_fails_where_the_body_does_not_fit_and_lists_the_places() {
         Stand::on(r#"<ValidatePath path="{path}" max_lookahead_distance="1.5"/>"#, &rig).with("path", "[[0,0],[5,0]]");
     assert_eq!(ahead.now(), Success, "far ahead");
     assert_eq!(ahead.at(1.5, 0.0).now(), Failure);
+    for (way, answer) in [("[[0,0],[5,0]]", Failure), ("[[0,-0.5],[5,-0.5]]", Success)] {
+        let mut older = Stand::on(r#"<IsPathValid path="{path}"/>"#, &rig).with("path", way);
+        assert_eq!(older.now(), answer, "by its name in older releases");
+    }
 }
 
 #[test]
