@@ -36,6 +36,7 @@ impl Mission {
                 robot: self.ctx.config.robot.to_string(),
                 boot: None,
                 model: None,
+                pacing: None,
             }))),
         }
     }

@@ -7,9 +7,11 @@
 //! | [`worlds`] | what does a random world look like? |
 //! | [`pose`] | is the estimate as good as its covariance says? |
 //! | [`tracking`] | how near to its path does each tracker keep the robot? |
+//! | [`footprint`] | what does the robot's side cost its machine? |
 //! | [`kills`] | is any goal lost when the orchestrator is killed? |
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
 
+pub mod footprint;
 pub mod ground;
 pub mod guard;
 pub mod kills;
