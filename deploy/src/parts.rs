@@ -226,6 +226,7 @@ impl Parts {
         config.planner.clone_from(&deployment.planning.planner);
         config.latency_budget = deployment.mission.latency_budget_secs;
         config.plan_valid = deployment.mission.plan_valid_secs;
+        config.profile = deployment.mission.profile;
         config.zones = files::zones(deployment.zones.file.as_deref())?;
         self.spawn(format!("mission {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
