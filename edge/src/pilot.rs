@@ -411,7 +411,7 @@ impl Pilot {
             );
         }
         let wheels = drive.wheels(verdict.twist);
-        self.limiter.set(wheels);
+        self.limiter.set(wheels, dt);
         wheels
     }
 

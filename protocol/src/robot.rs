@@ -128,7 +128,7 @@ pub struct Drive {
     /// Largest forward speed, m/s; the wheels may allow less.
     #[serde(default = "unlimited")]
     pub max_speed: f64,
-    /// Largest jerk of the base along its way, m/s³; without it plans change their acceleration at once.
+    /// Largest jerk of the base along its way, m/s³; without it plans and commands change their acceleration at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk: Option<f64>,
     /// Time constant of the motors, s.
