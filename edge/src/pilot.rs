@@ -19,6 +19,7 @@ use crate::journal::Journal;
 use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
 use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
+use crate::punctuality::Punctuality;
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
 use crate::teleop::Stick;
@@ -61,6 +62,7 @@ pub struct Pilot {
     battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
+    pub(crate) punctuality: Punctuality,
 }
 
 impl Pilot {
@@ -90,6 +92,7 @@ impl Pilot {
             battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
+            punctuality: Punctuality::default(),
             config,
         }
     }
@@ -105,6 +108,9 @@ impl Pilot {
             Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
         };
         self.missed_ticks = inbox.missed_ticks;
+        if let Some(late) = inbox.late {
+            self.punctuality.note(late);
+        }
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
         for (ticket, question) in inbox.questions {
             let answer = self.answer(now, question);
@@ -405,7 +411,7 @@ impl Pilot {
             );
         }
         let wheels = drive.wheels(verdict.twist);
-        self.limiter.set(wheels);
+        self.limiter.set(wheels, dt);
         wheels
     }
 

@@ -582,6 +582,7 @@ impl Rig {
                     boot_id: self.edge.boot_id.clone(),
                 }),
                 model: Some(model()),
+                pacing: None,
             }))),
             Ask::Behaviour(request) => {
                 let state = match self.behaviours_run {
