@@ -1,5 +1,7 @@
 //! How much does this machine hold? Rays a second and the real-time factor, by a clock that is passed in.
 
+mod worlds;
+
 use std::collections::HashMap;
 use std::time::Duration;
 
@@ -14,6 +16,7 @@ use zenav_protocol::robot::RobotModel;
 use crate::lidar::AngularBuffer;
 use crate::simulation::{RobotSpec, SimError, Simulation};
 use crate::world::World;
+pub use worlds::{office, polygons};
 
 /// What was measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -130,7 +133,8 @@ fn whole(
 }
 
 /// Exact sweeps from random free poses, for about half a second; beams a second.
-fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 {
+#[must_use]
+pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 {
     let poses = scatter(world, model, 100, 0.0, 2);
     let mut buffer = AngularBuffer::new(&model.lidar);
     let begin = clock();
