@@ -170,6 +170,9 @@ impl Pilot {
         let boot_id = self.journal.boot_id();
         let of_this_boot = corrections.iter().filter(|correction| correction.boot_id == boot_id);
         self.estimator.step(readings, of_this_boot);
+        if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
+            self.journal.tell(now, kind);
+        }
         self.telemetry.sensors(readings, &self.estimator, out);
         if let Some(sweep) = &readings.sweep
             && let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)

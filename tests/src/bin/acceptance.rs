@@ -116,14 +116,25 @@ fn pose(runs: u64, rest: &[&str]) -> ExitCode {
             sums.allowed,
         );
         println!(
-            "{:20} a step takes {:.1} us, at most {:.0} us; {} fused, {} outliers, {} too late",
+            "{:20} a step takes {:.1} us, p99 {:.1} us; {} fused, {} outliers, {} too late",
             conditions.name,
-            sums.took.0.as_secs_f64() * 1e6 / f64::from(sums.steps.max(1)),
-            sums.took.1.as_secs_f64() * 1e6,
+            1e6 * percentile(&mut sums.took, 0.5),
+            1e6 * percentile(&mut sums.took, 0.99),
             sums.tally.fused,
             sums.tally.outliers,
             sums.tally.too_late,
         );
+    }
+    match pose::latest(&clock) {
+        Ok(mut took) => println!(
+            "a step with a correction that is as late as may be takes {:.0} us, p99 {:.0} us",
+            1e6 * percentile(&mut took, 0.5),
+            1e6 * percentile(&mut took, 0.99)
+        ),
+        Err(error) => {
+            eprintln!("{error}");
+            good = false;
+        }
     }
     if good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -108,10 +108,8 @@ pub struct Sums {
     pub allowed: f64,
     /// What became of the inputs.
     pub tally: Tally,
-    /// Time that steps of the filter took: all of them, and the longest.
-    pub took: (Duration, Duration),
-    /// Steps of the filter.
-    pub steps: u32,
+    /// Time that each step of the filter took, s.
+    pub took: Vec<f64>,
 }
 
 /// Corrections on their way, and when they arrive.
@@ -211,9 +209,7 @@ pub fn drive(
         let corrections = off_board.arrived(readings.stamp);
         let before = clock();
         estimator.step(&readings, &corrections);
-        let took = clock().saturating_sub(before);
-        sums.took = (sums.took.0 + took, sums.took.1.max(took));
-        sums.steps += 1;
+        sums.took.push(clock().saturating_sub(before).as_secs_f64());
         sums.add(tick, &estimator, truth);
     }
     let (sum, tally) = (&mut sums.tally, estimator.tally());
@@ -223,6 +219,42 @@ pub fn drive(
     sum.repeated += tally.repeated;
     sum.broken += tally.broken;
     Ok(())
+}
+
+/// Time that each step takes, s, when a correction comes with it that is nearly as late as the window allows: all that came since is
+/// applied again.
+///
+/// # Errors
+/// [`GroundError`] for a robot or world that cannot be.
+pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, GroundError> {
+    const LATE: f64 = 1.95;
+    let model: RobotModel = robot("tiago")?;
+    let world = World::shipped("empty")?;
+    let start = world.start();
+    let id = Id::robot("robot")?;
+    let spec = RobotSpec {
+        id,
+        model: model.clone(),
+        start,
+    };
+    let mut sim = Simulation::new(&world, vec![spec], 1)?;
+    let mut estimator = Estimator::new(&model, start, START.0, START.1);
+    sim.drive(0, [2.0, 2.5]);
+    let mut took = Vec::new();
+    let mut dice = Dice::new(1, 3);
+    let mut off_board = OffBoard::default();
+    for _ in 0..500 {
+        sim.step();
+        let readings = sim.readings(0);
+        off_board.measure(readings.stamp, sim.truth(0).map_from_base, (LATE, LATE), &mut dice);
+        let corrections = off_board.arrived(readings.stamp);
+        let before = clock();
+        estimator.step(&readings, &corrections);
+        if !corrections.is_empty() {
+            took.push(clock().saturating_sub(before).as_secs_f64());
+        }
+    }
+    Ok(took)
 }
 
 impl Sums {
