@@ -173,12 +173,11 @@ impl Pilot {
     }
 
     fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
-        self.estimator.step(readings);
-        for correction in corrections
-            .iter()
-            .filter(|correction| correction.boot_id == self.journal.boot_id())
-        {
-            self.estimator.correction(correction);
+        let boot_id = self.journal.boot_id();
+        let of_this_boot = corrections.iter().filter(|correction| correction.boot_id == boot_id);
+        self.estimator.step(readings, of_this_boot);
+        if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
+            self.journal.tell(now, kind);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
         if let Some(sweep) = &readings.sweep
