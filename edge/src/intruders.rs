@@ -35,6 +35,8 @@ const NEIGHBOURS: usize = 2;
 const WIDTH: (f64, f64) = (0.04, 2.5);
 /// What has gone away is sought by a look at least so old, s: by then it is clearly farther off.
 const GONE_AFTER: f64 = 0.3;
+/// Beams through neighbouring points lie no farther apart than this.
+const APART: usize = 8;
 /// What is met this near to where something moved within this time moves, too: something that turns round seems to rest, m and s.
 const STILL: (f64, f64) = (0.2, 1.0);
 /// Points of what moves are no nearer together than this, m.
@@ -174,6 +176,10 @@ impl Intruders {
             let here = laser_from_look * Point2::from(local.copied().unwrap_or_default() * range);
             let through = local.and_then(|_| self.seen_through(here.coords, &sweep.ranges));
             if let Some(beam) = through {
+                // At the seam of a full circle the beams begin anew.
+                if run.is_some_and(|gone| beam.abs_diff(gone.beams.1) > APART && beam.abs_diff(gone.beams.0) > APART) {
+                    runs.extend(run.take());
+                }
                 let gone = run.get_or_insert(Gone {
                     ends: [here; 2],
                     beams: (beam, beam),
@@ -366,6 +372,29 @@ mod tests {
             let vector = Vector2::new(angle.cos(), angle.sin()) * 1.7;
             assert!((bearing(vector) - angle).abs() < 2e-5, "{angle}");
         }
+    }
+
+    #[test]
+    fn what_has_gone_from_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
+        let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
+        let lidar = robot.lidar;
+        let mut intruders = Intruders::new(&lidar, &robot.footprint, 0.3);
+        for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
+            let range = |beam: usize| {
+                let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+                (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
+            };
+            let sweep = Sweep {
+                stamp: Stamp::from_secs(secs),
+                ranges: (0..lidar.beams).map(range).collect(),
+            };
+            intruders.insert(&sweep, Pose2::IDENTITY);
+        }
+        let points: Vec<_> = intruders.in_base(Pose2::IDENTITY).collect();
+        assert!(
+            !points.is_empty() && points.iter().all(|point| point.x < -1.0),
+            "{points:?}"
+        );
     }
 
     #[test]
