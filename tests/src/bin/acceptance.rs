@@ -42,6 +42,7 @@ fn main() -> ExitCode {
         ["footprint"] => footprint(60),
         ["footprint", secs] if secs.parse::<u64>().is_ok() => footprint(secs.parse().unwrap_or(0)),
         ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
+        ["replay", seed] if seed.parse::<u64>().is_ok() => replay(seed.parse().unwrap_or(0)),
         ["kills", kills, rest @ ..] if kills.parse::<usize>().is_ok() => kill(kills.parse().unwrap_or(0), rest),
         ["handover", deaths, rest @ ..] if deaths.parse::<usize>().is_ok() => {
             handover(deaths.parse().unwrap_or(0), rest)
@@ -53,7 +54,7 @@ fn main() -> ExitCode {
         _ => {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
-                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS [FIRST_SEED]\n       acceptance kills KILLS [SEED]\n       \
+                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance replay SEED\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS [FIRST_SEED]\n       acceptance kills KILLS [SEED]\n       \
                  acceptance handover DEATHS [PAUSES [SEED]]\n       \
                  acceptance fleet ROBOTS [SECONDS]\n       acceptance footprint [SECONDS]\n       acceptance economy [MAP.yaml…]"
             );
@@ -263,6 +264,51 @@ fn tracked(maps: &[&str]) -> Result<bool, Box<dyn std::error::Error>> {
         }
     }
     Ok(good)
+}
+
+/// Drives in one of the guard's random worlds, and prints every tick of it as it truly was.
+fn replay(seed: u64) -> ExitCode {
+    let (mut tick, mut told) = (0, 0);
+    let outcome = zenav_tests::proving::guard::drive_watched(seed, |ground| {
+        let truth = ground.truth();
+        let (pose, twist) = (truth.map_from_base, truth.twist);
+        let movers: Vec<_> = ground
+            .sim
+            .movers()
+            .map(|mover| {
+                let local = pose.inverse().transform_point(mover);
+                format!("({:.2} {:.2})", local.x, local.y)
+            })
+            .collect();
+        println!(
+            "{tick:4} at {:.3} {:.3} {:.3}, {:.3} m/s {:.3} rad/s, clearance {:.4}, hardest {:.4}, movers off {} {:?}",
+            pose.x,
+            pose.y,
+            pose.yaw,
+            twist.v,
+            twist.w,
+            truth.clearance,
+            truth.hardest_contact,
+            movers.join(" "),
+            ground.events.iter().skip(told).collect::<Vec<_>>()
+        );
+        tick += 1;
+        told = ground.events.len();
+    });
+    match outcome {
+        Ok(outcome) => {
+            println!("{outcome:?}");
+            if outcome.is_good() {
+                ExitCode::SUCCESS
+            } else {
+                ExitCode::FAILURE
+            }
+        }
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
 }
 
 /// Drives in random worlds on every core, and prints a table by command.
