@@ -82,9 +82,10 @@ impl Authority {
         let granted = self.book.request(now, request);
         let holder_changed = granted.as_ref().is_ok_and(|granted| granted.holder_changed);
         if holder_changed || self.book.epoch() != before {
-            let reason = match request.action {
-                LeaseAction::Acquire => "granted",
-                LeaseAction::Release | LeaseAction::CaughtUp | LeaseAction::Forget => "released",
+            let reason = if request.action == LeaseAction::Acquire {
+                "granted"
+            } else {
+                "released"
             };
             let holder = self.book.state(now).holder;
             journal.tell(

@@ -139,6 +139,7 @@ impl Pilot {
             }),
             model: Some(self.config.model.clone()),
             pacing: Some(self.punctuality.pacing()),
+            ..InfoReply::default()
         }
     }
 }

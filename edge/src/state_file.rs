@@ -135,6 +135,7 @@ mod tests {
                 store: "a".into(),
                 epoch: 42,
                 caught_up: vec!["a".into(), "b".into()],
+                revision: 3,
             }),
         };
         file.save(&state).unwrap();

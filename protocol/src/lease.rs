@@ -21,6 +21,8 @@ pub struct LeaseBook {
     epoch: u64,
     grant: Option<Grant>,
     leader: Option<Leader>,
+    /// When the leader was heard last.
+    leader_heard: Option<Stamp>,
 }
 
 #[derive(Clone, Debug)]
@@ -50,6 +52,7 @@ impl LeaseBook {
             epoch: last_epoch,
             grant: None,
             leader,
+            leader_heard: None,
         }
     }
 
@@ -69,8 +72,12 @@ impl LeaseBook {
                 Ok(self.granted(ours))
             }
             LeaseAction::CaughtUp => match (&self.leader, &request.leads) {
-                (Some(leader), Some(word)) if leader.store == word.store && leader.epoch == word.epoch => {
+                (Some(leader), Some(word))
+                    if (&leader.store, leader.epoch) == (&word.store, word.epoch)
+                        && word.revision > leader.revision =>
+                {
                     self.leader = Some(word.clone());
+                    self.leader_heard = Some(now);
                     Ok(self.granted(false))
                 }
                 _ => Err(Refusal::NotLeader),
@@ -87,6 +94,10 @@ impl LeaseBook {
 
     fn acquire(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
         let (ours, live) = (self.is_held_by(request), self.is_live(now));
+        let store = request.store.as_ref().filter(|_| request.role == LeaseRole::Mission);
+        if store.is_some() && store == self.leader.as_ref().map(|leader| &leader.store) {
+            self.leader_heard = Some(now);
+        }
         if let Some(grant) = &mut self.grant {
             // A mission that keeps goals asks only when it has begun anew: what it was told before is void.
             if ours && live && request.store.is_none() {
@@ -95,15 +106,18 @@ impl LeaseBook {
             }
             let outranks = request.role == LeaseRole::Operator && grant.role == LeaseRole::Mission;
             if live && !ours && !outranks {
+                let (holder, role) = (grant.holder.clone(), grant.role);
+                if let Some(store) = store.filter(|store| self.may_follow(now, role, store)) {
+                    self.lead(now, store.clone());
+                }
                 return Err(Refusal::Held {
-                    holder: grant.holder.clone(),
-                    role: grant.role,
+                    holder,
+                    role,
                     epoch: self.epoch,
-                    leader: self.leader.as_ref().map(|leader| leader.store.clone()),
+                    leader: self.leader.clone(),
                 });
             }
         }
-        let store = request.store.as_ref().filter(|_| request.role == LeaseRole::Mission);
         if let (Some(store), Some(leader)) = (store, &self.leader)
             && leader.store != *store
             && !leader.caught_up.contains(store)
@@ -123,14 +137,31 @@ impl LeaseBook {
             heartbeat: 0,
         });
         if let Some(store) = store {
-            // Nobody follows it yet: those who do are named by its own word.
-            self.leader = Some(Leader {
-                store: store.clone(),
-                epoch: self.epoch,
-                caught_up: vec![store.clone()],
-            });
+            self.lead(now, store.clone());
         }
         Ok(self.granted(!ours))
+    }
+
+    /// Whether a mission that has caught up becomes the leader while an operator of this `role` has the lease: the leader is silent.
+    fn may_follow(&self, now: Stamp, role: LeaseRole, store: &String) -> bool {
+        let listed = |leader: &Leader| leader.store != *store && leader.caught_up.contains(store);
+        role == LeaseRole::Operator && !self.leader_is_live(now) && self.leader.as_ref().is_some_and(listed)
+    }
+
+    /// Whether the leader was heard lately. One that has no lease asks for it twice in a lease's life.
+    fn leader_is_live(&self, now: Stamp) -> bool {
+        self.leader_heard.is_some_and(|heard| now.since(heard) <= 2 * self.ttl)
+    }
+
+    /// From now on this store's mission leads. Nobody follows it yet: those who do are named by its own word.
+    fn lead(&mut self, now: Stamp, store: String) {
+        self.leader_heard = Some(now);
+        self.leader = Some(Leader {
+            epoch: self.epoch,
+            caught_up: vec![store.clone()],
+            revision: self.leader.as_ref().map_or(0, |leader| leader.revision),
+            store,
+        });
     }
 
     fn is_held_by(&self, request: &LeaseRequest) -> bool {
@@ -153,6 +184,9 @@ impl LeaseBook {
             Some(grant) if live && epoch == self.epoch && grant.holder == holder && counter > grant.heartbeat => {
                 grant.heartbeat = counter;
                 grant.renewed = now;
+                if grant.store.is_some() {
+                    self.leader_heard = Some(now);
+                }
                 true
             }
             _ => false,
@@ -212,6 +246,7 @@ impl LeaseBook {
             epoch: self.epoch,
             live: self.is_live(now),
             leader: self.leader.clone(),
+            leader_live: self.leader_is_live(now),
         }
     }
 }
@@ -285,12 +320,13 @@ mod tests {
         }
     }
 
-    fn caught_up(store: &str, epoch: u64, stores: &[&str]) -> LeaseRequest {
+    fn caught_up(store: &str, epoch: u64, revision: u64, stores: &[&str]) -> LeaseRequest {
         LeaseRequest {
             leads: Some(Leader {
                 store: store.into(),
                 epoch,
                 caught_up: stores.iter().map(|&store| store.into()).collect(),
+                revision,
             }),
             ..keeper(store, LeaseAction::CaughtUp)
         }
@@ -304,7 +340,7 @@ mod tests {
             caught_up: vec!["a".into()],
         });
         assert_eq!(book.request(at(2.0), &keeper("b", TAKE)), alone);
-        book.request(at(2.0), &caught_up("a", 1, &["a", "b"])).unwrap();
+        book.request(at(2.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
         assert_eq!(book.request(at(2.0), &keeper("b", TAKE)).unwrap().epoch, 2);
         // From now on the new leader is alone: the old one has missed what it writes.
         assert!(matches!(
@@ -312,7 +348,7 @@ mod tests {
             Err(Refusal::NotCaughtUp { .. })
         ));
         assert_eq!(
-            book.request(at(4.0), &caught_up("a", 1, &["a"])),
+            book.request(at(4.0), &caught_up("a", 1, 2, &["a"])),
             Err(Refusal::NotLeader),
             "a deposed leader's word counts no more"
         );
@@ -331,7 +367,7 @@ mod tests {
         let again = book.request(at(0.1), &keeper("a", TAKE)).unwrap();
         assert_eq!((again.epoch, again.holder_changed), (2, false));
         assert_eq!(
-            book.request(at(0.2), &caught_up("a", 1, &["a", "b"])),
+            book.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
             Err(Refusal::NotLeader)
         );
         assert!(matches!(
@@ -349,7 +385,44 @@ mod tests {
         book.request(at(2.0), &request("simple", MISSION, TAKE)).unwrap();
         assert_eq!(book.leader().map(|leader| leader.store.as_str()), Some("a"));
         let refused = book.request(at(2.1), &keeper("b", TAKE));
-        assert!(matches!(refused, Err(Refusal::Held { leader: Some(store), .. }) if store == "a"));
+        assert!(matches!(refused, Err(Refusal::Held { leader: Some(leader), .. }) if leader.store == "a"));
+    }
+
+    #[test]
+    fn a_leader_s_word_that_comes_late_counts_no_more() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &keeper("a", TAKE)).unwrap();
+        book.request(at(0.1), &caught_up("a", 1, 2, &["a"])).unwrap();
+        assert_eq!(
+            book.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
+            Err(Refusal::NotLeader)
+        );
+        assert_eq!(book.leader().unwrap().caught_up, ["a"]);
+    }
+
+    #[test]
+    fn while_an_operator_commands_a_silent_leader_is_followed_by_one_that_has_caught_up() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &keeper("a", TAKE)).unwrap();
+        book.request(at(0.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
+        book.request(at(0.5), &request("me", LeaseRole::Operator, TAKE))
+            .unwrap();
+        let leader = |answer: Result<Granted, Refusal>| match answer {
+            Err(Refusal::Held { leader, .. }) => leader.unwrap().store,
+            other => panic!("{other:?}"),
+        };
+        for tick in 1..=8_u32 {
+            let now = at(0.5 + 0.5 * f64::from(tick));
+            assert!(book.renew(now, "me", 2, u64::from(tick)));
+            let told = leader(book.request(now, &keeper("b", TAKE)));
+            assert_eq!(told, if tick < 4 { "a" } else { "b" }, "{tick}");
+            assert!(book.admits(now, 2), "the operator goes on");
+        }
+        assert_eq!(
+            leader(book.request(at(4.6), &keeper("a", TAKE))),
+            "b",
+            "the old leader hears of it"
+        );
     }
 
     #[test]

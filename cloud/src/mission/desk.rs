@@ -1,6 +1,7 @@
 //! What are clients told? Goals taken, refused, cancelled, held; each answer only of what is stored in the same step.
 
 use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 
 use super::exchange::{Request, Response};
@@ -35,9 +36,9 @@ impl Mission {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 schema: SCHEMA_VERSION,
                 robot: self.ctx.config.robot.to_string(),
-                boot: None,
-                model: None,
-                pacing: None,
+                store: self.store.clone(),
+                leads: self.ctx.lease.leads(),
+                ..InfoReply::default()
             }))),
         }
     }
@@ -113,8 +114,14 @@ impl Mission {
         let leader = self.store.clone().filter(|_| self.ctx.lease.term().is_some());
         let leader = leader.ok_or(Refusal::NotLeader)?;
         let robot = self.ctx.config.robot.to_string();
+        let proper = |name: &String| Id::new(name.clone()).map_err(|error| Refusal::bad_request(error.to_string()));
+        proper(&request.store)?;
+        for id in request.goals.iter().filter_map(|goal| goal.id.as_ref()) {
+            proper(id)?;
+        }
         for goal in request.goals {
-            if let Some(id) = goal.id.clone().filter(|id| self.goals.get(id).is_none()) {
+            let new = goal.id.clone().filter(|id| self.goals.get(id).is_none());
+            if let Some(id) = new.filter(|_| !self.goals.is_full()) {
                 self.goals.accept(&robot, id, goal, false, self.ctx.now);
             }
         }

@@ -14,6 +14,8 @@ const MAX_ENDED: usize = 1000;
 const MAX_WAITING: usize = 100;
 /// First answers that are kept.
 const MAX_ANSWERS: usize = 256;
+/// Ended goals that are told again at the start: an end may have been stored and not told.
+const TOLD_AGAIN: usize = 32;
 /// Goals in one answer where the asker does not say.
 const DEFAULT_LIMIT: usize = 100;
 
@@ -43,10 +45,12 @@ impl GoalBook {
             .filter(|goal| !goal.state.state.is_end())
             .map(|goal| goal.sequence)
             .collect();
+        let ended = goals.values().rev().filter(|goal| goal.state.state.is_end());
+        let ended = ended.map(|goal| goal.sequence).take(TOLD_AGAIN);
         Self {
+            changed: open.iter().copied().chain(ended).collect(),
             goals,
             by_id,
-            changed: open.clone(),
             open,
             answers: answers.into(),
             records: Vec::new(),

@@ -169,8 +169,12 @@ impl LeaseKeeper {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
         {
-            // Where others could have taken over meanwhile, the robot must say who leads.
+            // Where others could have taken over meanwhile, the robot must say who leads, and not by an answer from before.
             self.confirmed &= !self.shared;
+            if let Some(ticket) = self.asking.take() {
+                asks.forget(ticket);
+                self.next_ask = now;
+            }
             if self.grant.is_some() {
                 self.lose(now, "this mission has slept".to_owned());
             }
@@ -215,8 +219,10 @@ impl LeaseKeeper {
             Err(NoAnswer::Refused(Refusal::Held { holder, leader, .. })) => {
                 self.why_not = format!("{holder} holds the lease");
                 if let (Some(store), Some(leader)) = (&self.store, leader) {
-                    self.confirmed |= *store == leader;
-                    self.deposed = *store != leader;
+                    self.deposed = *store != leader.store;
+                    if !self.deposed {
+                        (self.term, self.confirmed) = (leader.epoch, true);
+                    }
                 }
             }
             Err(NoAnswer::Refused(refusal)) => {
@@ -238,6 +244,7 @@ pub fn newer(incarnation: u64, count: u64) -> u64 {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use zenav_protocol::messages::Leader;
 
     fn granted(now: f64) -> (LeaseKeeper, Asks) {
         let (mut keeper, mut asks) = (
@@ -292,7 +299,12 @@ mod tests {
                 holder: "operator".into(),
                 role: LeaseRole::Operator,
                 epoch: 9,
-                leader: Some(leader.into()),
+                leader: Some(Leader {
+                    store: leader.into(),
+                    epoch: 7,
+                    caught_up: vec![leader.into()],
+                    revision: 0,
+                }),
             };
             asks.answer(ticket, Err(NoAnswer::Refused(held("mine"))));
             keeper.step(Stamp::from_secs(21.05), &mut asks);

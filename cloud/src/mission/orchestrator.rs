@@ -26,6 +26,10 @@ pub struct Mission {
     /// The name of the store, where one keeps the goals.
     pub(super) store: Option<String>,
     standbys: Vec<String>,
+    /// The mission's time when something was written last, before this life.
+    written: Stamp,
+    /// How far the mission's time is ahead of the clock's, ns.
+    ahead: Option<i64>,
     running: Option<Running>,
     /// The tree that ran before a restart, until its goal is taken up again.
     left_over: Option<RunningTree>,
@@ -69,6 +73,8 @@ impl Mission {
             goals: GoalBook::new(restored.goals, restored.answers),
             incarnation: restored.incarnation,
             store: restored.store,
+            written: restored.now,
+            ahead: restored.ahead,
             standbys: Vec::new(),
             running: None,
             left_over: restored.tree,
@@ -84,6 +90,7 @@ impl Mission {
     /// One step, some twenty times a second and whenever a client asks. Effects are to be carried out in order, the first
     /// of them, [`Effect::Persist`], to its end before all others.
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
+        let now = self.own_time(now);
         let ctx = &mut self.ctx;
         ctx.now = now;
         if let Some(state) = &inputs.state {
@@ -117,6 +124,17 @@ impl Mission {
         self.collect(heartbeat, effects)
     }
 
+    /// The mission's time goes on over restarts and over machines, whatever their clocks say: stored stamps are of it.
+    fn own_time(&mut self, now: Stamp) -> Stamp {
+        let written = self.written;
+        // A clock that follows the robot's stands at zero until it has heard it.
+        if now == Stamp::ZERO && self.ahead.is_none() {
+            return written;
+        }
+        let ahead = *self.ahead.get_or_insert_with(|| written.since(now).as_nanos() as i64);
+        Stamp(now.0.saturating_add_signed(ahead))
+    }
+
     /// What is left to do for a mission that does not lead: it asks to, and says so.
     fn stand_by(&mut self, requests: Vec<(Client, Request)>, mut effects: Vec<Effect>) -> Vec<Effect> {
         for (client, request) in requests {
@@ -135,6 +153,18 @@ impl Mission {
     #[must_use]
     pub fn term(&self) -> Option<u64> {
         self.ctx.lease.term()
+    }
+
+    /// The mission's own time.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.ctx.now
+    }
+
+    /// Why it does not command, in words.
+    #[must_use]
+    pub fn why_not(&self) -> &str {
+        self.ctx.lease.why_not()
     }
 
     /// Which other stores hold all that this mission acknowledges, and whether some more may.
@@ -344,6 +374,7 @@ impl Mission {
         self.tree_ended = false;
         let mut effects = Vec::new();
         if !records.is_empty() {
+            records.push(Record::Now(self.ctx.now));
             effects.push(Effect::Persist(records));
         }
         effects.append(&mut others);

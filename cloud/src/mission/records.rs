@@ -48,6 +48,8 @@ pub enum Record {
     Answer(String, GoalReply),
     /// An old answer's end.
     ForgetAnswer(String),
+    /// The mission's time when this is written, by which all other stamps are to be read.
+    Now(Stamp),
 }
 
 /// How a mission's store stands to those of other missions for the same robot.
@@ -76,6 +78,10 @@ pub struct Restored {
     pub motion: Option<Plan>,
     /// First answers to requests.
     pub answers: Vec<(String, GoalReply)>,
+    /// The mission's time when something was written last: no later life's time is before it.
+    pub now: Stamp,
+    /// How far the leader's time was ahead of this clock when it was heard last, ns, for a standby that takes over.
+    pub ahead: Option<i64>,
 }
 
 impl Restored {

@@ -34,7 +34,9 @@ const STANDING: &str = "standing";
 const TREE: &str = "tree";
 /// The plan in force.
 const MOTION: &str = "motion";
-/// The number of the last life.
+/// The time of the last write.
+const NOW: &str = "now";
+/// The number of the last life, of this store's and of its leaders'.
 const INCARNATION: &str = "incarnation";
 
 /// A mission's file.
@@ -151,6 +153,7 @@ impl Store {
             Record::ForgetAnswer(id) => (ANSWERS, id.clone(), None),
             Record::Tree(tree) => (SINGLES, TREE.to_owned(), Some(self.encode(TREE, tree)?)),
             Record::Motion(motion) => (SINGLES, MOTION.to_owned(), Some(self.encode(MOTION, motion)?)),
+            Record::Now(now) => (SINGLES, NOW.to_owned(), Some(self.encode(NOW, now)?)),
         };
         Ok(JournalWrite {
             table: redb::TableHandle::name(&table).to_owned(),
@@ -235,14 +238,19 @@ impl Store {
         let restored = {
             let answers = write.open_table(ANSWERS).map_err(|error| self.io(error))?;
             let mut singles = write.open_table(SINGLES).map_err(|error| self.io(error))?;
-            let own = write.open_table(OWN).map_err(|error| self.io(error))?;
+            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
+            let lives = [
+                self.single::<u64>(&own, INCARNATION)?,
+                self.single(&singles, INCARNATION)?,
+            ];
             let mut restored = Restored {
                 store: Some(self.name.clone()),
                 standing: self.single(&own, STANDING)?.unwrap_or_default(),
                 goals: self.all_goals(&write.open_table(GOALS).map_err(|error| self.io(error))?)?,
                 tree: self.single(&singles, TREE)?.flatten(),
                 motion: self.single(&singles, MOTION)?.flatten(),
-                incarnation: self.single::<u64>(&singles, INCARNATION)?.unwrap_or(0) + 1,
+                incarnation: lives.into_iter().flatten().max().unwrap_or(0) + 1,
+                now: self.single(&singles, NOW)?.unwrap_or_default(),
                 ..Restored::default()
             };
             for row in answers.iter().map_err(|error| self.io(error))? {
@@ -252,6 +260,7 @@ impl Store {
                     .push((id.value().to_owned(), self.decode("answer", bytes.value())?));
             }
             self.insert(&mut singles, INCARNATION, &restored.incarnation)?;
+            self.insert(&mut own, INCARNATION, &restored.incarnation)?;
             restored
         };
         write.commit().map_err(|error| self.io(error))?;

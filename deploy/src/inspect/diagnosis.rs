@@ -322,6 +322,7 @@ pub(super) mod tests {
                 epoch: 4,
                 live: true,
                 leader: None,
+                leader_live: false,
             },
             plan: None,
             velocity: Twist2::new(0.4, 0.0),
@@ -410,9 +411,7 @@ pub(super) mod tests {
             version: "0".into(),
             schema: SCHEMA_VERSION + 1,
             robot: "r".into(),
-            boot: None,
-            model: None,
-            pacing: None,
+            ..InfoReply::default()
         });
         let check = judge(&robot, TIME)
             .into_iter()

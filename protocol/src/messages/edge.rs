@@ -121,10 +121,13 @@ pub struct LeaseState {
     /// Who keeps the robot's goals, if anybody ever did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader: Option<Leader>,
+    /// Whether the leader was heard lately, also while an operator has the lease.
+    #[serde(default)]
+    pub leader_live: bool,
 }
 
 /// Who keeps a robot's goals, by the robot's own word: the mission with a store that was granted the lease last. A lease of an operator, or
-/// a lapsed one, changes nothing in it.
+/// a lapsed one, changes nothing in it, unless the leader falls silent meanwhile and one that has caught up asks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leader {
     /// Name of its store.
@@ -133,6 +136,9 @@ pub struct Leader {
     pub epoch: u64,
     /// All stores that hold whatever it has acknowledged, its own among them: only they may lead next.
     pub caught_up: Vec<String>,
+    /// Grows with every word of the leader's on who has caught up: an older one that comes late changes nothing.
+    #[serde(default)]
+    pub revision: u64,
 }
 
 /// State of a robot, ten times a second.

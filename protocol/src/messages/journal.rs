@@ -6,15 +6,15 @@
 use serde::{Deserialize, Serialize};
 
 use super::GoalRequest;
+use crate::time::Stamp;
 
 /// A standby's wish to be handed what the leader writes, and the sign that it still is there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JoinRequest {
     /// Name of its store.
     pub store: String,
-    /// Whether it was handed everything so far; else the leader begins with all that it has.
-    #[serde(default)]
-    pub follows: bool,
+    /// Names the time that it follows: as long as it misses nothing it keeps it, and takes nothing that was sent for another.
+    pub session: String,
     /// Goals that it took before any mission of the robot led; they become the leader's.
     #[serde(default)]
     pub goals: Vec<GoalRequest>,
@@ -27,19 +27,20 @@ pub struct JoinReply {
     pub leader: String,
 }
 
-/// One batch of writes of a leader's store.
+/// Writes of a leader's store for one standby.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JournalEntry {
     /// Name of the leader's store.
     pub leader: String,
-    /// Epoch of its grant: an entry of an older one than was seen is refused.
+    /// Epoch under which it leads.
     pub epoch: u64,
-    /// Number of the batch since this leader began.
+    /// The session of the standby's join.
+    pub session: String,
+    /// Number of the entry in the session, from one: the first begins with an empty store. One without writes repeats the number before.
     pub position: u64,
-    /// Whether this is all there is, instead of what comes after the entry before.
-    #[serde(default)]
-    pub whole: bool,
-    /// What is written, all or nothing; none keeps the standby from believing that it was forgotten.
+    /// The leader's time, by which stored stamps are to be read.
+    pub now: Stamp,
+    /// What is written, all or nothing; none says that the leader is there.
     pub writes: Vec<JournalWrite>,
 }
 
@@ -55,9 +56,9 @@ pub struct JournalWrite {
     pub value: Option<String>,
 }
 
-/// The standby's word that a batch is on its disk.
+/// The standby's word that an entry is on its disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JournalReply {
-    /// Number of the newest batch that it holds, with all before.
+    /// Number of the newest entry that it holds, with all before.
     pub position: u64,
 }

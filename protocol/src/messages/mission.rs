@@ -72,7 +72,7 @@ pub struct NodeStatus {
 pub struct InfoRequest {}
 
 /// Who a component is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InfoReply {
     /// `edge`, `mapping`, `mission`, `planning`.
     pub component: String,
@@ -85,6 +85,12 @@ pub struct InfoReply {
     /// Its present boot and time, for an edge.
     #[serde(default)]
     pub boot: Option<BasedOn>,
+    /// Name of the store, from a mission that keeps goals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub store: Option<String>,
+    /// Whether it leads: keeps the robot's goals.
+    #[serde(default)]
+    pub leads: bool,
     /// The robot's footprint, limits and sensors, from an edge.
     #[serde(default)]
     pub model: Option<RobotModel>,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{GoalPoint, LeaseRole};
+use super::{GoalPoint, Leader, LeaseRole};
 
 /// An error reply: `{"error": "Rejected", "reason": …}`.
 #[derive(Clone, Debug, Error, PartialEq, Serialize, Deserialize)]
@@ -48,9 +48,9 @@ pub enum Refusal {
         role: LeaseRole,
         /// Their epoch.
         epoch: u64,
-        /// The store of the mission that leads, whoever holds the lease.
+        /// The mission that leads, whoever holds the lease.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        leader: Option<String>,
+        leader: Option<Leader>,
     },
     /// A mission that does not hold all goals that were acknowledged for the robot.
     #[error("only {} may lead: its goals are not known here", .caught_up.join(" or "))]

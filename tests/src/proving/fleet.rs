@@ -287,100 +287,100 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     let (mut count, mut measured): (u32, Option<(Instant, f64)>) = (0, None);
     loop {
         tokio::select! {
-            biased;
-            Some(beat) = beats.next() => {
-                let Some(puppet) = beat.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                puppet.book.renew(now(), &beat.message.holder, beat.message.epoch, beat.message.counter);
-                let last = puppet.beat.replace(Instant::now());
-                if let (Some(last), Some(_)) = (last, measured) {
-                    findings.jitter.push((last.elapsed().as_secs_f64() - BEAT).abs());
-                }
-            }
-            Some(request) = leases.next() => {
-                let Some(puppet) = request.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                match puppet.book.request(now(), &request.body) {
-                    Ok(granted) => request.reply(&LeaseReply {
-                        epoch: granted.epoch,
-                        ttl_secs: LEASE.as_secs_f64(),
-                        boot_id: "boot".to_owned(),
+                    biased;
+                    Some(beat) = beats.next() => {
+                        let Some(puppet) = beat.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        puppet.book.renew(now(), &beat.message.holder, beat.message.epoch, beat.message.counter);
+                        let last = puppet.beat.replace(Instant::now());
+                        if let (Some(last), Some(_)) = (last, measured) {
+                            findings.jitter.push((last.elapsed().as_secs_f64() - BEAT).abs());
+                        }
+                    }
+                    Some(request) = leases.next() => {
+                        let Some(puppet) = request.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        match puppet.book.request(now(), &request.body) {
+                            Ok(granted) => request.reply(&LeaseReply {
+                                epoch: granted.epoch,
+                                ttl_secs: LEASE.as_secs_f64(),
+                                boot_id: "boot".to_owned(),
+                            }),
+                            Err(refusal) => request.refuse(&refusal),
+                        }
+                    }
+                    Some(request) = infos.next() => {
+                        let robot = request.chunks.first().cloned().unwrap_or_default();
+                        request.reply(&InfoReply {
+                            component: "edge".to_owned(),
+                            version: env!("CARGO_PKG_VERSION").to_owned(),
+                            schema: SCHEMA_VERSION,
+                            robot,
+                            boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
+                            model: Some(model.clone()),
+        ..InfoReply::default()
+        });
+                    }
+                    Some(request) = maps.next() => request.reply(&MapReply {
+                        info: map_info(now()),
+                        values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
+                        trajectory: Vec::new(),
                     }),
-                    Err(refusal) => request.refuse(&refusal),
-                }
-            }
-            Some(request) = infos.next() => {
-                let robot = request.chunks.first().cloned().unwrap_or_default();
-                request.reply(&InfoReply {
-                    component: "edge".to_owned(),
-                    version: env!("CARGO_PKG_VERSION").to_owned(),
-                    schema: SCHEMA_VERSION,
-                    robot,
-                    boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
-                    model: Some(model.clone()),
-                    pacing: None,
-                });
-            }
-            Some(request) = maps.next() => request.reply(&MapReply {
-                info: map_info(now()),
-                values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
-                trajectory: Vec::new(),
-            }),
-            Some(request) = plans.next() => {
-                let path = vec![request.body.start.position(), request.body.goal.position()];
-                let length = (path[1] - path[0]).norm();
-                let map = request.body.map.clone();
-                request.reply(&PlanReply {
-                    map,
-                    outcome: PlanOutcome::Found { path, length },
-                    search_ms: 0.0,
-                    expansions: 0,
-                    origin: PlanOrigin::Searched,
-                });
-            }
-            Some(request) = smooths.next() => { let reply = smooth(&request.body, &model); request.reply(&reply) }
-            Some(plan) = written.next() => {
-                let Some(puppet) = plan.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                findings.faults += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
-            }
-            Some(goal) = ended.next() => {
-                let Some(puppet) = goal.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                if goal.message.state.is_end() && goal.message.id == format!("{}-{}", puppet.name, puppet.goals) {
-                    let good = goal.message.state == GoalPhase::Succeeded;
-                    findings.goals += usize::from(good && measured.is_some());
-                    findings.faults += usize::from(!good);
-                    submit(&bus, puppet);
-                }
-            }
-            _ = ticks.tick() => {
-                count += 1;
-                clock.put(&SimClock { stamp: now() });
-                for puppet in puppets.values_mut() {
-                    puppet.tick(now(), count);
-                }
-                let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
-                match measured {
-                    None if led == robots => {
-                        for puppet in puppets.values_mut() {
-                            puppet.tell_map(now());
+                    Some(request) = plans.next() => {
+                        let path = vec![request.body.start.position(), request.body.goal.position()];
+                        let length = (path[1] - path[0]).norm();
+                        let map = request.body.map.clone();
+                        request.reply(&PlanReply {
+                            map,
+                            outcome: PlanOutcome::Found { path, length },
+                            search_ms: 0.0,
+                            expansions: 0,
+                            origin: PlanOrigin::Searched,
+                        });
+                    }
+                    Some(request) = smooths.next() => { let reply = smooth(&request.body, &model); request.reply(&reply) }
+                    Some(plan) = written.next() => {
+                        let Some(puppet) = plan.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        findings.faults += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
+                    }
+                    Some(goal) = ended.next() => {
+                        let Some(puppet) = goal.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        if goal.message.state.is_end() && goal.message.id == format!("{}-{}", puppet.name, puppet.goals) {
+                            let good = goal.message.state == GoalPhase::Succeeded;
+                            findings.goals += usize::from(good && measured.is_some());
+                            findings.faults += usize::from(!good);
                             submit(&bus, puppet);
                         }
-                        measured = Some((Instant::now(), orchestrator.cpu_secs()?));
                     }
-                    None if start.elapsed() > READY => {
-                        return Err(format!("{led} of {robots} robots are led after {READY:?}"));
-                    }
-                    None => {}
-                    Some((since, before)) => {
-                        findings.faults += robots - led;
-                        let took = since.elapsed().as_secs_f64();
-                        if took >= secs {
-                            findings.load = (orchestrator.cpu_secs()? - before) / took;
-                            findings.memory = orchestrator.memory_mib()?;
-                            break;
+                    _ = ticks.tick() => {
+                        count += 1;
+                        clock.put(&SimClock { stamp: now() });
+                        for puppet in puppets.values_mut() {
+                            puppet.tick(now(), count);
+                        }
+                        let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
+                        match measured {
+                            None if led == robots => {
+                                for puppet in puppets.values_mut() {
+                                    puppet.tell_map(now());
+                                    submit(&bus, puppet);
+                                }
+                                measured = Some((Instant::now(), orchestrator.cpu_secs()?));
+                            }
+                            None if start.elapsed() > READY => {
+                                return Err(format!("{led} of {robots} robots are led after {READY:?}"));
+                            }
+                            None => {}
+                            Some((since, before)) => {
+                                findings.faults += robots - led;
+                                let took = since.elapsed().as_secs_f64();
+                                if took >= secs {
+                                    findings.load = (orchestrator.cpu_secs()? - before) / took;
+                                    findings.memory = orchestrator.memory_mib()?;
+                                    break;
+                                }
+                            }
                         }
                     }
                 }
-            }
-        }
     }
     bus.close().await;
     Ok(findings)

@@ -1,12 +1,14 @@
 //! What does a mission do that stands by, and when may it lead? It stores what its leader stores; when the lease has lapsed and the robot
 //! has it on the list of those that have caught up, it asks to lead.
 
+use std::hash::{BuildHasher as _, Hasher as _};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::BusError;
 use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::super::exchange::{Request, Response};
@@ -16,23 +18,37 @@ use super::{MissionError, Post, Turn, blocking};
 
 /// A leader that is not heard for so long is asked to be joined again.
 const UNHEARD: Duration = Duration::from_secs(1);
+/// Longest time between two such asks while they lead to nothing.
+const LONGEST_UNHEARD: Duration = Duration::from_secs(30);
 /// How long an answer to that is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The robot says within this time that it has granted a lease.
 const WORD: Duration = Duration::from_millis(250);
+/// A mission that led does not ask to lead again before.
+const REST: Duration = Duration::from_millis(500);
 
 /// Where a standby stands in its leader's journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Place {
-    leader: String,
+    session: String,
     position: u64,
 }
 
-/// What to do with a batch.
+impl Place {
+    /// Nothing yet, of a session that nobody has had before.
+    fn anew() -> Self {
+        Self {
+            session: format!("{:016x}", std::hash::RandomState::new().build_hasher().finish()),
+            position: 0,
+        }
+    }
+}
+
+/// What to do with an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// Store it.
-    Take,
+    /// Store it, after what is stored or instead of it.
+    Take { instead: bool },
     /// It is stored.
     Known,
 }
@@ -42,9 +58,10 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
     let mut states = post.bus.latest(&topics::STATE, &[post.config.robot.as_str()])?;
     let store = post.store.clone();
     let mut epoch = blocking(move || store.standing()).await??.epoch;
-    let mut place: Option<Place> = None;
+    let mut place = Place::anew();
     let mut word: Option<Leader> = None;
-    let mut next_join = Instant::now();
+    let rested = Instant::now() + REST;
+    let (mut next_join, mut unheard) = (Instant::now(), UNHEARD);
     loop {
         tokio::select! {
             () = post.shutdown.wait() => return Ok(Turn::Over),
@@ -63,84 +80,89 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
                     let Ok(Some(state)) = timeout_at(heard, states.next()).await else { break };
                     word = state.message.lease.leader;
                 }
-                match judge(&entry.body, epoch, word.as_ref(), place.as_ref()) {
+                let taken = match judge(&entry.body, word.as_ref(), &place) {
+                    Ok(verdict) => take(post, &entry.body, verdict).await.map_err(|error| Refusal::Internal {
+                        reason: error.to_string(),
+                    }),
+                    Err(refusal) => Err(refusal),
+                };
+                match taken {
+                    Ok(()) => {
+                        place.position = place.position.max(entry.body.position);
+                        epoch = entry.body.epoch;
+                        (unheard, next_join) = (UNHEARD, Instant::now() + UNHEARD);
+                        entry.reply(&JournalReply { position: place.position });
+                    }
                     Err(refusal) => {
-                        tracing::info!(%refusal, "what a leader hands over is not taken");
-                        if matches!(refusal, Refusal::Rejected { .. }) {
-                            // Something is missing: the leader is to begin again.
-                            (place, next_join) = (None, Instant::now());
+                        tracing::warn!(robot = %post.config.robot, %refusal, "what is handed over is not stored");
+                        if entry.body.session == place.session {
+                            // Something is missing now: all is to be handed over again, but not at once for ever.
+                            place = Place::anew();
+                            unheard = (2 * unheard).min(LONGEST_UNHEARD);
+                            next_join = Instant::now() + unheard;
                         }
                         entry.refuse(&refusal);
-                    }
-                    Ok(verdict) => {
-                        if let Err(error) = take(post, &entry.body, verdict).await {
-                            let reason = error.to_string();
-                            tracing::error!(reason, "what the leader hands over cannot be stored");
-                            entry.refuse(&Refusal::Internal { reason });
-                            place = None;
-                            continue;
-                        }
-                        (epoch, next_join) = (entry.body.epoch, Instant::now() + UNHEARD);
-                        let position = place.map_or(0, |place| place.position).max(entry.body.position);
-                        let position = if entry.body.whole { entry.body.position } else { position };
-                        place = Some(Place { leader: entry.body.leader.clone(), position });
-                        entry.reply(&JournalReply { position });
                     }
                 }
             }
             state = states.next() => {
                 let Some(state) = state else { return Err(BusError::Closed.into()) };
                 word.clone_from(&state.message.lease.leader);
-                if may_lead(&state.message.lease, post.store.name()) {
+                if may_lead(&state.message.lease, post.store.name()) && Instant::now() > rested {
                     tracing::info!(robot = %post.config.robot, "asks to lead");
                     return Ok(Turn::Lead);
                 }
             }
             () = sleep_until(next_join) => {
-                next_join = Instant::now() + UNHEARD;
-                join(post, epoch, place.is_some()).await?;
+                next_join = Instant::now() + unheard;
+                join(post, epoch, &place).await?;
             }
         }
     }
 }
 
-/// Whether a batch is the leader's, by the robot's `word`, and follows on what is stored.
-fn judge(entry: &JournalEntry, epoch: u64, word: Option<&Leader>, place: Option<&Place>) -> Result<Verdict, Refusal> {
-    if !word.is_some_and(|word| word.store == entry.leader && word.epoch == entry.epoch) {
-        return Err(Refusal::NotLeader);
+/// Whether an entry is the leader's, by the robot's `word`, and follows on what is stored.
+fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &Place) -> Result<Verdict, Refusal> {
+    if entry.session != place.session {
+        return Err(Refusal::rejected("it is for another time of following"));
     }
-    if entry.epoch < epoch {
-        return Err(Refusal::WrongEpoch {
-            got: entry.epoch,
-            current: epoch,
-        });
+    let Some(word) = word else {
+        return Err(Refusal::rejected("the robot is not heard: nobody knows who leads"));
+    };
+    if (&word.store, word.epoch) != (&entry.leader, entry.epoch) {
+        return Err(Refusal::rejected(format!(
+            "the robot says that {} leads, in epoch {}",
+            word.store, word.epoch
+        )));
     }
-    let here = place.filter(|place| place.leader == entry.leader);
-    match here {
-        _ if entry.whole => Ok(Verdict::Take),
-        Some(place) if entry.position <= place.position => Ok(Verdict::Known),
-        Some(place) if entry.position == place.position + 1 => Ok(Verdict::Take),
-        _ => Err(Refusal::rejected(format!(
-            "batch {} does not follow on what is stored here",
-            entry.position
+    match entry.position {
+        known if known <= place.position => Ok(Verdict::Known),
+        next if next == place.position + 1 => Ok(Verdict::Take { instead: next == 1 }),
+        late => Err(Refusal::rejected(format!(
+            "entry {late} does not follow on {}",
+            place.position
         ))),
     }
 }
 
-async fn take(post: &Post, entry: &JournalEntry, verdict: Verdict) -> Result<(), StoreError> {
-    if verdict == Verdict::Known {
+async fn take(post: &mut Post, entry: &JournalEntry, verdict: Verdict) -> Result<(), StoreError> {
+    let Verdict::Take { instead } = verdict else {
         return Ok(());
+    };
+    let now = post.clock.now();
+    if now != Stamp::ZERO && entry.now != Stamp::ZERO {
+        post.ahead = Some(entry.now.0.wrapping_sub(now.0).cast_signed());
     }
     let (store, entry) = (post.store.clone(), entry.clone());
     let standing = Standing {
         epoch: entry.epoch,
         shared: true,
     };
-    blocking(move || store.apply(&entry.writes, entry.whole, Some(standing))).await?
+    blocking(move || store.apply(&entry.writes, instead, Some(standing))).await?
 }
 
 /// Asks whoever leads to be handed what it stores.
-async fn join(post: &Post, epoch: u64, follows: bool) -> Result<(), StoreError> {
+async fn join(post: &Post, epoch: u64, place: &Place) -> Result<(), StoreError> {
     let store = post.store.clone();
     let goals = match epoch {
         // What was accepted while nobody led is still to be done.
@@ -149,7 +171,7 @@ async fn join(post: &Post, epoch: u64, follows: bool) -> Result<(), StoreError> 
     };
     let request = JoinRequest {
         store: post.store.name().to_owned(),
-        follows,
+        session: place.session.clone(),
         goals: goals
             .into_iter()
             .filter(|goal| !goal.state.state.is_end())
@@ -170,10 +192,14 @@ async fn join(post: &Post, epoch: u64, follows: bool) -> Result<(), StoreError> 
 
 /// Whether the robot would let the mission with this store lead.
 fn may_lead(lease: &LeaseState, store: &str) -> bool {
+    let operator = lease.role == Some(LeaseRole::Operator);
     match &lease.leader {
         None => !lease.live,
         Some(leader) if leader.store == store => true,
-        Some(leader) => !lease.live && leader.caught_up.iter().any(|known| known == store),
+        Some(leader) => {
+            let open = !lease.live || operator && !lease.leader_live;
+            open && leader.caught_up.iter().any(|known| known == store)
+        }
     }
 }
 
@@ -183,23 +209,22 @@ fn info(post: &Post) -> InfoReply {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         schema: SCHEMA_VERSION,
         robot: post.config.robot.to_string(),
-        boot: None,
-        model: None,
-        pacing: None,
+        store: Some(post.store.name().to_owned()),
+        ..InfoReply::default()
     }
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
-    fn entry(leader: &str, epoch: u64, position: u64, whole: bool) -> JournalEntry {
+    fn entry(leader: &str, epoch: u64, session: &str, position: u64) -> JournalEntry {
         JournalEntry {
             leader: leader.into(),
             epoch,
+            session: session.into(),
             position,
-            whole,
+            now: Stamp::ZERO,
             writes: Vec::new(),
         }
     }
@@ -209,38 +234,41 @@ mod tests {
             store: store.into(),
             epoch,
             caught_up: caught_up.iter().map(|&store| store.into()).collect(),
+            revision: 1,
         }
     }
 
     #[test]
     fn only_what_follows_on_what_is_stored_is_taken_and_only_from_whom_the_robot_names() {
-        let (named, place) = (
-            word("a", 7, &["a"]),
-            Place {
-                leader: "a".into(),
-                position: 4,
-            },
-        );
-        let judged = |entry: JournalEntry| judge(&entry, 7, Some(&named), Some(&place));
-        assert_eq!(judged(entry("a", 7, 5, false)), Ok(Verdict::Take));
-        assert_eq!(judged(entry("a", 7, 4, false)), Ok(Verdict::Known), "sent again");
-        assert!(
-            matches!(judged(entry("a", 7, 6, false)), Err(Refusal::Rejected { .. })),
-            "something is missing"
-        );
-        assert_eq!(judged(entry("a", 7, 9, true)), Ok(Verdict::Take), "all there is");
-        for stranger in [
-            entry("b", 7, 5, true),
-            entry("a", 6, 5, true),
-            entry("a", u64::MAX, 5, true),
-        ] {
-            assert_eq!(judged(stranger), Err(Refusal::NotLeader));
+        let named = word("a", 7, &["a"]);
+        let place = |position| Place {
+            session: "s".into(),
+            position,
+        };
+        let judged = |entry: JournalEntry| judge(&entry, Some(&named), &place(4));
+        assert_eq!(judged(entry("a", 7, "s", 5)), Ok(Verdict::Take { instead: false }));
+        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(Verdict::Known), "sent again");
+        assert_eq!(judged(entry("a", 7, "s", 1)), Ok(Verdict::Known), "sent again late");
+        let strangers = [
+            entry("a", 7, "s", 6),
+            entry("a", 7, "before", 5),
+            entry("b", 7, "s", 5),
+            entry("a", 6, "s", 5),
+            entry("a", u64::MAX, "s", 5),
+        ];
+        for stranger in strangers {
+            assert!(matches!(judged(stranger), Err(Refusal::Rejected { .. })));
         }
-        assert_eq!(
-            judge(&entry("a", 7, 5, true), 7, None, None),
-            Err(Refusal::NotLeader),
+        let silent = judge(&entry("a", 7, "s", 5), None, &place(4));
+        assert!(
+            matches!(silent, Err(Refusal::Rejected { .. })),
             "of a robot that is silent"
         );
+        assert_eq!(
+            judge(&entry("a", 7, "s", 1), Some(&named), &place(0)),
+            Ok(Verdict::Take { instead: true })
+        );
+        assert_ne!(Place::anew(), Place::anew());
     }
 
     #[test]
@@ -256,5 +284,10 @@ mod tests {
         assert!(!may_lead(&lease(true, Some(word("a", 7, &["a", "b"]))), "b"));
         assert!(!may_lead(&lease(false, Some(word("a", 7, &["a"]))), "b"));
         assert!(may_lead(&lease(true, Some(word("b", 7, &["b"]))), "b"), "it leads");
+        let mut operated = lease(true, Some(word("a", 7, &["a", "b"])));
+        operated.role = Some(LeaseRole::Operator);
+        assert!(may_lead(&operated, "b"), "the leader is silent");
+        operated.leader_live = true;
+        assert!(!may_lead(&operated, "b"));
     }
 }

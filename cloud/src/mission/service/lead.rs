@@ -26,15 +26,21 @@ const MAX_ANSWERS: usize = 512;
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
 const MAX_GOAL_PUBLISHERS: usize = 64;
+/// Time for other missions to say that they are there.
+const ROLL_CALL: Duration = Duration::from_millis(300);
 /// Time between two looks at whether this process was held up.
 const PULSE: Duration = Duration::from_millis(200);
 /// A leader with standbys that was held up for longer tells nothing more before the robot has said that it leads: others may have led since.
-const HELD_UP: Duration = Duration::from_secs(1);
+pub(super) const HELD_UP: Duration = Duration::from_secs(1);
 
 /// Leads, or asks to, until the end or until another mission does.
 pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
     let store = post.store.clone();
-    let restored = blocking(move || store.begin_life()).await??;
+    let mut restored = blocking(move || store.begin_life()).await??;
+    restored.ahead = post.ahead;
+    if restored.standing.epoch == 0 && another_leads(post).await {
+        return Ok(Turn::Follow);
+    }
     tracing::info!(robot = %post.config.robot, store = post.store.name(), incarnation = restored.incarnation, goals = restored.goals.len(), "mission begins");
     let mut shell = Shell::open(post, restored.standing, restored.incarnation)?;
     let mut mission = Mission::new(post.config.clone(), restored);
@@ -47,7 +53,12 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
         let mut inputs = Inputs::default();
         tokio::select! {
             _ = pulse.tick() => {}
-            () = post.shutdown.wait() => break,
+            () = post.shutdown.wait() => {
+                if shell.standbys.are_any() && last.elapsed() > HELD_UP {
+                    return Ok(Turn::Over);
+                }
+                break;
+            }
             _ = ticks.tick() => {}
             request = post.desk.next() => match request {
                 Some(request) => shell.receive(request, &mut inputs),
@@ -68,10 +79,10 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
         last = Instant::now();
         shell.drain(&mut inputs);
         let effects = mission.step(post.clock.now(), inputs);
-        match shell.carry_out(&mut mission, effects).await {
+        match shell.carry_out(&mut mission, effects, last).await {
             Ok(()) => {}
             Err(End::Deposed) => {
-                tracing::warn!(robot = %post.config.robot, "another mission may lead: this one stands by");
+                tracing::warn!(robot = %post.config.robot, why = mission.why_not(), "stands by");
                 shell.dismiss();
                 return Ok(Turn::Follow);
             }
@@ -79,11 +90,25 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
         }
     }
     let effects = mission.leave();
-    match shell.carry_out(&mut mission, effects).await {
+    match shell.carry_out(&mut mission, effects, Instant::now()).await {
         Err(End::Failed(error)) => Err(error),
         // Whoever leads next goes on from what is stored.
         Ok(()) | Err(End::Deposed) => Ok(Turn::Over),
     }
+}
+
+/// Whether a mission with a store that no robot ever let lead leaves the lead to another one that is there. Without the robot's word one of
+/// several new ones leads, the first by its store's name.
+async fn another_leads(post: &Post) -> bool {
+    let robot = [post.config.robot.as_str()];
+    let all = post
+        .bus
+        .ask_all(&topics::CLOUD_INFO, &robot, &InfoRequest {}, ROLL_CALL);
+    let others = all.await.unwrap_or_default().into_iter();
+    others.filter_map(|answer| answer.result.ok()).any(|other| {
+        let store = other.store.as_deref().filter(|store| *store != post.store.name());
+        store.is_some_and(|store| other.leads || store < post.store.name())
+    })
 }
 
 /// Everything between the mission and the bus.
@@ -163,16 +188,19 @@ impl Shell {
         }
     }
 
-    async fn carry_out(&mut self, mission: &mut Mission, effects: Vec<Effect>) -> Result<(), End> {
-        let begun = Instant::now();
-        self.standbys.lead(mission.term()).await?;
+    /// `begun` is when the step's inputs were taken.
+    async fn carry_out(&mut self, mission: &mut Mission, effects: Vec<Effect>, begun: Instant) -> Result<(), End> {
+        self.standbys.lead(mission.term(), mission.now()).await?;
+        let held_up = |standbys: &Standbys| standbys.are_any() && begun.elapsed() > HELD_UP;
         for effect in &effects {
-            if let Effect::Heartbeat(heartbeat) = effect {
+            if let Effect::Heartbeat(heartbeat) = effect
+                && !held_up(&self.standbys)
+            {
                 self.heartbeat.put(heartbeat);
             }
         }
         for effect in effects {
-            if self.standbys.are_any() && begun.elapsed() > HELD_UP {
+            if held_up(&self.standbys) {
                 return Err(End::Deposed);
             }
             match effect {
@@ -180,7 +208,7 @@ impl Shell {
                 Effect::Heartbeat(_) => {}
                 Effect::Plan(plan) => self.plan.put(&plan),
                 Effect::Status(status) => self.status.put(&status),
-                Effect::Goal(goal) => self.publish_goal(&goal)?,
+                Effect::Goal(goal) => self.publish_goal(&goal),
                 Effect::Ask(ticket, ask) => self.ask(ticket, ask),
                 Effect::Reply(client, answer) => {
                     if let Some(waiting) = self.clients.remove(&client) {
@@ -212,22 +240,23 @@ impl Shell {
         }
     }
 
-    fn publish_goal(&mut self, goal: &GoalState) -> Result<(), BusError> {
+    fn publish_goal(&mut self, goal: &GoalState) {
         let place = match self.goals.iter().position(|(id, _)| *id == goal.id) {
             Some(place) => place,
             None => {
                 if self.goals.len() == MAX_GOAL_PUBLISHERS {
                     self.goals.remove(0);
                 }
-                let publisher = self.bus.publisher(&topics::GOAL_STATE, &[&self.robot, &goal.id])?;
-                self.goals.push((goal.id.clone(), publisher));
+                match self.bus.publisher(&topics::GOAL_STATE, &[&self.robot, &goal.id]) {
+                    Ok(publisher) => self.goals.push((goal.id.clone(), publisher)),
+                    Err(error) => return tracing::error!(goal = goal.id, %error, "its state cannot be told"),
+                }
                 self.goals.len() - 1
             }
         };
         if let Some((_, publisher)) = self.goals.get(place) {
             publisher.put(goal);
         }
-        Ok(())
     }
 
     fn ask(&self, ticket: Ticket, ask: Ask) {

@@ -76,6 +76,8 @@ struct Post {
     desk: Desk,
     /// Where a leader hands over what it writes.
     journal: Server<JournalEntry, JournalReply>,
+    /// How far the time of the leader that was followed last is ahead of this clock, ns.
+    ahead: Option<i64>,
     shutdown: Shutdown,
 }
 
@@ -95,6 +97,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
         clock,
         config,
         store,
+        ahead: None,
         shutdown,
     };
     let mut turn = Turn::Lead;

@@ -256,6 +256,7 @@ impl Kept {
                 }
                 Record::Motion(motion) => self.restored.motion = motion.map(|plan| *plan),
                 Record::Answer(id, reply) => self.restored.answers.push((id, reply)),
+                Record::Now(now) => self.restored.now = now,
                 Record::ForgetAnswer(id) => self.restored.answers.retain(|(known, _)| *known != id),
             }
         }
@@ -582,7 +583,7 @@ impl Rig {
                     boot_id: self.edge.boot_id.clone(),
                 }),
                 model: Some(model()),
-                pacing: None,
+                ..InfoReply::default()
             }))),
             Ask::Behaviour(request) => {
                 let state = match self.behaviours_run {

@@ -48,9 +48,8 @@ impl Stand {
             version: "0".into(),
             schema: zenav_protocol::SCHEMA_VERSION,
             robot: "tiago".into(),
-            boot: None,
             model: Some(model()),
-            pacing: None,
+            ..InfoReply::default()
         };
         ctx.asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(info))));
         ctx.robot.step(Stamp(2), &mut ctx.asks).unwrap();
