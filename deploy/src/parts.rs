@@ -211,28 +211,45 @@ impl Parts {
         Ok(())
     }
 
-    /// Starts a robot's mission.
+    /// Starts robots' missions. They share a session: a hundred robots are one orchestrator's.
     ///
     /// # Errors
     /// Bad zones.
-    pub fn mission(&mut self, deployment: &Deployment, world: &World, id: &Id) -> Result<(), Failure> {
-        let bus = BusConfig::service(&format!("mission-{id}"), &deployment.bus.connect);
-        let mut config = mission::MissionConfig::new(
-            id.clone(),
-            deployment.mission.holder.clone(),
-            deployment.robot_dir(id).join("mission.redb"),
-        );
-        config.places = places(world);
-        config.planner.clone_from(&deployment.planning.planner);
-        config.latency_budget = deployment.mission.latency_budget_secs;
-        config.plan_valid = deployment.mission.plan_valid_secs;
-        config.profile = deployment.mission.profile;
-        config.zones = files::zones(deployment.zones.file.as_deref())?;
-        self.spawn(format!("mission {id}"), bus, move |bus, shutdown| async move {
+    pub fn missions(&mut self, deployment: &Deployment, world: &World, robots: &[Id]) -> Result<(), Failure> {
+        let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
+        let config = |id: &Id| {
+            let mut config = mission::MissionConfig::new(
+                id.clone(),
+                deployment.mission.holder.clone(),
+                deployment.robot_dir(id).join("mission.redb"),
+            );
+            config.places = places.clone();
+            config.planner.clone_from(&deployment.planning.planner);
+            config.latency_budget = deployment.mission.latency_budget_secs;
+            config.plan_valid = deployment.mission.plan_valid_secs;
+            config.profile = deployment.mission.profile;
+            config.zones = Arc::clone(&zones);
+            config
+        };
+        let configs: Vec<mission::MissionConfig> = robots.iter().map(config).collect();
+        let name = format!("missions-{}", deployment.mission.holder);
+        let bus = BusConfig::service(&name, &deployment.bus.connect);
+        self.spawn(name, bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
-            mission::service::run(bus, clock, config, shutdown)
-                .await
-                .map_err(|error| Failure::failed(error.to_string()))
+            let mut missions = JoinSet::new();
+            for config in configs {
+                let robot = config.robot.clone();
+                let mission = mission::service::run(bus.clone(), clock.clone(), config, shutdown.clone());
+                missions.spawn(async move {
+                    mission
+                        .await
+                        .map_err(|error| Failure::failed(format!("mission {robot}: {error}")))
+                });
+            }
+            while let Some(ended) = missions.join_next().await {
+                ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;
+            }
+            Ok(())
         });
         Ok(())
     }
@@ -260,15 +277,14 @@ impl Parts {
         worker: &str,
     ) -> Result<(), Failure> {
         let wanted = |part| which == CloudPart::All || which == part;
-        for (id, _) in deployment.robot_ids()? {
-            if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
-                self.mapping(deployment, &id);
-            }
-            if wanted(CloudPart::Mission) && deployment.mission.enabled {
-                self.mission(deployment, world, &id)?;
+        let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
+        if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+            for id in &robots {
+                self.mapping(deployment, id);
             }
         }
         if wanted(CloudPart::Mission) && deployment.mission.enabled {
+            self.missions(deployment, world, &robots)?;
             for (group, robots) in deployment.group_ids()? {
                 self.dispatch(deployment, world, group, robots);
             }

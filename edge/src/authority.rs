@@ -13,6 +13,8 @@ use crate::mailbox::Persisted;
 
 /// Longest name of a holder or request.
 const LONGEST_NAME: usize = 128;
+/// Stores that may have caught up with the leader, its own among them.
+const MOST_STANDBYS: usize = 8;
 /// First answers kept for repeated requests.
 const MEMORY: usize = 64;
 
@@ -56,7 +58,7 @@ impl Authority {
     #[must_use]
     pub fn new(config: &EdgeConfig, stored: Persisted) -> Self {
         Self {
-            book: LeaseBook::new(config.lease_ttl, stored.epoch),
+            book: LeaseBook::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
             stopped: stored.stopped,
             resumed: None,
             policy: config.on_lost,
@@ -70,14 +72,8 @@ impl Authority {
 
     /// Answers a request for the lease; a repeated request gets the first answer.
     pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut Journal) -> Ruling<LeaseReply> {
-        if request.holder.is_empty()
-            || request.holder.len() > LONGEST_NAME
-            || request.request_id.is_empty()
-            || request.request_id.len() > LONGEST_NAME
-        {
-            return Ruling::harmless(Err(Refusal::bad_request(format!(
-                "`holder` and `request_id`: expected 1 to {LONGEST_NAME} bytes"
-            ))));
+        if let Err(why) = well_formed(request) {
+            return Ruling::harmless(Err(Refusal::bad_request(why)));
         }
         if let Some((_, first)) = self.first_answers.iter().find(|(known, _)| known == request) {
             return Ruling::harmless(first.clone());
@@ -88,7 +84,7 @@ impl Authority {
         if holder_changed || self.book.epoch() != before {
             let reason = match request.action {
                 LeaseAction::Acquire => "granted",
-                LeaseAction::Release => "released",
+                LeaseAction::Release | LeaseAction::CaughtUp | LeaseAction::Forget => "released",
             };
             let holder = self.book.state(now).holder;
             journal.tell(
@@ -226,9 +222,10 @@ impl Authority {
         let wanted = Persisted {
             epoch: self.book.epoch(),
             stopped: self.stopped,
+            leader: self.book.leader().cloned(),
         };
         (wanted != self.stored).then(|| {
-            self.stored = wanted;
+            self.stored.clone_from(&wanted);
             wanted
         })
     }
@@ -290,6 +287,27 @@ impl Authority {
     pub fn lease_state(&self, now: Stamp) -> LeaseState {
         self.book.state(now)
     }
+}
+
+/// Why the names in a request are none, if so.
+fn well_formed(request: &LeaseRequest) -> Result<(), String> {
+    let leads = request.leads.as_ref();
+    let named = [("holder", &request.holder), ("request_id", &request.request_id)];
+    let stores = request.store.iter().chain(leads.map(|word| &word.store));
+    let stores = stores.chain(leads.iter().flat_map(|word| &word.caught_up));
+    let all = named.into_iter().chain(stores.map(|store| ("store", store)));
+    for (field, name) in all {
+        if name.is_empty() || name.len() > LONGEST_NAME {
+            return Err(format!("`{field}`: expected 1 to {LONGEST_NAME} bytes"));
+        }
+    }
+    if leads.is_some_and(|word| word.caught_up.len() > MOST_STANDBYS) {
+        return Err(format!("`caught_up`: expected at most {MOST_STANDBYS} stores"));
+    }
+    if request.action == LeaseAction::CaughtUp && !leads.is_some_and(|word| word.caught_up.contains(&word.store)) {
+        return Err("`leads`: expected who leads, with its own store among those that have caught up".to_owned());
+    }
+    Ok(())
 }
 
 fn name(by: Option<&str>) -> String {

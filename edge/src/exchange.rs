@@ -179,7 +179,9 @@ impl Exchange {
         {
             let mut outward = self.outward();
             outward.now = Some(now);
-            outward.persist = outbox.persist.or(outward.persist);
+            if outbox.persist.is_some() {
+                outward.persist = outbox.persist;
+            }
             outward.answers.extend(replies);
             for publication in outbox.publications {
                 if matches!(publication, Publication::Event(_)) {

@@ -64,12 +64,15 @@ pub enum Answer {
 }
 
 /// What must outlive a restart of the edge.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Persisted {
     /// The greatest epoch that was ever granted.
     pub epoch: u64,
     /// Whether the robot is stopped by hand.
     pub stopped: bool,
+    /// Who keeps the robot's goals.
+    #[serde(default)]
+    pub leader: Option<Leader>,
 }
 
 /// Something to publish.

@@ -73,7 +73,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;
     // A new boot counts only if the next one can be told from it: find out now whether the folder can be written.
-    file.save(stored)?;
+    file.save(&stored)?;
 
     let exchange = Arc::new(Exchange::default());
     let mut intake = JoinSet::new();
@@ -344,10 +344,10 @@ async fn publish(publishers: Publishers, exchange: Arc<Exchange>) {
 async fn clerk(file: StateFile, exchange: Arc<Exchange>) {
     let mut unsaved = None;
     while let Some(clerking) = exchange.clerking().await {
-        unsaved = clerking.persist.or(unsaved);
-        let failure = match unsaved {
+        unsaved = clerking.persist.clone().or(unsaved);
+        let failure = match &unsaved {
             None => None,
-            Some(state) => match save(file.clone(), state).await {
+            Some(state) => match save(file.clone(), state.clone()).await {
                 Ok(()) => {
                     unsaved = None;
                     None
@@ -365,6 +365,6 @@ async fn clerk(file: StateFile, exchange: Arc<Exchange>) {
 }
 
 fn save(file: StateFile, state: crate::mailbox::Persisted) -> impl Future<Output = Result<(), String>> {
-    let saved = tokio::task::spawn_blocking(move || file.save(state).map_err(|error| error.to_string()));
+    let saved = tokio::task::spawn_blocking(move || file.save(&state).map_err(|error| error.to_string()));
     async { saved.await.unwrap_or_else(|error| Err(error.to_string())) }
 }

@@ -74,12 +74,12 @@ impl StateFile {
     ///
     /// # Errors
     /// [`StateError::Io`]; what was stored before is still there.
-    pub fn save(&self, state: Persisted) -> Result<(), StateError> {
+    pub fn save(&self, state: &Persisted) -> Result<(), StateError> {
         let io = |source| StateError::Io {
             path: self.path.clone(),
             source,
         };
-        let bytes = serde_json::to_vec(&state).map_err(|source| StateError::Malformed {
+        let bytes = serde_json::to_vec(state).map_err(|source| StateError::Malformed {
             path: self.path.clone(),
             source,
         })?;
@@ -100,6 +100,7 @@ impl StateFile {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use zenav_protocol::messages::Leader;
 
     #[test]
     fn what_was_saved_is_loaded_and_a_broken_file_is_named() {
@@ -109,8 +110,13 @@ mod tests {
         let state = Persisted {
             epoch: 42,
             stopped: true,
+            leader: Some(Leader {
+                store: "a".into(),
+                epoch: 42,
+                caught_up: vec!["a".into(), "b".into()],
+            }),
         };
-        file.save(state).unwrap();
+        file.save(&state).unwrap();
         assert_eq!(file.load().unwrap(), state);
         fs::write(&file.path, b"{\"epoch\": 4").unwrap();
         assert!(file.load().unwrap_err().to_string().contains("edge-tiago.json"));

@@ -116,12 +116,7 @@ async fn a_stop_reaches_the_robot_with_no_router_and_outlives_a_restart() {
     assert_eq!((info.component.as_str(), info.schema), ("edge", SCHEMA_VERSION));
     assert_eq!(info.model.unwrap().name, "tiago");
     let first_boot = info.boot.unwrap().boot_id;
-    let take = LeaseRequest {
-        holder: "me".into(),
-        role: LeaseRole::Operator,
-        action: LeaseAction::Acquire,
-        request_id: "r1".into(),
-    };
+    let take = LeaseRequest::new("me", LeaseRole::Operator, LeaseAction::Acquire, "r1");
     let lease = edge.operator.ask(&topics::LEASE, ROBOT, &take, DEADLINE).await.unwrap();
     assert_eq!(lease.epoch, 1);
     let stop = StopRequest { by: Some("me".into()) };
@@ -166,12 +161,7 @@ async fn a_stop_reaches_the_robot_with_no_router_and_outlives_a_restart() {
 async fn an_operator_drives_by_hand_and_a_change_without_the_epoch_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let edge = Edge::start(folder.path()).await;
-    let take = LeaseRequest {
-        holder: "me".into(),
-        role: LeaseRole::Operator,
-        action: LeaseAction::Acquire,
-        request_id: "r1".into(),
-    };
+    let take = LeaseRequest::new("me", LeaseRole::Operator, LeaseAction::Acquire, "r1");
     let epoch = edge
         .operator
         .ask(&topics::LEASE, ROBOT, &take, DEADLINE)

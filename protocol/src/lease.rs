@@ -3,11 +3,15 @@
 //! Every grant to another holder gets a higher epoch, also across restarts of the edge; every command carries it.
 //! An operator outranks a mission; two missions never hold a lease at once.
 //!
-//! Source: Gray and Cheriton, "Leases", SOSP 1989; fencing by epoch as in Burrows, "The Chubby lock service", OSDI 2006.
+//! The robot also says which mission may lead, that is, keep its goals: only one whose store holds whatever the last leader had
+//! acknowledged, by that leader's own word. So goals outlive their orchestrator's machine, and no two orchestrators promise on their own.
+//!
+//! Source: Gray and Cheriton, "Leases", SOSP 1989; fencing by epoch as in Burrows, "The Chubby lock service", OSDI 2006; the arbiter
+//! of who has caught up as in Lin et al., "PacificA", Microsoft Research 2008.
 
 use std::time::Duration;
 
-use crate::messages::{LeaseAction, LeaseRequest, LeaseRole, LeaseState, Refusal};
+use crate::messages::{Leader, LeaseAction, LeaseRequest, LeaseRole, LeaseState, Refusal};
 use crate::time::Stamp;
 
 /// The current grant of one robot.
@@ -16,12 +20,14 @@ pub struct LeaseBook {
     ttl: Duration,
     epoch: u64,
     grant: Option<Grant>,
+    leader: Option<Leader>,
 }
 
 #[derive(Clone, Debug)]
 struct Grant {
     holder: String,
     role: LeaseRole,
+    store: Option<String>,
     renewed: Stamp,
     heartbeat: u64,
 }
@@ -36,68 +42,107 @@ pub struct Granted {
 }
 
 impl LeaseBook {
-    /// No grant; epochs go on above `last_epoch`, the greatest that was ever granted.
+    /// No grant; epochs go on above `last_epoch`, the greatest that was ever granted, and `leader` still leads.
     #[must_use]
-    pub const fn new(ttl: Duration, last_epoch: u64) -> Self {
+    pub const fn new(ttl: Duration, last_epoch: u64, leader: Option<Leader>) -> Self {
         Self {
             ttl,
             epoch: last_epoch,
             grant: None,
+            leader,
         }
     }
 
     /// Answers a request for the lease.
     ///
     /// # Errors
-    /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease.
+    /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease; [`Refusal::NotCaughtUp`] for a mission that may not
+    /// lead; [`Refusal::NotLeader`] for the word of one that does not lead under that epoch.
     pub fn request(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
-        let ours = self
-            .grant
-            .as_ref()
-            .is_some_and(|grant| grant.holder == request.holder && grant.role == request.role);
         match request.action {
+            LeaseAction::Acquire => self.acquire(now, request),
             LeaseAction::Release => {
+                let ours = self.is_held_by(request);
                 if ours {
                     self.grant = None;
                 }
-                Ok(Granted {
-                    epoch: self.epoch,
-                    holder_changed: ours,
-                })
+                Ok(self.granted(ours))
             }
-            LeaseAction::Acquire => {
-                let live = self.is_live(now);
-                if let Some(grant) = &mut self.grant {
-                    if ours && live {
-                        grant.renewed = now;
-                        return Ok(Granted {
-                            epoch: self.epoch,
-                            holder_changed: false,
-                        });
-                    }
-                    let outranks = request.role == LeaseRole::Operator && grant.role == LeaseRole::Mission;
-                    if live && !outranks {
-                        return Err(Refusal::Held {
-                            holder: grant.holder.clone(),
-                            role: grant.role,
-                            epoch: self.epoch,
-                        });
-                    }
+            LeaseAction::CaughtUp => match (&self.leader, &request.leads) {
+                (Some(leader), Some(word)) if leader.store == word.store && leader.epoch == word.epoch => {
+                    self.leader = Some(word.clone());
+                    Ok(self.granted(false))
                 }
-                // A lapsed lease gets a new epoch even for its old holder: what was sent before the lapse is void. The
-                // plan being finished stays: the holder is the same.
-                self.epoch += 1;
-                self.grant = Some(Grant {
-                    holder: request.holder.clone(),
-                    role: request.role,
-                    renewed: now,
-                    heartbeat: 0,
-                });
-                Ok(Granted {
-                    epoch: self.epoch,
-                    holder_changed: !ours,
-                })
+                _ => Err(Refusal::NotLeader),
+            },
+            LeaseAction::Forget => {
+                if request.role != LeaseRole::Operator {
+                    return Err(Refusal::rejected("only an operator may give up a leader's goals"));
+                }
+                self.leader = None;
+                Ok(self.granted(false))
             }
+        }
+    }
+
+    fn acquire(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
+        let (ours, live) = (self.is_held_by(request), self.is_live(now));
+        if let Some(grant) = &mut self.grant {
+            // A mission that keeps goals asks only when it has begun anew: what it was told before is void.
+            if ours && live && request.store.is_none() {
+                grant.renewed = now;
+                return Ok(self.granted(false));
+            }
+            let outranks = request.role == LeaseRole::Operator && grant.role == LeaseRole::Mission;
+            if live && !ours && !outranks {
+                return Err(Refusal::Held {
+                    holder: grant.holder.clone(),
+                    role: grant.role,
+                    epoch: self.epoch,
+                    leader: self.leader.as_ref().map(|leader| leader.store.clone()),
+                });
+            }
+        }
+        let store = request.store.as_ref().filter(|_| request.role == LeaseRole::Mission);
+        if let (Some(store), Some(leader)) = (store, &self.leader)
+            && leader.store != *store
+            && !leader.caught_up.contains(store)
+        {
+            return Err(Refusal::NotCaughtUp {
+                caught_up: leader.caught_up.clone(),
+            });
+        }
+        // A lapsed lease gets a new epoch even for its old holder: what was sent before the lapse is void. The
+        // plan being finished stays: the holder is the same.
+        self.epoch += 1;
+        self.grant = Some(Grant {
+            holder: request.holder.clone(),
+            role: request.role,
+            store: request.store.clone(),
+            renewed: now,
+            heartbeat: 0,
+        });
+        if let Some(store) = store {
+            // Nobody follows it yet: those who do are named by its own word.
+            self.leader = Some(Leader {
+                store: store.clone(),
+                epoch: self.epoch,
+                caught_up: vec![store.clone()],
+            });
+        }
+        Ok(self.granted(!ours))
+    }
+
+    fn is_held_by(&self, request: &LeaseRequest) -> bool {
+        self.grant.as_ref().is_some_and(|grant| {
+            grant.holder == request.holder && grant.role == request.role && grant.store == request.store
+        })
+    }
+
+    const fn granted(&self, holder_changed: bool) -> Granted {
+        Granted {
+            epoch: self.epoch,
+            holder_changed,
         }
     }
 
@@ -152,6 +197,12 @@ impl LeaseBook {
         self.ttl
     }
 
+    /// Who keeps the robot's goals, if anybody ever did.
+    #[must_use]
+    pub const fn leader(&self) -> Option<&Leader> {
+        self.leader.as_ref()
+    }
+
     /// The lease as the edge's state shows it.
     #[must_use]
     pub fn state(&self, now: Stamp) -> LeaseState {
@@ -160,6 +211,7 @@ impl LeaseBook {
             role: self.role(),
             epoch: self.epoch,
             live: self.is_live(now),
+            leader: self.leader.clone(),
         }
     }
 }
@@ -169,12 +221,7 @@ mod tests {
     use super::*;
 
     fn request(holder: &str, role: LeaseRole, action: LeaseAction) -> LeaseRequest {
-        LeaseRequest {
-            holder: holder.into(),
-            role,
-            action,
-            request_id: "r".into(),
-        }
+        LeaseRequest::new(holder, role, action, "r")
     }
 
     fn at(secs: f64) -> Stamp {
@@ -186,7 +233,7 @@ mod tests {
 
     #[test]
     fn two_missions_never_hold_the_lease_at_once() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 41);
+        let mut book = LeaseBook::new(Duration::from_secs(1), 41, None);
         assert_eq!(
             book.request(at(0.0), &request("a", MISSION, TAKE)),
             Ok(Granted {
@@ -214,7 +261,7 @@ mod tests {
 
     #[test]
     fn a_lapsed_holder_must_ask_anew_and_gets_a_new_epoch() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0);
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
         assert!(book.renew(at(0.5), "a", 1, 1));
         assert!(!book.renew(at(0.6), "a", 1, 1), "a replayed heartbeat renews nothing");
@@ -231,9 +278,83 @@ mod tests {
         );
     }
 
+    fn keeper(store: &str, action: LeaseAction) -> LeaseRequest {
+        LeaseRequest {
+            store: Some(store.into()),
+            ..request(store, MISSION, action)
+        }
+    }
+
+    fn caught_up(store: &str, epoch: u64, stores: &[&str]) -> LeaseRequest {
+        LeaseRequest {
+            leads: Some(Leader {
+                store: store.into(),
+                epoch,
+                caught_up: stores.iter().map(|&store| store.into()).collect(),
+            }),
+            ..keeper(store, LeaseAction::CaughtUp)
+        }
+    }
+
+    #[test]
+    fn only_a_mission_that_has_caught_up_leads_next() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &keeper("a", TAKE)).unwrap();
+        let alone = Err(Refusal::NotCaughtUp {
+            caught_up: vec!["a".into()],
+        });
+        assert_eq!(book.request(at(2.0), &keeper("b", TAKE)), alone);
+        book.request(at(2.0), &caught_up("a", 1, &["a", "b"])).unwrap();
+        assert_eq!(book.request(at(2.0), &keeper("b", TAKE)).unwrap().epoch, 2);
+        // From now on the new leader is alone: the old one has missed what it writes.
+        assert!(matches!(
+            book.request(at(4.0), &keeper("a", TAKE)),
+            Err(Refusal::NotCaughtUp { .. })
+        ));
+        assert_eq!(
+            book.request(at(4.0), &caught_up("a", 1, &["a"])),
+            Err(Refusal::NotLeader),
+            "a deposed leader's word counts no more"
+        );
+        // Not even over a restart of the robot.
+        let mut book = LeaseBook::new(Duration::from_secs(1), 2, book.leader().cloned());
+        assert!(book.request(at(0.0), &keeper("a", TAKE)).is_err());
+        book.request(at(0.0), &request("me", LeaseRole::Operator, LeaseAction::Forget))
+            .unwrap();
+        assert!(book.request(at(0.0), &keeper("a", TAKE)).is_ok());
+    }
+
+    #[test]
+    fn a_leader_s_word_of_an_earlier_life_counts_no_more() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &keeper("a", TAKE)).unwrap();
+        let again = book.request(at(0.1), &keeper("a", TAKE)).unwrap();
+        assert_eq!((again.epoch, again.holder_changed), (2, false));
+        assert_eq!(
+            book.request(at(0.2), &caught_up("a", 1, &["a", "b"])),
+            Err(Refusal::NotLeader)
+        );
+        assert!(matches!(
+            book.request(at(2.0), &keeper("b", TAKE)),
+            Err(Refusal::NotCaughtUp { .. })
+        ));
+    }
+
+    #[test]
+    fn who_keeps_no_goals_and_an_operator_change_nothing_in_who_leads() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &keeper("a", TAKE)).unwrap();
+        book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
+            .unwrap();
+        book.request(at(2.0), &request("simple", MISSION, TAKE)).unwrap();
+        assert_eq!(book.leader().map(|leader| leader.store.as_str()), Some("a"));
+        let refused = book.request(at(2.1), &keeper("b", TAKE));
+        assert!(matches!(refused, Err(Refusal::Held { leader: Some(store), .. }) if store == "a"));
+    }
+
     #[test]
     fn an_operator_outranks_a_mission_but_not_the_other_way_round() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0);
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
         book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
             .unwrap();

@@ -221,6 +221,8 @@ key_table! {
         GOALS: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", Mission, 16 * KIB;
         MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
         CLOUD_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", Mission, 4 * KIB;
+        JOIN: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", Mission, 4 * MIB;
+        JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 64 * MIB;
         LEASE: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", Edge, 16 * KIB;
         STOP: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", Edge, 16 * KIB;
         RESUME: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", Edge, 16 * KIB;

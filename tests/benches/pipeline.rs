@@ -325,12 +325,7 @@ impl Driven {
             Persisted::default(),
         );
         let now = Stamp::from_secs(1.0);
-        let request = LeaseRequest {
-            holder: "m".into(),
-            role: LeaseRole::Mission,
-            action: LeaseAction::Acquire,
-            request_id: "1".into(),
-        };
+        let request = LeaseRequest::new("m", LeaseRole::Mission, LeaseAction::Acquire, "1");
         let world = World::shipped("kitchen").unwrap();
         let spec = RobotSpec {
             id: Id::robot(ROBOT).unwrap(),

@@ -141,6 +141,40 @@ impl Deployment {
         ])
     }
 
+    /// `zenav cloud mission` under a name, which is its folder's too.
+    #[must_use]
+    pub fn start_mission(&self, holder: &str) -> Process {
+        self.start(&[
+            "cloud",
+            "mission",
+            "--connect",
+            &self.router,
+            "--data",
+            holder,
+            "--holder",
+            holder,
+            "--world",
+            &self.world,
+        ])
+    }
+
+    /// `zenav cloud mission` for robots, which are part of a deployment file, on the first core alone (by `taskset`, of util-linux).
+    ///
+    /// # Panics
+    /// When the file cannot be written.
+    #[must_use]
+    pub fn start_missions_on_one_core(&self, robots: &str) -> Process {
+        let file = self.folder().join("fleet.toml");
+        let (world, router) = (&self.world, &self.router);
+        let text = format!(
+            "[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\n[data]\ndir = \"fleet\"\n{robots}"
+        );
+        std::fs::write(file, text).expect("a deployment file");
+        let binary = self.binary.to_string_lossy();
+        let arguments = ["-c", "0", &binary, "cloud", "mission", "--deployment", "fleet.toml"];
+        Process::start("taskset", &arguments, self.folder())
+    }
+
     /// `zenav up`: everything in one process, from a deployment file.
     ///
     /// # Panics

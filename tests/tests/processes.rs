@@ -12,6 +12,7 @@ use zenav_protocol::messages::*;
 use zenav_protocol::topics;
 use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::{Observer, assert_rests, is_rest};
+use zenav_tests::proving::handover::Blow;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// Longest wait for anything, wall time: much more than it takes on a busy machine.
@@ -150,12 +151,12 @@ struct Writer {
 
 impl Writer {
     async fn new(bus: &Bus, holder: &str) -> Self {
-        let request = LeaseRequest {
-            holder: holder.to_owned(),
-            role: LeaseRole::Mission,
-            action: LeaseAction::Acquire,
-            request_id: format!("{holder}-1"),
-        };
+        let request = LeaseRequest::new(
+            holder.to_owned(),
+            LeaseRole::Mission,
+            LeaseAction::Acquire,
+            format!("{holder}-1"),
+        );
         let epoch = bus.ask(&topics::LEASE, &[ROBOT], &request, LONG).await.unwrap().epoch;
         let (beat, key, holder) = (bus.clone(), topics::HEARTBEAT.key(&[ROBOT]), holder.to_owned());
         let heart = tokio::spawn(async move {
@@ -409,4 +410,12 @@ async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_dri
     let findings = zenav_tests::proving::kills::run(ZENAV, 5, 1).await.unwrap();
     assert!(findings.faults.is_empty(), "{findings:#?}");
     assert!(findings.goals > 0 && findings.motions > 0, "{findings:#?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn when_the_leading_orchestrator_dies_or_freezes_the_other_goes_on_and_a_woken_one_does_not() {
+    let blows = [Blow::Death, Blow::Pause(6.0)];
+    let findings = zenav_tests::proving::handover::run(ZENAV, &blows, 1).await.unwrap();
+    assert!(findings.faults.is_empty(), "{findings:#?}");
+    assert!(findings.goals > 0 && findings.takeovers.len() == 2, "{findings:#?}");
 }

@@ -1,10 +1,14 @@
 //! How does a group's goal reach its robot? The missions tell their goals, the chosen one stores it; its answer is the group's.
 //! Where several processes serve a group, one of them takes the goals and the others stand by.
+//!
+//! A goal that is sent again goes to the robot that it was given to: the missions tell, or it is remembered. Until a process has been there for
+//! a while it does not know what was given before, so all missions must tell then.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use nalgebra::Point2;
+use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Shutdown};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
@@ -16,6 +20,20 @@ use super::{Candidate, choose, place_of};
 const ROLL_CALL: Duration = Duration::from_millis(500);
 /// Wall time for the chosen robot's mission to store the goal.
 const STORED: Duration = Duration::from_secs(5);
+/// For so long after its start a process gives no goal while a mission is silent.
+const NEW: Duration = Duration::from_secs(10);
+/// A process that was held up for longer between a request and its answer gives nothing: another may have.
+const HELD_UP: Duration = Duration::from_secs(2);
+/// Gifts that are remembered.
+const MAX_GIVEN: usize = 1000;
+
+/// What a process knows of the group.
+struct Group {
+    poses: BTreeMap<String, Latest<PoseEstimate>>,
+    /// Which robot a goal was given to, in the order of giving.
+    given: VecDeque<(String, String)>,
+    since: Instant,
+}
 
 /// Takes goals for a group of robots until the shutdown.
 ///
@@ -29,9 +47,15 @@ pub async fn run(
     shutdown: Shutdown,
 ) -> Result<(), BusError> {
     let mut server = bus.serve(&topics::GOAL, &[group.as_str()])?;
-    let mut poses = BTreeMap::new();
+    let mut known = Group {
+        poses: BTreeMap::new(),
+        given: VecDeque::new(),
+        since: Instant::now(),
+    };
     for robot in &robots {
-        poses.insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
+        known
+            .poses
+            .insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
     }
     // Of several orchestrators with this group the first by name takes its goals, so that no goal goes to two robots.
     let service = format!("group-{group}");
@@ -52,7 +76,7 @@ pub async fn run(
             request.refuse(&Refusal::NotLeader);
             continue;
         }
-        match give(&bus, &mut poses, &request.body, place_of(&request.body, &places)).await {
+        match give(&bus, &mut known, &request.body, place_of(&request.body, &places)).await {
             Ok(reply) => request.reply(&reply),
             Err(refusal) => request.refuse(&refusal),
         }
@@ -62,7 +86,7 @@ pub async fn run(
 /// Gives a goal to a robot of the group.
 async fn give(
     bus: &Bus,
-    poses: &mut BTreeMap<String, Latest<PoseEstimate>>,
+    group: &mut Group,
     request: &GoalRequest,
     at: Option<Point2<f64>>,
 ) -> Result<GoalReply, Refusal> {
@@ -70,12 +94,13 @@ async fn give(
         let reason = "id: expected one, for a goal that is sent again is the same goal";
         return Err(Refusal::bad_request(reason.to_owned()));
     };
+    let begun = Instant::now();
     let open = vec![GoalPhase::Accepted, GoalPhase::Active, GoalPhase::Paused];
     let (known, open) = tokio::join!(
         goals(
             bus,
             GoalsRequest {
-                id: Some(id),
+                id: Some(id.clone()),
                 ..GoalsRequest::default()
             }
         ),
@@ -87,13 +112,22 @@ async fn give(
             }
         )
     );
-    let robot = match known
+    let told = known
         .iter()
-        .find(|(robot, count)| **count > 0 && poses.contains_key(*robot))
-    {
-        Some((robot, _)) => robot.clone(),
+        .find(|(robot, count)| **count > 0 && group.poses.contains_key(*robot))
+        .map(|(robot, _)| robot);
+    let remembered = group.given.iter().find(|(goal, _)| *goal == id).map(|(_, robot)| robot);
+    let robot = match told.or(remembered) {
+        Some(robot) => robot.clone(),
         None => {
-            let candidates: Vec<Candidate> = poses
+            let silent = group.poses.keys().find(|robot| !open.contains_key(*robot));
+            if let Some(silent) = silent.filter(|_| group.since.elapsed() < NEW) {
+                return Err(Refusal::Busy {
+                    reason: format!("{silent} may have the goal already, and does not answer"),
+                });
+            }
+            let candidates: Vec<Candidate> = group
+                .poses
                 .iter_mut()
                 .filter_map(|(robot, pose)| {
                     Some(Candidate {
@@ -106,12 +140,23 @@ async fn give(
             choose(&candidates, at, request.on_busy)?.robot.clone()
         }
     };
+    if begun.elapsed() > HELD_UP {
+        return Err(Refusal::NotLeader);
+    }
+    if group.given.len() == MAX_GIVEN {
+        group.given.pop_front();
+    }
+    group.given.push_back((id, robot.clone()));
     match bus.ask(&topics::GOAL, &[&robot], request, STORED).await {
         Ok(reply) => Ok(GoalReply {
             robot: Some(robot),
             ..reply
         }),
-        Err(AskError::Refused(refusal)) => Err(refusal),
+        Err(AskError::Refused(refusal)) => {
+            // It has not been taken: another robot may.
+            group.given.pop_back();
+            Err(refusal)
+        }
         Err(error) => Err(Refusal::Busy {
             reason: format!("{robot}: {error}"),
         }),

@@ -11,6 +11,7 @@ use super::exchange::{Answer, Ask, NoAnswer, Ticket};
 use super::lease::{LeaseKeeper, newer};
 use super::map::MapBook;
 use super::motion::MotionKeeper;
+use super::records::Restored;
 use super::robot::RobotView;
 use super::route::Route;
 
@@ -147,10 +148,11 @@ impl Context {
 
     /// Knows nothing yet.
     #[must_use]
-    pub fn new(config: MissionConfig, incarnation: u64) -> Self {
+    pub fn new(config: MissionConfig, restored: &Restored) -> Self {
+        let incarnation = restored.incarnation;
         let map = MapBook::new(Arc::clone(&config.zones));
         Self {
-            lease: LeaseKeeper::new(&config.holder, incarnation),
+            lease: LeaseKeeper::new(&config.holder, incarnation, restored.store.clone(), restored.standing),
             motion: MotionKeeper::new(incarnation),
             asks: Asks::new(incarnation),
             config: Arc::new(config),

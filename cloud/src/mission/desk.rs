@@ -29,6 +29,7 @@ impl Mission {
                     .map(Response::Goal)
             }
             Request::Goals(request) => self.goals.list(&request).map(Response::Goals),
+            Request::Join(request) => self.join(request).map(Response::Join),
             Request::Info(InfoRequest {}) => Ok(Response::Info(Box::new(InfoReply {
                 component: "mission".to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -87,7 +88,11 @@ impl Mission {
         }
         let id = request
             .id
-            .get_or_insert_with(|| format!("goal-{}-{}", self.incarnation, self.goals.next_sequence()))
+            .get_or_insert_with(|| {
+                // Unlike any that another mission of the robot gives.
+                let store = self.store.as_ref().map_or(String::new(), |store| format!("{store}-"));
+                format!("goal-{store}{}-{}", self.incarnation, self.goals.next_sequence())
+            })
             .clone();
         let urgent = request.on_busy == OnBusy::Preempt;
         if urgent && let Some(active) = self.goals.active().map(|goal| goal.state.id.clone()) {
@@ -101,6 +106,19 @@ impl Mission {
             state: GoalPhase::Accepted,
             reason: None,
         })
+    }
+
+    /// Takes over what a mission that joins has accepted before any mission of the robot led: it was acknowledged, so it is not checked again.
+    fn join(&mut self, request: JoinRequest) -> Result<JoinReply, Refusal> {
+        let leader = self.store.clone().filter(|_| self.ctx.lease.term().is_some());
+        let leader = leader.ok_or(Refusal::NotLeader)?;
+        let robot = self.ctx.config.robot.to_string();
+        for goal in request.goals {
+            if let Some(id) = goal.id.clone().filter(|id| self.goals.get(id).is_none()) {
+                self.goals.accept(&robot, id, goal, false, self.ctx.now);
+            }
+        }
+        Ok(JoinReply { leader })
     }
 
     fn cancel(&mut self, id: Option<String>) -> Result<GoalReply, Refusal> {

@@ -45,6 +45,8 @@ pub enum Request {
     Goals(GoalsRequest),
     /// Who is there.
     Info(InfoRequest),
+    /// Another mission's: be handed whatever is stored from now on.
+    Join(JoinRequest),
 }
 
 /// The answer to a client's request.
@@ -56,6 +58,8 @@ pub enum Response {
     Goals(GoalsReply),
     /// To who is there.
     Info(Box<InfoReply>),
+    /// To a mission that joins.
+    Join(JoinReply),
 }
 
 /// A question of the mission's.
@@ -121,7 +125,8 @@ pub enum NoAnswer {
     Silent(String),
 }
 
-/// What a step gave, in order. Whoever carries effects out stores what is to be stored **before** anything else of the step.
+/// What a step gave, in order. Whoever carries effects out stores what is to be stored, here and in the stores of those that have caught up,
+/// **before** anything else of the step but the sign of life, which promises nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
     /// Store, all or nothing. At most one a step, and the first.
@@ -138,6 +143,8 @@ pub enum Effect {
     Ask(Ticket, Ask),
     /// Answer a client.
     Reply(Client, Result<Response, Refusal>),
+    /// Another mission leads: this one is to be dropped, and what its leader stores to be taken in, until it may lead again.
+    StandBy,
     /// Stop for good: this mission and the robot do not speak the same language.
     Fatal(String),
 }

@@ -1,10 +1,15 @@
-//! Does this mission command the robot? It asks until it does, sends signs of life, and believes the robot, not itself.
+//! Does this mission command the robot, and does it keep its goals? It asks until it does, sends signs of life, and believes the robot, not
+//! itself.
+//!
+//! To command is to hold the lease; to lead is to keep the goals, which goes on while an operator commands. Where another store may hold
+//! newer goals than this mission's, it leads only once the robot has said so since it began or woke.
 
-use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseReply, LeaseRequest, LeaseRole, Refusal};
+use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::exchange::{Answer, Ask, NoAnswer, Ticket};
+use super::records::Standing;
 
 /// Time between two signs of life, s.
 const BEAT: f64 = 0.1;
@@ -35,15 +40,33 @@ pub struct LeaseKeeper {
     /// Why there is no lease, in words.
     why_not: String,
     /// Another mission that holds a live lease, by the robot's newest word.
-    leader: Option<String>,
+    other: Option<String>,
+    /// The store of this mission, if it keeps goals.
+    store: Option<String>,
+    /// Epoch of the newest grant to that store.
+    term: u64,
+    /// Whether the robot has said that this mission leads, since it began or woke.
+    confirmed: bool,
+    /// Whether another store may hold all goals of this one, and by now newer ones.
+    shared: bool,
+    /// Whether another mission leads now.
+    deposed: bool,
+    /// Whether the robot has been asked once, whatever came of it.
+    heard_out: bool,
 }
 
 impl LeaseKeeper {
     /// Nothing granted yet. `incarnation` makes requests and signs of life newer than those of every life before.
     #[must_use]
-    pub fn new(holder: &str, incarnation: u64) -> Self {
+    pub fn new(holder: &str, incarnation: u64, store: Option<String>, standing: Standing) -> Self {
         Self {
             holder: holder.to_owned(),
+            term: standing.epoch,
+            confirmed: false,
+            shared: standing.shared,
+            deposed: false,
+            heard_out: store.is_none(),
+            store,
             incarnation,
             grant: None,
             asking: None,
@@ -53,7 +76,7 @@ impl LeaseKeeper {
             last_beat: None,
             last_step: None,
             why_not: "the robot has not answered yet".to_owned(),
-            leader: None,
+            other: None,
         }
     }
 
@@ -69,10 +92,33 @@ impl LeaseKeeper {
         &self.why_not
     }
 
-    /// Whether another mission leads: then this one stands by, and promises nothing to anybody.
+    /// Whether this mission keeps the robot's goals; where no other can, also without the robot's word.
+    #[must_use]
+    pub fn leads(&self) -> bool {
+        !self.deposed && (self.confirmed || self.heard_out && !self.shared)
+    }
+
+    /// Whether another mission leads for sure.
+    #[must_use]
+    pub fn is_deposed(&self) -> bool {
+        self.deposed
+    }
+
+    /// Whether this mission promises nothing to anybody: it does not lead, or another one commands.
     #[must_use]
     pub fn stands_by(&self) -> bool {
-        self.leader.is_some() && self.grant.is_none()
+        !self.leads() || self.other.is_some() && self.grant.is_none()
+    }
+
+    /// Epoch under which it leads; `None` before the robot has said so.
+    #[must_use]
+    pub fn term(&self) -> Option<u64> {
+        (self.confirmed && !self.deposed).then_some(self.term)
+    }
+
+    /// Whether other stores may hold all that this mission acknowledges, from now on.
+    pub fn share(&mut self, shared: bool) {
+        self.shared = shared;
     }
 
     /// Takes the robot's word.
@@ -83,7 +129,14 @@ impl LeaseKeeper {
             .holder
             .as_ref()
             .filter(|holder| led && **holder != self.holder);
-        self.leader = other.cloned();
+        self.other = other.cloned();
+        if led
+            && let (Some(store), Some(leader)) = (&self.store, &state.lease.leader)
+            && leader.store != *store
+            && leader.epoch > self.term
+        {
+            self.deposed = true;
+        }
         let Some(grant) = &self.grant else {
             // Nobody commands: no need to wait for the next try.
             if !state.lease.live && self.asking.is_none() {
@@ -92,7 +145,8 @@ impl LeaseKeeper {
             return;
         };
         let lease = &state.lease;
-        let ours = lease.holder.as_deref() == Some(self.holder.as_str());
+        let leads = |store: &String| lease.leader.as_ref().is_none_or(|leader| leader.store == *store);
+        let ours = lease.holder.as_deref() == Some(self.holder.as_str()) && self.store.as_ref().is_none_or(leads);
         if state.boot_id != grant.boot_id {
             self.lose(now, "the robot has started anew".to_owned());
         } else if lease.epoch > grant.epoch || (lease.epoch == grant.epoch && !ours) {
@@ -114,9 +168,12 @@ impl LeaseKeeper {
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Option<Heartbeat> {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
-            && self.grant.is_some()
         {
-            self.lose(now, "this mission has slept".to_owned());
+            // Where others could have taken over meanwhile, the robot must say who leads.
+            self.confirmed &= !self.shared;
+            if self.grant.is_some() {
+                self.lose(now, "this mission has slept".to_owned());
+            }
         }
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
@@ -124,11 +181,10 @@ impl LeaseKeeper {
         }
         if self.grant.is_none() && self.asking.is_none() && now >= self.next_ask {
             self.asked += 1;
+            let request_id = format!("{}-{}", self.incarnation, self.asked);
             let request = LeaseRequest {
-                holder: self.holder.clone(),
-                role: LeaseRole::Mission,
-                action: zenav_protocol::messages::LeaseAction::Acquire,
-                request_id: format!("{}-{}", self.incarnation, self.asked),
+                store: self.store.clone(),
+                ..LeaseRequest::new(&self.holder, LeaseRole::Mission, LeaseAction::Acquire, request_id)
             };
             self.asking = Some(asks.ask(Ask::Lease(request)));
         }
@@ -147,15 +203,26 @@ impl LeaseKeeper {
 
     fn take(&mut self, now: Stamp, answer: Result<Answer, NoAnswer>) {
         self.next_ask = now.plus_secs(RETRY);
+        self.heard_out = true;
         match answer {
             Ok(Answer::Lease(LeaseReply { epoch, boot_id, .. })) => {
                 self.grant = Some(Grant { epoch, boot_id });
+                (self.term, self.confirmed, self.deposed) = (epoch, true, false);
                 self.last_beat = None;
                 self.why_not.clear();
             }
             Ok(_) => self.why_not = "the robot's answer was not about the lease".to_owned(),
-            Err(NoAnswer::Refused(Refusal::Held { holder, .. })) => self.why_not = format!("{holder} holds the lease"),
-            Err(NoAnswer::Refused(refusal)) => self.why_not = refusal.to_string(),
+            Err(NoAnswer::Refused(Refusal::Held { holder, leader, .. })) => {
+                self.why_not = format!("{holder} holds the lease");
+                if let (Some(store), Some(leader)) = (&self.store, leader) {
+                    self.confirmed |= *store == leader;
+                    self.deposed = *store != leader;
+                }
+            }
+            Err(NoAnswer::Refused(refusal)) => {
+                self.deposed |= matches!(refusal, Refusal::NotCaughtUp { .. });
+                self.why_not = refusal.to_string();
+            }
             Err(NoAnswer::Silent(_)) => self.why_not = "the robot does not answer".to_owned(),
         }
     }
@@ -173,7 +240,10 @@ mod tests {
     use super::*;
 
     fn granted(now: f64) -> (LeaseKeeper, Asks) {
-        let (mut keeper, mut asks) = (LeaseKeeper::new("me", 3), Asks::new(3));
+        let (mut keeper, mut asks) = (
+            LeaseKeeper::new("me", 3, Some("mine".into()), Standing::default()),
+            Asks::new(3),
+        );
         assert_eq!(keeper.step(Stamp::from_secs(now), &mut asks), None);
         let (ticket, ask) = asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::Lease(LeaseRequest { ref holder, .. }) if holder == "me"));
@@ -206,5 +276,48 @@ mod tests {
         assert_eq!(keeper.step(Stamp::from_secs(21.0), &mut asks), None);
         assert_eq!(keeper.epoch(), None);
         assert_eq!(asks.take_new().len(), 1);
+    }
+
+    #[test]
+    fn a_leader_that_has_slept_while_others_could_take_over_leads_again_on_the_robot_s_word_alone() {
+        for shared in [false, true] {
+            let (mut keeper, mut asks) = granted(1.0);
+            keeper.step(Stamp::from_secs(1.05), &mut asks);
+            assert_eq!((keeper.leads(), keeper.term()), (true, Some(7)));
+            keeper.share(shared);
+            keeper.step(Stamp::from_secs(21.0), &mut asks);
+            assert_eq!(keeper.leads(), !shared);
+            let (ticket, _) = asks.take_new().pop().unwrap();
+            let held = |leader: &str| Refusal::Held {
+                holder: "operator".into(),
+                role: LeaseRole::Operator,
+                epoch: 9,
+                leader: Some(leader.into()),
+            };
+            asks.answer(ticket, Err(NoAnswer::Refused(held("mine"))));
+            keeper.step(Stamp::from_secs(21.05), &mut asks);
+            assert!(keeper.leads(), "it leads while an operator commands");
+            keeper.step(Stamp::from_secs(21.6), &mut asks);
+            let (ticket, _) = asks.take_new().pop().unwrap();
+            asks.answer(ticket, Err(NoAnswer::Refused(held("another"))));
+            keeper.step(Stamp::from_secs(21.65), &mut asks);
+            assert!(keeper.is_deposed() && !keeper.leads());
+        }
+    }
+
+    #[test]
+    fn a_mission_whose_goals_another_store_may_have_newer_leads_only_once_it_was_granted() {
+        let standing = Standing { epoch: 5, shared: true };
+        let mut keeper = LeaseKeeper::new("me", 3, Some("mine".into()), standing);
+        let mut asks = Asks::new(3);
+        keeper.step(Stamp::from_secs(1.0), &mut asks);
+        assert!(!keeper.leads() && !keeper.is_deposed());
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        let refusal = Refusal::NotCaughtUp {
+            caught_up: vec!["other".into()],
+        };
+        asks.answer(ticket, Err(NoAnswer::Refused(refusal)));
+        keeper.step(Stamp::from_secs(1.05), &mut asks);
+        assert!(keeper.is_deposed());
     }
 }

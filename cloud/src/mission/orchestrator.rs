@@ -7,7 +7,7 @@ use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
 use super::context::{Context, GoalInHand};
-use super::exchange::{Client, Effect, Inputs, Response};
+use super::exchange::{Client, Effect, Inputs, Request, Response};
 use super::goals::GoalBook;
 use super::intake::{self, Target};
 use super::leaves::{goal_text, goals_value};
@@ -23,6 +23,9 @@ pub struct Mission {
     pub(super) ctx: Context,
     pub(super) goals: GoalBook,
     pub(super) incarnation: u64,
+    /// The name of the store, where one keeps the goals.
+    pub(super) store: Option<String>,
+    standbys: Vec<String>,
     running: Option<Running>,
     /// The tree that ran before a restart, until its goal is taken up again.
     left_over: Option<RunningTree>,
@@ -57,7 +60,7 @@ impl Mission {
     /// A mission that goes on where the one before it ended.
     #[must_use]
     pub fn new(config: MissionConfig, restored: Restored) -> Self {
-        let mut ctx = Context::new(config, restored.incarnation);
+        let mut ctx = Context::new(config, &restored);
         if let Some(plan) = restored.motion {
             ctx.motion.restore(plan);
         }
@@ -65,6 +68,8 @@ impl Mission {
             ctx,
             goals: GoalBook::new(restored.goals, restored.answers),
             incarnation: restored.incarnation,
+            store: restored.store,
+            standbys: Vec::new(),
             running: None,
             left_over: restored.tree,
             replies: Vec::new(),
@@ -97,6 +102,9 @@ impl Mission {
         }
         ctx.map.step(now, &mut ctx.asks);
         let heartbeat = ctx.lease.step(now, &mut ctx.asks);
+        if !ctx.lease.leads() {
+            return self.stand_by(inputs.requests, effects);
+        }
         // Goals left by an earlier life are taken up before anybody asks about them.
         self.take_up();
         for (client, request) in inputs.requests {
@@ -107,6 +115,35 @@ impl Mission {
         self.take_up();
         self.tick();
         self.collect(heartbeat, effects)
+    }
+
+    /// What is left to do for a mission that does not lead: it asks to, and says so.
+    fn stand_by(&mut self, requests: Vec<(Client, Request)>, mut effects: Vec<Effect>) -> Vec<Effect> {
+        for (client, request) in requests {
+            let reply = self.serve(request);
+            effects.push(Effect::Reply(client, reply));
+        }
+        let asks = self.ctx.asks.take_new();
+        effects.extend(asks.into_iter().map(|(ticket, ask)| Effect::Ask(ticket, ask)));
+        if self.ctx.lease.is_deposed() {
+            effects.push(Effect::StandBy);
+        }
+        effects
+    }
+
+    /// The epoch under which this mission leads; `None` while the robot has not said so.
+    #[must_use]
+    pub fn term(&self) -> Option<u64> {
+        self.ctx.lease.term()
+    }
+
+    /// Which other stores hold all that this mission acknowledges, and whether some more may.
+    pub fn share(&mut self, standbys: Vec<String>, shared: bool) {
+        self.ctx.lease.share(shared);
+        if standbys != self.standbys {
+            self.standbys = standbys;
+            self.told = None;
+        }
     }
 
     /// The end of this process, not of its goals: the robot comes to rest soon, and the next life goes on.
@@ -388,6 +425,7 @@ impl Mission {
             nodes: nodes.into_iter().map(node).collect(),
             feedback: self.ctx.goal.feedback.clone(),
             queued: self.goals.queued() as u64,
+            standbys: self.standbys.clone(),
         })
     }
 }

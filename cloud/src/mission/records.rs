@@ -50,9 +50,22 @@ pub enum Record {
     ForgetAnswer(String),
 }
 
+/// How a mission's store stands to those of other missions for the same robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Standing {
+    /// Epoch of the newest grant, its own or one that it followed; zero before any mission of the robot led.
+    pub epoch: u64,
+    /// Whether another store may hold newer goals than this one: then it leads on the robot's word alone.
+    pub shared: bool,
+}
+
 /// What a mission begins with.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Restored {
+    /// Name of the store; none where nothing is kept.
+    pub store: Option<String>,
+    /// How it stands to other missions' stores.
+    pub standing: Standing,
     /// Number of this life, greater than that of every life before.
     pub incarnation: u64,
     /// All goals.

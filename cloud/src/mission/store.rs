@@ -1,20 +1,34 @@
 //! Where is it kept? One redb file a mission: goals, the running tree, the plan in force, first answers, the incarnation.
 //!
 //! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer
-//! program reads an older one's file.
+//! program reads an older one's file. A batch has a form that a standby's store takes as well; what the file says of itself (its name, how it
+//! stands to others) never leaves it.
 
+use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::{Path, PathBuf};
 
-use redb::{Database, DatabaseError, ReadableDatabase, ReadableTable, TableDefinition};
+use redb::{Database, DatabaseError, ReadableDatabase, ReadableTable, Table, TableDefinition};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
+use zenav_protocol::messages::JournalWrite;
 
-use super::records::{Record, Restored};
+use super::records::{Record, Restored, Standing, StoredGoal};
 
-const GOALS: TableDefinition<&str, &[u8]> = TableDefinition::new("goals");
-const ANSWERS: TableDefinition<&str, &[u8]> = TableDefinition::new("answers");
-const SINGLES: TableDefinition<&str, &[u8]> = TableDefinition::new("singles");
+type Definition = TableDefinition<'static, &'static str, &'static [u8]>;
+
+const GOALS: Definition = TableDefinition::new("goals");
+const ANSWERS: Definition = TableDefinition::new("answers");
+const SINGLES: Definition = TableDefinition::new("singles");
+/// What a leader hands to its standbys.
+const SHARED: [Definition; 3] = [GOALS, ANSWERS, SINGLES];
+/// What the file says of itself.
+const OWN: Definition = TableDefinition::new("own");
+
+/// The name of the store.
+const NAME: &str = "name";
+/// How it stands to others.
+const STANDING: &str = "standing";
 
 /// The tree that runs.
 const TREE: &str = "tree";
@@ -28,6 +42,7 @@ const INCARNATION: &str = "incarnation";
 pub struct Store {
     database: Database,
     path: PathBuf,
+    name: String,
 }
 
 /// Why the store failed.
@@ -60,118 +75,202 @@ pub enum StoreError {
 }
 
 impl Store {
-    /// Opens or makes the file, and begins a new life: the incarnation in [`Restored`] is on disk when this returns.
+    /// Opens or makes the file.
     ///
     /// # Errors
     /// [`StoreError::Locked`] while another process has it; [`StoreError::Io`]; [`StoreError::Record`].
-    pub fn open(path: &Path) -> Result<(Self, Restored), StoreError> {
-        let name = path.display().to_string();
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        let shown = path.display().to_string();
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(|error| StoreError::Io {
-                path: name.clone(),
+                path: shown.clone(),
                 reason: error.to_string(),
             })?;
         }
         let database = Database::create(path).map_err(|error| match error {
-            DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path: name.clone() },
+            DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path: shown.clone() },
             other => StoreError::Io {
-                path: name.clone(),
+                path: shown,
                 reason: other.to_string(),
             },
         })?;
-        let store = Self {
+        let mut store = Self {
             database,
             path: path.to_owned(),
+            name: String::new(),
         };
-        let restored = store.begin_life()?;
-        Ok((store, restored))
+        store.name = store.christen()?;
+        Ok(store)
     }
 
-    /// Stores a step's records: all of them or, after an error, none.
+    /// The name of the store, given once and different from every other store's.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn christen(&self) -> Result<String, StoreError> {
+        let write = self.database.begin_write().map_err(|error| self.io(error))?;
+        let name = {
+            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
+            for table in SHARED {
+                write.open_table(table).map_err(|error| self.io(error))?;
+            }
+            match self.single(&own, NAME)? {
+                Some(name) => name,
+                None => {
+                    let random = std::hash::RandomState::new().build_hasher().finish();
+                    let name = format!("{:08x}", random as u32);
+                    self.insert(&mut own, NAME, &name)?;
+                    name
+                }
+            }
+        };
+        write.commit().map_err(|error| self.io(error))?;
+        Ok(name)
+    }
+
+    /// Stores a step's records: all of them or, after an error, none. Returns what a standby's store is to write.
     ///
     /// # Errors
     /// [`StoreError`]; nothing that depends on these records may be told to anybody then.
-    pub fn write(&self, records: &[Record]) -> Result<(), StoreError> {
+    pub fn write(&self, records: &[Record]) -> Result<Vec<JournalWrite>, StoreError> {
+        let writes: Vec<JournalWrite> = records
+            .iter()
+            .map(|record| self.journal(record))
+            .collect::<Result<_, _>>()?;
+        self.apply(&writes, false, None)?;
+        Ok(writes)
+    }
+
+    fn journal(&self, record: &Record) -> Result<JournalWrite, StoreError> {
+        let (table, key, value) = match record {
+            Record::Goal(goal) => (GOALS, goal.state.id.clone(), Some(self.encode("goal", goal)?)),
+            Record::ForgetGoal(id) => (GOALS, id.clone(), None),
+            Record::Answer(id, reply) => (ANSWERS, id.clone(), Some(self.encode("answer", reply)?)),
+            Record::ForgetAnswer(id) => (ANSWERS, id.clone(), None),
+            Record::Tree(tree) => (SINGLES, TREE.to_owned(), Some(self.encode(TREE, tree)?)),
+            Record::Motion(motion) => (SINGLES, MOTION.to_owned(), Some(self.encode(MOTION, motion)?)),
+        };
+        Ok(JournalWrite {
+            table: redb::TableHandle::name(&table).to_owned(),
+            key,
+            value,
+        })
+    }
+
+    /// Writes what a leader's store has written, after what is there or `instead` of it; with how this store stands from then on.
+    ///
+    /// # Errors
+    /// [`StoreError`], also for a table that there is not; then nothing is written.
+    pub fn apply(&self, writes: &[JournalWrite], instead: bool, standing: Option<Standing>) -> Result<(), StoreError> {
         let write = self.database.begin_write().map_err(|error| self.io(error))?;
-        {
-            let mut goals = write.open_table(GOALS).map_err(|error| self.io(error))?;
-            let mut answers = write.open_table(ANSWERS).map_err(|error| self.io(error))?;
-            let mut singles = write.open_table(SINGLES).map_err(|error| self.io(error))?;
-            for record in records {
-                match record {
-                    Record::Goal(goal) => {
-                        let bytes = self.encode("goal", goal)?;
-                        goals
-                            .insert(goal.state.id.as_str(), bytes.as_slice())
-                            .map_err(|error| self.io(error))?;
-                    }
-                    Record::ForgetGoal(id) => {
-                        goals.remove(id.as_str()).map_err(|error| self.io(error))?;
-                    }
-                    Record::Answer(id, reply) => {
-                        let bytes = self.encode("answer", reply)?;
-                        answers
-                            .insert(id.as_str(), bytes.as_slice())
-                            .map_err(|error| self.io(error))?;
-                    }
-                    Record::ForgetAnswer(id) => {
-                        answers.remove(id.as_str()).map_err(|error| self.io(error))?;
-                    }
-                    Record::Tree(tree) => {
-                        let bytes = self.encode(TREE, tree)?;
-                        singles.insert(TREE, bytes.as_slice()).map_err(|error| self.io(error))?;
-                    }
-                    Record::Motion(motion) => {
-                        let bytes = self.encode(MOTION, motion)?;
-                        singles
-                            .insert(MOTION, bytes.as_slice())
-                            .map_err(|error| self.io(error))?;
-                    }
-                }
+        for definition in SHARED {
+            if instead {
+                write.delete_table(definition).map_err(|error| self.io(error))?;
             }
+            let mut table = write.open_table(definition).map_err(|error| self.io(error))?;
+            let name = redb::TableHandle::name(&definition);
+            for write in writes.iter().filter(|write| write.table == name) {
+                match &write.value {
+                    Some(value) => table.insert(write.key.as_str(), value.as_bytes()),
+                    None => table.remove(write.key.as_str()),
+                }
+                .map_err(|error| self.io(error))?;
+            }
+        }
+        let known = |name: &str| SHARED.iter().any(|table| redb::TableHandle::name(table) == name);
+        if let Some(stray) = writes.iter().find(|write| !known(&write.table)) {
+            return Err(self.io(format!(
+                "a leader writes records `{}`, which are not known here",
+                stray.table
+            )));
+        }
+        if let Some(standing) = standing {
+            let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
+            self.insert(&mut own, STANDING, &standing)?;
         }
         write.commit().map_err(|error| self.io(error))
     }
 
-    fn begin_life(&self) -> Result<Restored, StoreError> {
+    /// Everything that a standby's store is to hold.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn everything(&self) -> Result<Vec<JournalWrite>, StoreError> {
+        let read = self.database.begin_read().map_err(|error| self.io(error))?;
+        let mut writes = Vec::new();
+        for definition in SHARED {
+            let table = read.open_table(definition).map_err(|error| self.io(error))?;
+            let name = redb::TableHandle::name(&definition);
+            for row in table.iter().map_err(|error| self.io(error))? {
+                let (key, bytes) = row.map_err(|error| self.io(error))?;
+                let value = String::from_utf8(bytes.value().to_vec()).map_err(|error| self.io(error))?;
+                writes.push(JournalWrite {
+                    table: name.to_owned(),
+                    key: key.value().to_owned(),
+                    value: Some(value),
+                });
+            }
+        }
+        Ok(writes)
+    }
+
+    /// How this store stands to others'.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn standing(&self) -> Result<Standing, StoreError> {
+        let read = self.database.begin_read().map_err(|error| self.io(error))?;
+        let own = read.open_table(OWN).map_err(|error| self.io(error))?;
+        Ok(self.single(&own, STANDING)?.unwrap_or_default())
+    }
+
+    /// Begins a new life: the incarnation in [`Restored`] is on disk when this returns.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn begin_life(&self) -> Result<Restored, StoreError> {
         let write = self.database.begin_write().map_err(|error| self.io(error))?;
         let restored = {
-            let goals = write.open_table(GOALS).map_err(|error| self.io(error))?;
             let answers = write.open_table(ANSWERS).map_err(|error| self.io(error))?;
             let mut singles = write.open_table(SINGLES).map_err(|error| self.io(error))?;
-            let mut restored = Restored::default();
-            for row in goals.iter().map_err(|error| self.io(error))? {
-                let (id, bytes) = row.map_err(|error| self.io(error))?;
-                restored
-                    .goals
-                    .push(self.decode(&format!("goal {}", id.value()), bytes.value())?);
-            }
+            let own = write.open_table(OWN).map_err(|error| self.io(error))?;
+            let mut restored = Restored {
+                store: Some(self.name.clone()),
+                standing: self.single(&own, STANDING)?.unwrap_or_default(),
+                goals: self.all_goals(&write.open_table(GOALS).map_err(|error| self.io(error))?)?,
+                tree: self.single(&singles, TREE)?.flatten(),
+                motion: self.single(&singles, MOTION)?.flatten(),
+                incarnation: self.single::<u64>(&singles, INCARNATION)?.unwrap_or(0) + 1,
+                ..Restored::default()
+            };
             for row in answers.iter().map_err(|error| self.io(error))? {
                 let (id, bytes) = row.map_err(|error| self.io(error))?;
                 restored
                     .answers
                     .push((id.value().to_owned(), self.decode("answer", bytes.value())?));
             }
-            restored.tree = self.single(&singles, TREE)?.flatten();
-            restored.motion = self.single(&singles, MOTION)?.flatten();
-            restored.incarnation = self.single::<u64>(&singles, INCARNATION)?.unwrap_or(0) + 1;
-            let bytes = self.encode(INCARNATION, &restored.incarnation)?;
-            singles
-                .insert(INCARNATION, bytes.as_slice())
-                .map_err(|error| self.io(error))?;
+            self.insert(&mut singles, INCARNATION, &restored.incarnation)?;
             restored
         };
         write.commit().map_err(|error| self.io(error))?;
         Ok(restored)
     }
 
-    /// The goals as they stand in the file, for whoever looks without running a mission.
+    /// The goals as they stand in the file.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub fn goals(&self) -> Result<Vec<super::records::StoredGoal>, StoreError> {
+    pub fn goals(&self) -> Result<Vec<StoredGoal>, StoreError> {
         let read = self.database.begin_read().map_err(|error| self.io(error))?;
-        let table = read.open_table(GOALS).map_err(|error| self.io(error))?;
+        self.all_goals(&read.open_table(GOALS).map_err(|error| self.io(error))?)
+    }
+
+    fn all_goals(
+        &self,
+        table: &impl ReadableTable<&'static str, &'static [u8]>,
+    ) -> Result<Vec<StoredGoal>, StoreError> {
         let mut goals = Vec::new();
         for row in table.iter().map_err(|error| self.io(error))? {
             let (id, bytes) = row.map_err(|error| self.io(error))?;
@@ -191,8 +290,21 @@ impl Store {
         self.decode(name, bytes.value()).map(Some)
     }
 
-    fn encode<T: Serialize>(&self, record: &str, value: &T) -> Result<Vec<u8>, StoreError> {
-        serde_json::to_vec(value).map_err(|error| self.record(record, &error))
+    fn insert<T: Serialize>(
+        &self,
+        table: &mut Table<'_, &'static str, &'static [u8]>,
+        name: &str,
+        value: &T,
+    ) -> Result<(), StoreError> {
+        let text = self.encode(name, value)?;
+        table
+            .insert(name, text.as_bytes())
+            .map(drop)
+            .map_err(|error| self.io(error))
+    }
+
+    fn encode<T: Serialize>(&self, record: &str, value: &T) -> Result<String, StoreError> {
+        serde_json::to_string(value).map_err(|error| self.record(record, &error))
     }
 
     fn decode<T: DeserializeOwned>(&self, record: &str, bytes: &[u8]) -> Result<T, StoreError> {
@@ -252,8 +364,8 @@ mod tests {
     fn what_was_written_is_there_in_the_next_life() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep/mission.redb");
-        let (store, first) = Store::open(&path).unwrap();
-        assert_eq!(first.incarnation, 1);
+        let store = Store::open(&path).unwrap();
+        assert_eq!(store.begin_life().unwrap().incarnation, 1);
         let reply = GoalReply {
             robot: None,
             id: "a".into(),
@@ -269,8 +381,11 @@ mod tests {
             ])
             .unwrap();
         store.write(&[Record::ForgetGoal("a".into())]).unwrap();
+        let name = store.name().to_owned();
         drop(store);
-        let (_store, second) = Store::open(&path).unwrap();
+        let again = Store::open(&path).unwrap();
+        assert_eq!(again.name(), name);
+        let second = again.begin_life().unwrap();
         assert_eq!(second.incarnation, 2);
         assert_eq!(
             second
@@ -285,10 +400,44 @@ mod tests {
     }
 
     #[test]
+    fn a_standby_s_store_holds_what_the_leader_s_holds_but_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = |name: &str| Store::open(&folder.path().join(name)).unwrap();
+        let (leader, standby) = (open("leader"), open("standby"));
+        standby.write(&[goal("stale", 1)]).unwrap();
+        leader.begin_life().unwrap();
+        leader.write(&[goal("a", 1), goal("b", 2)]).unwrap();
+        let standing = Standing { epoch: 7, shared: true };
+        standby
+            .apply(&leader.everything().unwrap(), true, Some(standing))
+            .unwrap();
+        let writes = leader.write(&[Record::ForgetGoal("a".into()), goal("c", 3)]).unwrap();
+        standby.apply(&writes, false, None).unwrap();
+        assert_eq!(standby.everything().unwrap(), leader.everything().unwrap());
+        assert_eq!(
+            (standby.standing().unwrap(), leader.standing().unwrap()),
+            (standing, Standing::default())
+        );
+        assert_ne!(standby.name(), leader.name());
+        assert_eq!(
+            standby.begin_life().unwrap().incarnation,
+            2,
+            "its lives are newer than the leader's"
+        );
+        let stray = JournalWrite {
+            table: "own".into(),
+            key: "name".into(),
+            value: Some("x".into()),
+        };
+        assert!(standby.apply(&[stray], true, None).is_err());
+        assert_eq!(standby.goals().unwrap().len(), 2, "nothing of a bad batch is written");
+    }
+
+    #[test]
     fn a_file_in_use_says_so() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mission.redb");
-        let (_store, _) = Store::open(&path).unwrap();
+        let _store = Store::open(&path).unwrap();
         assert!(matches!(Store::open(&path), Err(StoreError::Locked { .. })));
     }
 

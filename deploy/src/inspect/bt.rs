@@ -11,7 +11,7 @@ use zenav_cloud::mission::trees as missions;
 use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
 use zenav_protocol::topics;
 
-use super::tree_picture;
+use super::{diagnosis, tree_picture};
 use crate::connect::{self, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -347,7 +347,10 @@ fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
 /// A mission's tree, a node a row.
 fn picture(status: &MissionStatus, colors: bool) -> String {
     let goal = status.goal_id.as_deref().unwrap_or("no goal");
-    let leads = if status.leads { "leads" } else { "does not lead" };
+    let leads = match status.leads {
+        true => format!("leads, {}", diagnosis::standbys(status)),
+        false => "does not lead".to_owned(),
+    };
     let mut lines = vec![format!(
         "{} {leads} (epoch {}): {goal}, tree {}, {} waiting",
         status.holder,
@@ -471,6 +474,7 @@ mod tests {
             ],
             feedback: GoalFeedback::default(),
             queued: 0,
+            standbys: Vec::new(),
         };
         let drawn = picture(&status, false);
         assert_eq!(

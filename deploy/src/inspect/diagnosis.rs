@@ -116,7 +116,12 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
             Check::ok(
                 name,
                 "mission",
-                format!("{} leads: {goal}, {} waiting", mission.holder, mission.queued),
+                format!(
+                    "{} leads, {}: {goal}, {} waiting",
+                    mission.holder,
+                    standbys(mission),
+                    mission.queued
+                ),
             )
         } else {
             Check::warn(
@@ -128,6 +133,15 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
         });
     }
     checks
+}
+
+/// Who could take over from a leader, in words.
+pub(super) fn standbys(mission: &MissionStatus) -> String {
+    match mission.standbys.len() {
+        0 => "alone".to_owned(),
+        1 => "with a standby".to_owned(),
+        more => format!("with {more} standbys"),
+    }
 }
 
 fn alive(robot: &Robot, component: &'static str, start: &str) -> Check {
@@ -307,6 +321,7 @@ pub(super) mod tests {
                 role: Some(LeaseRole::Mission),
                 epoch: 4,
                 live: true,
+                leader: None,
             },
             plan: None,
             velocity: Twist2::new(0.4, 0.0),

@@ -207,7 +207,7 @@ impl Stage {
                 self.down.send(now, Down::Question(ticket, question));
             }
             // Nothing outlives a lockstep run, and nobody watches it.
-            Effect::Persist(_) | Effect::Status(_) | Effect::Fatal(_) => {}
+            Effect::Persist(_) | Effect::Status(_) | Effect::StandBy | Effect::Fatal(_) => {}
         }
     }
 

@@ -22,12 +22,7 @@ pub(super) async fn ask(
     action: LeaseAction,
     within: Duration,
 ) -> Result<LeaseReply, AskError> {
-    let request = LeaseRequest {
-        holder: holder.to_owned(),
-        role: LeaseRole::Operator,
-        action,
-        request_id: fresh_id("lease"),
-    };
+    let request = LeaseRequest::new(holder.to_owned(), LeaseRole::Operator, action, fresh_id("lease"));
     bus.ask(&topics::LEASE, &[robot], &request, within).await
 }
 

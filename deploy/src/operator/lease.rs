@@ -41,6 +41,8 @@ enum LeaseCommand {
     },
     /// Give the lease back
     Release,
+    /// Give up the goals of orchestrators that will not come back (a lost disk), so that any other may lead
+    Forget,
 }
 
 #[derive(Debug, Serialize)]
@@ -122,6 +124,24 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             )?;
             Ok(exit_code::OK)
         }
+        Some(LeaseCommand::Forget) => {
+            let before = state(&bus, &robot, patience).await?;
+            let Some(leader) = before.lease.leader else {
+                return Err(Failure::not_found(format!("no orchestrator keeps goals of {robot}")));
+            };
+            hold::ask(&bus, &robot, &name, LeaseAction::Forget, patience).await?;
+            output::value(
+                args.output,
+                &serde_json::json!({ "robot": robot, "forgotten": leader }),
+                |_| {
+                    format!(
+                        "any orchestrator may lead {robot}; given up are goals known only to {}",
+                        leader.caught_up.join(", ")
+                    )
+                },
+            )?;
+            Ok(exit_code::OK)
+        }
     })
 }
 
@@ -138,7 +158,15 @@ pub(super) async fn state(bus: &Bus, robot: &str, within: Duration) -> Result<Ed
 }
 
 fn show(shown: &Shown) -> String {
-    format!("{}: {}, link {:?}", shown.robot, words(&shown.lease), shown.link)
+    let mut text = format!("{}: {}, link {:?}", shown.robot, words(&shown.lease), shown.link);
+    if let Some(leader) = &shown.lease.leader {
+        let may = leader.caught_up.join(" or ");
+        text.push_str(&format!(
+            "\ngoals are kept by {} (epoch {}); only {may} may lead next",
+            leader.store, leader.epoch
+        ));
+    }
+    text
 }
 
 fn words(lease: &LeaseState) -> String {

@@ -57,7 +57,7 @@ impl Fake {
             bus: bus.clone(),
             name: name.to_owned(),
             goals: BTreeMap::new(),
-            lease: LeaseBook::new(Duration::from_secs(1), 0),
+            lease: LeaseBook::new(Duration::from_secs(1), 0, None),
             clock: Clock::wall(),
         };
         let (ready, began) = tokio::sync::oneshot::channel();

@@ -51,7 +51,7 @@ impl Rig {
     pub fn of(model: RobotModel, stored: Persisted) -> Self {
         let config = EdgeConfig::new(Id::robot("tiago").unwrap(), model.clone(), Pose2::IDENTITY);
         let mut rig = Self {
-            pilot: Pilot::new(config, "boot-1".into(), stored),
+            pilot: Pilot::new(config, "boot-1".into(), stored.clone()),
             model,
             now: Stamp::from_secs(100.0),
             pose: Pose2::IDENTITY,
@@ -98,7 +98,9 @@ impl Rig {
         let readings = self.readings();
         let out = self.pilot.step(self.now, &readings, std::mem::take(&mut self.inbox));
         self.commanded = out.wheels;
-        self.stored = out.persist.unwrap_or(self.stored);
+        if let Some(stored) = &out.persist {
+            self.stored.clone_from(stored);
+        }
         for publication in &out.publications {
             match publication {
                 Publication::Event(event) => self.events.push(event.kind.clone()),
@@ -164,12 +166,7 @@ impl Rig {
     }
 
     pub fn lease(&mut self, holder: &str, role: LeaseRole, request_id: &str) -> Result<u64, Refusal> {
-        let request = LeaseRequest {
-            holder: holder.into(),
-            role,
-            action: LeaseAction::Acquire,
-            request_id: request_id.into(),
-        };
+        let request = LeaseRequest::new(holder, role, LeaseAction::Acquire, request_id);
         match self.ask(Question::Lease(request))? {
             Answer::Lease(reply) => Ok(reply.epoch),
             other => panic!("{other:?}"),

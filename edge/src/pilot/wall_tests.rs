@@ -61,12 +61,12 @@ fn by_hand(rig: &mut Rig, epoch: u64, v: f64, secs: f64) {
 }
 
 fn give_back(rig: &mut Rig) {
-    rig.ask(Question::Lease(LeaseRequest {
-        holder: "hand".into(),
-        role: LeaseRole::Operator,
-        action: LeaseAction::Release,
-        request_id: format!("back-{:?}", rig.now),
-    }))
+    rig.ask(Question::Lease(LeaseRequest::new(
+        "hand",
+        LeaseRole::Operator,
+        LeaseAction::Release,
+        format!("back-{:?}", rig.now),
+    )))
     .unwrap();
 }
 

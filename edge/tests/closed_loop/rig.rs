@@ -58,12 +58,7 @@ impl Rig {
             counter: 0,
             ticks: 0,
         };
-        let request = LeaseRequest {
-            holder: "m".into(),
-            role,
-            action: LeaseAction::Acquire,
-            request_id: "1".into(),
-        };
+        let request = LeaseRequest::new("m", role, LeaseAction::Acquire, "1");
         let out = rig.tick(Inbox {
             questions: vec![(Ticket(1), Question::Lease(request))],
             ..Inbox::default()
@@ -72,7 +67,8 @@ impl Rig {
             out.persist,
             Some(Persisted {
                 epoch: 1,
-                stopped: false
+                stopped: false,
+                leader: None,
             })
         );
         rig.epoch = 1;

@@ -118,6 +118,21 @@ pub struct LeaseState {
     pub epoch: u64,
     /// Whether it has been renewed within its time to live.
     pub live: bool,
+    /// Who keeps the robot's goals, if anybody ever did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leader: Option<Leader>,
+}
+
+/// Who keeps a robot's goals, by the robot's own word: the mission with a store that was granted the lease last. A lease of an operator, or
+/// a lapsed one, changes nothing in it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Leader {
+    /// Name of its store.
+    pub store: String,
+    /// Epoch of its grant.
+    pub epoch: u64,
+    /// All stores that hold whatever it has acknowledged, its own among them: only they may lead next.
+    pub caught_up: Vec<String>,
 }
 
 /// State of a robot, ten times a second.
@@ -301,9 +316,30 @@ pub struct LeaseRequest {
     pub action: LeaseAction,
     /// The same request is answered with the first answer.
     pub request_id: String,
+    /// Name of the store in which a mission keeps the robot's goals; who keeps none does not lead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub store: Option<String>,
+    /// For [`LeaseAction::CaughtUp`]: the epoch under which the mission leads, and all stores that hold what it has acknowledged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leads: Option<Leader>,
 }
 
-/// Take a lease or give it back.
+impl LeaseRequest {
+    /// A request of somebody who keeps no goals.
+    #[must_use]
+    pub fn new(holder: impl Into<String>, role: LeaseRole, action: LeaseAction, request_id: impl Into<String>) -> Self {
+        Self {
+            holder: holder.into(),
+            role,
+            action,
+            request_id: request_id.into(),
+            store: None,
+            leads: None,
+        }
+    }
+}
+
+/// What is asked about a lease.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseAction {
@@ -312,6 +348,10 @@ pub enum LeaseAction {
     Acquire,
     /// Give back.
     Release,
+    /// A leader's word on who holds all that it has acknowledged; needs no live lease.
+    CaughtUp,
+    /// An operator's word that the goals of the last leader, and of those that had caught up, are given up: any mission may lead next.
+    Forget,
 }
 
 /// A lease.

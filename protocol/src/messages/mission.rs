@@ -43,6 +43,9 @@ pub struct MissionStatus {
     /// Goals that wait.
     #[serde(default)]
     pub queued: u64,
+    /// Stores of other orchestrators that hold all goals and can take over at once; without one, it works alone.
+    #[serde(default)]
+    pub standbys: Vec<String>,
 }
 
 /// One node of a behaviour tree.

@@ -6,6 +6,7 @@
 mod body;
 mod edge;
 mod goal;
+mod journal;
 mod map;
 mod mission;
 mod plan;
@@ -16,6 +17,7 @@ mod sense;
 pub use body::*;
 pub use edge::*;
 pub use goal::*;
+pub use journal::*;
 pub use map::*;
 pub use mission::*;
 pub use plan::*;

@@ -48,6 +48,15 @@ pub enum Refusal {
         role: LeaseRole,
         /// Their epoch.
         epoch: u64,
+        /// The store of the mission that leads, whoever holds the lease.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        leader: Option<String>,
+    },
+    /// A mission that does not hold all goals that were acknowledged for the robot.
+    #[error("only {} may lead: its goals are not known here", .caught_up.join(" or "))]
+    NotCaughtUp {
+        /// The stores that hold them.
+        caught_up: Vec<String>,
     },
     /// A command of another epoch than the current one.
     #[error("epoch {got} is not the current one, {current}")]
@@ -102,7 +111,9 @@ impl Refusal {
             Self::BadRequest { .. } | Self::TooLarge { .. } => exit_code::USAGE,
             Self::NotFound { .. } => exit_code::NOT_FOUND,
             Self::Busy { .. } => exit_code::TIMEOUT,
-            Self::Rejected { .. } | Self::Held { .. } | Self::WrongEpoch { .. } => exit_code::REJECTED,
+            Self::Rejected { .. } | Self::Held { .. } | Self::NotCaughtUp { .. } | Self::WrongEpoch { .. } => {
+                exit_code::REJECTED
+            }
         }
     }
 }

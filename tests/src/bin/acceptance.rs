@@ -15,10 +15,13 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
+use zenav_tests::proving::fleet;
 use zenav_tests::proving::ground::robot;
 use zenav_tests::proving::guard::GENTLE;
+use zenav_tests::proving::handover::Blow;
 use zenav_tests::proving::pose;
 use zenav_tests::proving::tracking::{self, percentile};
+use zenav_tests::proving::witness::Findings;
 
 /// Largest true distance from a goal that counts as reached, m; where nothing corrects odometry, it drifts.
 fn max_error(scenario: &str) -> f64 {
@@ -38,13 +41,19 @@ fn main() -> ExitCode {
         ["footprint", secs] if secs.parse::<u64>().is_ok() => footprint(secs.parse().unwrap_or(0)),
         ["guard", worlds, rest @ ..] if worlds.parse::<u64>().is_ok() => guard(worlds.parse().unwrap_or(0), rest),
         ["kills", kills, rest @ ..] if kills.parse::<usize>().is_ok() => kill(kills.parse().unwrap_or(0), rest),
+        ["handover", deaths, rest @ ..] if deaths.parse::<usize>().is_ok() => {
+            handover(deaths.parse().unwrap_or(0), rest)
+        }
+        ["fleet", robots, rest @ ..] if robots.parse::<usize>().is_ok() => fleet(robots.parse().unwrap_or(0), rest),
         [scenario, seeds, rest @ ..] if seeds.parse::<u64>().is_ok() => {
             demo(scenario, seeds.parse().unwrap_or(0), rest)
         }
         _ => {
             eprintln!(
                 "usage: acceptance SCENARIO SEEDS [arguments of `zenav demo`…], such as: acceptance kitchen 20 --speed 4\n       \
-                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS\n       acceptance kills KILLS [SEED]\n       acceptance footprint [SECONDS]\n       acceptance economy [MAP.yaml…]"
+                 acceptance guard WORLDS [FIRST_SEED]\n       acceptance track [MAP.yaml…]\n       acceptance pose RUNS\n       acceptance kills KILLS [SEED]\n       \
+                 acceptance handover DEATHS [PAUSES [SEED]]\n       \
+                 acceptance fleet ROBOTS [SECONDS]\n       acceptance footprint [SECONDS]\n       acceptance economy [MAP.yaml…]"
             );
             ExitCode::from(2)
         }
@@ -302,6 +311,73 @@ fn guard(worlds: u64, rest: &[&str]) -> ExitCode {
 /// Kills the orchestrator again and again while goals come in.
 fn kill(kills: usize, rest: &[&str]) -> ExitCode {
     let seed = rest.first().and_then(|word| word.parse().ok()).unwrap_or(1);
+    tell(zenav_tests::proving::kills::run(
+        &zenav().to_string_lossy(),
+        kills,
+        seed,
+    ))
+}
+
+/// How long a frozen leader is held, s.
+const FROZEN: f64 = 20.0;
+
+/// Kills the leader of two orchestrators again and again, then freezes it, while goals come in.
+fn handover(deaths: usize, rest: &[&str]) -> ExitCode {
+    let number = |index: usize, otherwise| rest.get(index).and_then(|word| word.parse().ok()).unwrap_or(otherwise);
+    let (pauses, seed) = (number(0, 0), number(1, 1));
+    let mut blows = vec![Blow::Death; deaths];
+    blows.resize(deaths + pauses as usize, Blow::Pause(FROZEN));
+    tell(zenav_tests::proving::handover::run(
+        &zenav().to_string_lossy(),
+        &blows,
+        seed,
+    ))
+}
+
+/// Largest median and 99th percentile of the lateness of a mission's step, s.
+const JITTER: (f64, f64) = (0.005, 0.05);
+
+/// Runs the missions of one robot, then of many, with one orchestrator on one core.
+fn fleet(robots: usize, rest: &[&str]) -> ExitCode {
+    let secs = rest.first().and_then(|word| word.parse().ok()).unwrap_or(60.0);
+    let run = async {
+        let alone = fleet::run(&zenav().to_string_lossy(), 1, 10.0).await?;
+        let many = fleet::run(&zenav().to_string_lossy(), robots, secs).await?;
+        Ok::<_, String>((alone, many))
+    };
+    let found = tokio::runtime::Runtime::new()
+        .map_err(|error| error.to_string())
+        .and_then(|runtime| runtime.block_on(run));
+    let (alone, mut many) = match found {
+        Ok(found) => found,
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let each = (many.memory - alone.memory) / (robots.saturating_sub(1).max(1) as f64);
+    let mut jitter = |share| percentile(&mut many.jitter, share);
+    let (p50, p99, most) = (jitter(0.5), jitter(0.99), jitter(1.0));
+    println!(
+        "{robots} robots: {:.0} % of a core; a step is off by {:.1} ms (p50), {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; \
+         {} goals driven, {} faults",
+        100.0 * many.load,
+        1e3 * p50,
+        1e3 * p99,
+        1e3 * most,
+        many.memory,
+        many.goals,
+        many.faults
+    );
+    if many.faults == 0 && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1 {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    }
+}
+
+/// Prints what was found when orchestrators died or froze.
+fn tell(run: impl Future<Output = Result<Findings, String>>) -> ExitCode {
     let runtime = match tokio::runtime::Runtime::new() {
         Ok(runtime) => runtime,
         Err(error) => {
@@ -309,20 +385,26 @@ fn kill(kills: usize, rest: &[&str]) -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    match runtime.block_on(zenav_tests::proving::kills::run(
-        &zenav().to_string_lossy(),
-        kills,
-        seed,
-    )) {
-        Ok(findings) => {
+    match runtime.block_on(run) {
+        Ok(mut findings) => {
             println!(
-                "{} kills: {} goals acknowledged, ends {:?}, {} motions, {} faults",
+                "{} kills, {} pauses: {} goals acknowledged, ends {:?}, {} motions, {} faults",
                 findings.kills,
+                findings.pauses,
                 findings.goals,
                 findings.ends,
                 findings.motions,
                 findings.faults.len()
             );
+            if !findings.takeovers.is_empty() {
+                let mut secs = |share| percentile(&mut findings.takeovers, share);
+                println!(
+                    "another orchestrator led after {:.2} s (p50), {:.2} s (p95), {:.2} s (longest)",
+                    secs(0.5),
+                    secs(0.95),
+                    secs(1.0)
+                );
+            }
             findings.faults.iter().for_each(|fault| println!("FAULT {fault}"));
             if findings.faults.is_empty() && findings.goals > 0 {
                 ExitCode::SUCCESS

@@ -96,12 +96,7 @@ impl Ground {
             counter: 0,
             ticks: 0,
         };
-        let request = LeaseRequest {
-            holder: "holder".to_owned(),
-            role,
-            action: LeaseAction::Acquire,
-            request_id: "1".to_owned(),
-        };
+        let request = LeaseRequest::new("holder".to_owned(), role, LeaseAction::Acquire, "1".to_owned());
         ground.tick(
             Inbox {
                 questions: vec![(Ticket(1), Question::Lease(request))],

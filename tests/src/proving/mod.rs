@@ -9,12 +9,18 @@
 //! | [`tracking`] | how near to its path does each tracker keep the robot? |
 //! | [`footprint`] | what does the robot's side cost its machine? |
 //! | [`kills`] | is any goal lost when the orchestrator is killed? |
+//! | [`handover`] | does another orchestrator go on when the leader dies or freezes? |
+//! | [`fleet`] | how many robots' missions does one orchestrator run? |
+//! | [`witness`] | what is true of goals and of the robot meanwhile? |
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
 
+pub mod fleet;
 pub mod footprint;
 pub mod ground;
 pub mod guard;
+pub mod handover;
 pub mod kills;
 pub mod pose;
 pub mod tracking;
+pub mod witness;
 pub mod worlds;

@@ -116,6 +116,61 @@ fn a_controller_that_keeps_failing_ends_after_the_last_recovery_succeeds() {
     assert_eq!(counts(&outcome)[1], 14);
 }
 
+/// Counts of plans, drives, cleared maps, spins, waits and retreats that Nav2 states for its own tree in `nav2_system_tests`
+/// (`test_behavior_tree_node.cpp`, 2026-08). Its servers fail the first so many goals; clearing a map always succeeds.
+#[test]
+fn leaves_start_as_often_as_in_nav2_s_own_system_tests() {
+    let plan =
+        |times: u32| format!(r#""ComputePathToPose": {{"fail": [[1, {times}]], "set": {{"error_code_id": 207}}}}"#);
+    let follow = |times: u32| format!(r#""FollowPath": {{"fail": [[1, {times}]], "set": {{"error_code_id": 106}}}}"#);
+    let recoveries = r#""Spin": {"fail": [[1, 100]]}, "Wait": {"fail": [[1, 100]]}, "BackUp": {"fail": [[1, 100]]}"#;
+    let spin_fails = r#""Spin": {"fail": [[1, 1]]}"#;
+    let spin_takes_long = r#""Spin": {"run_ms": 1000}"#;
+    let new_goal = r#", "events": [{"when": {"leaf": "Spin", "starts": 1}, "set": {"goal": "1;1;1"}}]"#;
+    let situations = [
+        ("all succeed", String::new(), "", Status::Success, [1, 1, 0, 0, 0, 0]),
+        (
+            "all fail",
+            format!("{}, {}, {recoveries}", plan(100), follow(100)),
+            "",
+            Status::Failure,
+            [4, 0, 4, 1, 1, 1],
+        ),
+        (
+            "planner and controller fail once",
+            format!("{}, {}", plan(1), follow(1)),
+            "",
+            Status::Success,
+            [2, 2, 2, 0, 0, 0],
+        ),
+        (
+            "the controller fails three times",
+            format!("{}, {}", plan(1), follow(3)),
+            "",
+            Status::Success,
+            [3, 4, 5, 0, 0, 0],
+        ),
+        (
+            "the controller keeps failing",
+            format!("{}, {spin_fails}", follow(14)),
+            "",
+            Status::Failure,
+            [3, 6, 5, 1, 1, 1],
+        ),
+        (
+            "the goal changes during recovery",
+            format!("{}, {spin_takes_long}", follow(4)),
+            new_goal,
+            Status::Success,
+            [3, 5, 4, 1, 0, 0],
+        ),
+    ];
+    for (name, leaves, events, status, expected) in situations {
+        let outcome = run(TREE, &format!(r#"{{"leaves": {{{leaves}}}{events}}}"#));
+        assert_eq!((outcome.status, counts(&outcome)), (status, expected), "{name}");
+    }
+}
+
 #[test]
 fn an_error_that_no_recovery_helps_ends_at_once() {
     let outcome = run(

@@ -178,7 +178,8 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
         "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
-        "ValidatePath" => at_once(path_leaves::ValidatePath),
+        // Its name until Nav2's Kilted.
+        "ValidatePath" | "IsPathValid" => at_once(path_leaves::ValidatePath),
         "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
         "TruncatePath" => at_once(path_leaves::TruncatePath),
         "TruncatePathLocal" => at_once(path_leaves::TruncatePathLocal::default()),

@@ -117,12 +117,7 @@ fn loss_of_the_lease_pauses_and_its_return_goes_on_with_a_new_plan() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
-    let operator = LeaseRequest {
-        holder: "me".into(),
-        role: LeaseRole::Operator,
-        action: LeaseAction::Acquire,
-        request_id: "o1".into(),
-    };
+    let operator = LeaseRequest::new("me", LeaseRole::Operator, LeaseAction::Acquire, "o1");
     let granted = rig.edge.book.request(rig.now, &operator).unwrap();
     rig.edge.discard(rig.now, "another holder");
     let (plans, stands) = (rig.plans.len(), rig.edge.pose);
@@ -156,7 +151,7 @@ fn a_lapsed_lease_is_taken_again_and_the_motion_goes_on_under_the_new_epoch() {
         rig.plans.last().unwrap().1.epoch,
     );
     // The grant is forgotten by the robot, the plan is not.
-    rig.edge.book = LeaseBook::new(std::time::Duration::from_secs(1), epoch);
+    rig.edge.book = LeaseBook::new(std::time::Duration::from_secs(1), epoch, None);
     assert!(rig.run_until(30.0, |rig| rig.state("a").is_end()));
     assert_eq!(rig.state("a"), GoalPhase::Succeeded);
     assert!(rig.plans.iter().any(|(_, plan)| plan.epoch > epoch));

@@ -53,7 +53,7 @@ impl Edge {
     fn new() -> Self {
         Self {
             boot_id: "boot-1".into(),
-            book: LeaseBook::new(Duration::from_secs(1), 0),
+            book: LeaseBook::new(Duration::from_secs(1), 0, None),
             pose: Pose2::new(0.0, 0.0, 0.0),
             velocity: Twist2::ZERO,
             plan: None,
@@ -72,10 +72,10 @@ impl Edge {
     }
 
     pub fn reboot(&mut self) {
-        let (epoch, pose) = (self.book.epoch(), self.pose);
+        let (epoch, leader, pose) = (self.book.epoch(), self.book.leader().cloned(), self.pose);
         *self = Self {
             boot_id: format!("{}+", self.boot_id),
-            book: LeaseBook::new(Duration::from_secs(1), epoch),
+            book: LeaseBook::new(Duration::from_secs(1), epoch, leader),
             pose,
             ..Self::new()
         };
@@ -536,6 +536,7 @@ impl Rig {
             Effect::Reply(client, reply) => {
                 self.replies.insert(client.0, reply);
             }
+            Effect::StandBy => panic!("another mission leads"),
             Effect::Fatal(why) => panic!("{why}"),
             Effect::Ask(ticket, ask) => {
                 self.asked.push(ask.clone());

@@ -14,6 +14,7 @@ use crate::mission::MissionConfig;
 use crate::mission::context::Context;
 use crate::mission::exchange::{Answer, Ask};
 use crate::mission::leaves::parse_path;
+use crate::mission::records::Restored;
 use crate::mission::trees::build;
 
 use Status::{Failure, Running, Success};
@@ -37,7 +38,7 @@ impl Stand {
     /// With a rig's map.
     fn on(node: &str, rig: &Rig) -> Stand {
         let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
-        let mut ctx = Context::new(config, 1);
+        let mut ctx = Context::new(config, &Restored::fresh());
         ctx.map.observe(Stamp(1), Some(rig.map.clone()), &[rig.patch()]);
         ctx.robot.step(Stamp(1), &mut ctx.asks).unwrap();
         let (ticket, ask) = ctx.asks.take_new().pop().unwrap();
@@ -205,6 +206,10 @@ fn validate_path_fails_where_the_body_does_not_fit_and_lists_the_places() {
         Stand::on(r#"<ValidatePath path="{path}" max_lookahead_distance="1.5"/>"#, &rig).with("path", "[[0,0],[5,0]]");
     assert_eq!(ahead.now(), Success, "far ahead");
     assert_eq!(ahead.at(1.5, 0.0).now(), Failure);
+    for (way, answer) in [("[[0,0],[5,0]]", Failure), ("[[0,-0.5],[5,-0.5]]", Success)] {
+        let mut older = Stand::on(r#"<IsPathValid path="{path}"/>"#, &rig).with("path", way);
+        assert_eq!(older.now(), answer, "by its name in older releases");
+    }
 }
 
 #[test]

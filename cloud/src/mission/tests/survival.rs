@@ -121,12 +121,7 @@ fn a_mission_that_was_only_paused_does_not_command_on_waking() {
     let sleeping = rig.mission.take();
     rig.run(20.0);
     // Somebody else has taken over meanwhile.
-    let other = LeaseRequest {
-        holder: "mission-b".into(),
-        role: LeaseRole::Mission,
-        action: LeaseAction::Acquire,
-        request_id: "1".into(),
-    };
+    let other = LeaseRequest::new("mission-b", LeaseRole::Mission, LeaseAction::Acquire, "1");
     let epoch = rig.edge.book.request(rig.now, &other).unwrap().epoch;
     let plans = rig.plans.len();
     rig.mission = sleeping;
