@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`body`] | what must a robot be able to do to be driven? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | [`surroundings`], [`intruders`], [`trodden`] | what stands around it, what of it moves, and what was never seen? |
+//! | [`surroundings`], [`intruders`], [`traces`], [`trodden`] | what stands around it, what of it moves, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
@@ -51,6 +51,7 @@ pub mod stopping;
 pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
+pub mod traces;
 pub mod trackers;
 pub mod trodden;
 pub mod wall_follower;

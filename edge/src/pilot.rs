@@ -20,6 +20,7 @@ use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
 use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
 use crate::punctuality::Punctuality;
+use crate::stopping::touched;
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
 use crate::teleop::Stick;
@@ -76,7 +77,7 @@ impl Pilot {
             behaviours: Behaviours::default(),
             journal: Journal::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: Surroundings::new(&model.lidar, &model.footprint),
+            around: Surroundings::new(&model.lidar, &model.footprint, model.drive.top_speed()),
             guard: Guard::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),
@@ -173,12 +174,11 @@ impl Pilot {
     }
 
     fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
-        self.estimator.step(readings);
-        for correction in corrections
-            .iter()
-            .filter(|correction| correction.boot_id == self.journal.boot_id())
-        {
-            self.estimator.correction(correction);
+        let boot_id = self.journal.boot_id();
+        let of_this_boot = corrections.iter().filter(|correction| correction.boot_id == boot_id);
+        self.estimator.step(readings, of_this_boot);
+        if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
+            self.journal.tell(now, kind);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
         if let Some(sweep) = &readings.sweep
@@ -186,6 +186,10 @@ impl Pilot {
             && self.around.insert(sweep, odom_from_base)
         {
             out.extend(telemetry::scan(sweep, &self.config.model.lidar, &self.estimator).map(Publication::Scan));
+        }
+        if readings.bump.pressed {
+            let place = touched(&self.config.model.footprint, &readings.bump);
+            self.around.touch(now, place, self.estimator.odom_from_base());
         }
         if readings.bump.pressed && !self.pressed {
             self.journal.tell(now, EventKind::Bumped);
@@ -366,6 +370,11 @@ impl Pilot {
             }
             Motive::Teleop => {
                 self.mode = Mode::Teleop;
+                if self.stick.has_run_out(now) {
+                    let reason = "no command follows".to_owned();
+                    let zone = GuardZone::Stop;
+                    self.journal.tell(now, EventKind::Guard { zone, reason });
+                }
                 (self.stick.twist(now), Braking::Normal)
             }
             Motive::Plan => match &mut self.course {

@@ -117,6 +117,23 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_has_come_two_thirds_of_the_way_after_its_lag() {
+        let mut drive = tiago();
+        (drive.motor_lag, drive.max_wheel_acceleration) = (0.2, 1e3);
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, [4.0, -4.0]);
+        for _ in 0..40 {
+            motors.step(&drive, 0.005);
+        }
+        let expected = 4.0 * (1.0 - (-1.0_f64).exp());
+        let [left, right] = motors.speed();
+        assert!(
+            (left - expected).abs() < 1e-9 && (right + expected).abs() < 1e-9,
+            "{left} {right}"
+        );
+    }
+
+    #[test]
     fn a_base_that_may_not_go_as_fast_as_its_wheels_keeps_the_curvature() {
         let drive = RobotModel::from_toml(robot::shipped("jackal").unwrap(), "jackal")
             .unwrap()

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::time::Duration;
+
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
@@ -29,7 +31,7 @@ fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings
     for conditions in pose::CONDITIONS {
         let mut sums = pose::Sums::default();
         for seed in 1..=20 {
-            pose::drive(&mut sums, &conditions, seed, 20.0).unwrap();
+            pose::drive(&mut sums, &conditions, seed, 20.0, &|| Duration::ZERO).unwrap();
         }
         let means: Vec<f64> = sums.nees.iter().map(|sum| sum / 20.0).collect();
         let (_, mean) = pose::share(&means, (0.0, 1.0));
