@@ -1,23 +1,27 @@
-//! What of a sweep moves? What stands where earlier sweeps saw free floor.
+//! What moves around the robot? What stands where earlier sweeps saw free floor, and what lies behind a thing that has gone.
 //!
 //! No tracking and no model of what moves: a return that lies well inside the range of an earlier sweep's beams past the
 //! same place is an intruder, whatever it is (visibility-based detection, after Pomerleau et al., "Long-term 3D map
-//! maintenance in dynamic environments", ICRA 2014). How fast it may go is for the guard to assume.
+//! maintenance in dynamic environments", ICRA 2014). What goes away leaves no such trace: there, beams go through a place that an
+//! earlier sweep met, and what they meet next, no farther on than anything goes in that time, is the same thing. How fast it may go
+//! is for the guard to assume; where it was last seen beside the blind sector is remembered for a while.
 
 use std::collections::VecDeque;
+use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::Point2;
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
 
-use crate::surroundings::View;
+use crate::surroundings::{View, rigid};
+use crate::traces::{Trace, Traces};
 
 /// Returns farther off than this do not matter yet, m.
 const RANGE: f64 = 3.5;
 /// Sweeps looked back at, and the time between two of them at least, s.
-const LOOKS: (usize, f64) = (5, 0.19);
+const LOOKS: (usize, f64) = (3, 0.32);
 /// An intruder lies this much nearer than the earlier beams went, beyond the noise of ranges, m.
 const DEPTH: f64 = 0.03;
 /// The same in standard deviations of a range.
@@ -29,33 +33,86 @@ const NEIGHBOURS: usize = 2;
 /// An intruder is at least this wide, m, and so many times as wide as the beams lie apart where it is: an earlier sweep may
 /// have missed what is thinner.
 const WIDTH: (f64, f64) = (0.04, 2.5);
+/// What has gone away is sought by a look at least so old, s: by then it is clearly farther off.
+const GONE_AFTER: f64 = 0.3;
+/// Beams through neighbouring points lie no farther apart than this.
+const APART: usize = 8;
+/// What is met this near to where something moved within this time moves, too: something that turns round seems to rest, m and s.
+const STILL: (f64, f64) = (0.2, 1.0);
+/// Points of what moves are no nearer together than this, m.
+const SPACING: f64 = 0.02;
+/// Places kept where something moved.
+const MOVED_PLACES: usize = 48;
+/// What was last seen as near to the blind sector as this may have gone into it, m, beyond what it moves between two sweeps.
+const BESIDE: f64 = 0.3;
+/// What was farther from the robot than anything goes in this time, s, is not followed into the blind sector.
+const NEAR_SECS: f64 = 0.75;
+/// What was lost in the blind sector is reckoned with for this long, s.
+const LOST_SECS: f64 = 5.0;
+/// Places kept where something was lost.
+const LOST_PLACES: usize = 32;
+/// What comes out of the blind sector this much farther off than it could have gone is the same thing all the same, m.
+const SURFACE: f64 = 0.1;
 
-/// Returns on what moves.
+/// Returns on what moves, and where it was lost.
 #[derive(Clone, Debug)]
 pub struct Intruders {
     lidar: LidarModel,
     view: View,
+    /// Directions of the beams in the frame of the lidar.
+    beams: Vec<Vector2<f64>>,
+    /// As fast as anything may move, m/s.
+    fastest: f64,
+    /// What is farther from the lidar than this is not followed into the blind sector, m.
+    near: f64,
     looks: VecDeque<Look>,
     /// Points of the newest sweep, odometry frame.
     points: Vec<Point2<f64>>,
+    /// Which beams of the newest sweep met what has gone away.
+    receded: Vec<bool>,
+    /// Where something has moved lately.
+    moved: Traces,
+    /// Where something was lost in the blind sector.
+    lost: Traces,
 }
 
 #[derive(Clone, Debug)]
 struct Look {
     stamp: Stamp,
-    laser_from_odom: Pose2,
+    laser_from_odom: Isometry2<f64>,
     ranges: Vec<f32>,
+}
+
+/// A run of neighbouring returns of an earlier look that beams go through now.
+#[derive(Clone, Copy, Debug)]
+struct Gone {
+    /// The first and the last, in the frame of the lidar now.
+    ends: [Point2<f64>; 2],
+    /// The first and the last beam that go through them.
+    beams: (usize, usize),
+    /// The farthest, m.
+    depth: f64,
 }
 
 impl Intruders {
     /// None yet.
     #[must_use]
-    pub fn new(lidar: &LidarModel) -> Self {
+    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
+        let direction = |beam: usize| {
+            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            Vector2::new(angle.cos(), angle.sin())
+        };
         Self {
             lidar: lidar.clone(),
             view: View::new(lidar),
+            beams: (0..lidar.beams).map(direction).collect(),
+            fastest,
+            near: 2.0 * footprint.circumscribed_radius() + NEAR_SECS * fastest,
             looks: VecDeque::new(),
             points: Vec::new(),
+            receded: Vec::new(),
+            moved: Traces::new(MOVED_PLACES),
+            lost: Traces::new(LOST_PLACES),
         }
     }
 
@@ -63,20 +120,147 @@ impl Intruders {
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) {
         let odom_from_laser = odom_from_base * self.lidar.mount;
         self.points.clear();
-        let mut begun = 0;
+        self.find_receded(sweep, odom_from_laser);
+        self.moved
+            .retain(|trace| sweep.stamp.secs_since(trace.stamp) <= STILL.1);
+        let to_odom = rigid(odom_from_laser);
+        let (low, high) = self.moved.bounds(STILL.0);
+        let (mut begun, mut still) = (0, Vec::new());
         for (beam, range) in sweep.ranges.iter().enumerate() {
             let range = f64::from(*range);
-            let valid = range >= self.lidar.range_min && range <= RANGE.min(self.lidar.range_max);
-            let angle = self.lidar.angle_min() + beam as f64 * self.lidar.angle_increment();
-            let point = odom_from_laser.transform_point(Point2::new(range * angle.cos(), range * angle.sin()));
-            if valid && self.intrudes(point) {
-                self.points.push(point);
-            } else {
+            let Some(local) = self.beams.get(beam).filter(|_| self.is_near(range)) else {
                 self.end_run(&mut begun, odom_from_laser.position());
+                continue;
+            };
+            let point = to_odom * Point2::from(local * range);
+            if self.receded.get(beam).is_some_and(|receded| *receded) || self.intrudes(point) {
+                self.points.push(point);
+                continue;
+            }
+            self.end_run(&mut begun, odom_from_laser.position());
+            if point >= low && point <= high && self.moved.any_within(STILL.0, point) {
+                still.push(point);
             }
         }
         self.end_run(&mut begun, odom_from_laser.position());
+        thin(&mut self.points);
+        let evident = self.points.len();
+        thin(&mut still);
+        self.points.append(&mut still);
         self.look(sweep, odom_from_laser);
+        self.lose(sweep.stamp, odom_from_laser);
+        for place in self.points.iter().take(evident) {
+            self.moved.note(*place, sweep.stamp);
+        }
+    }
+
+    /// Whether a range is a return that matters.
+    fn is_near(&self, range: f64) -> bool {
+        range >= self.lidar.range_min && range <= RANGE.min(self.lidar.range_max)
+    }
+
+    /// Notes the beams that meet what stood nearer at an earlier look.
+    fn find_receded(&mut self, sweep: &Sweep, odom_from_laser: Pose2) {
+        self.receded.clear();
+        let old = |look: &&Look| sweep.stamp.secs_since(look.stamp) >= GONE_AFTER;
+        let Some(look) = self.looks.iter().rev().find(old) else {
+            return;
+        };
+        self.receded.resize(sweep.ranges.len(), false);
+        let gone_for = sweep.stamp.secs_since(look.stamp);
+        let laser_from_look = rigid(odom_from_laser.inverse()) * look.laser_from_odom.inverse();
+        let (mut runs, mut run): (Vec<Gone>, Option<Gone>) = (Vec::new(), None);
+        for (beam, range) in look.ranges.iter().enumerate() {
+            let range = f64::from(*range);
+            let local = self.beams.get(beam).filter(|_| self.is_near(range));
+            let here = laser_from_look * Point2::from(local.copied().unwrap_or_default() * range);
+            let through = local.and_then(|_| self.seen_through(here.coords, &sweep.ranges));
+            if let Some(beam) = through {
+                // At the seam of a full circle the beams begin anew.
+                if run.is_some_and(|gone| beam.abs_diff(gone.beams.1) > APART && beam.abs_diff(gone.beams.0) > APART) {
+                    runs.extend(run.take());
+                }
+                let gone = run.get_or_insert(Gone {
+                    ends: [here; 2],
+                    beams: (beam, beam),
+                    depth: 0.0,
+                });
+                gone.ends[1] = here;
+                gone.beams = (gone.beams.0.min(beam), gone.beams.1.max(beam));
+                gone.depth = gone.depth.max(here.coords.norm());
+            } else {
+                runs.extend(run.take());
+            }
+        }
+        runs.extend(run);
+        for gone in runs {
+            self.mark(&gone, sweep, gone_for);
+        }
+    }
+
+    /// Marks what is met behind a run of points that have gone.
+    fn mark(&mut self, gone: &Gone, sweep: &Sweep, gone_for: f64) {
+        let least = WIDTH.0.max(WIDTH.1 * self.lidar.angle_increment() * gone.depth);
+        if (gone.ends[1] - gone.ends[0]).norm() < least {
+            return;
+        }
+        let farthest = gone.depth + self.fastest * gone_for + DEPTH + DEPTH_SIGMAS * self.lidar.noise;
+        let (first, last) = gone.beams;
+        for (marked, range) in self.receded.iter_mut().zip(&sweep.ranges).take(last + 1).skip(first) {
+            *marked |= f64::from(*range) <= farthest;
+        }
+    }
+
+    /// The beam that goes through a place (laser frame) by far, with its neighbours.
+    fn seen_through(&self, local: Vector2<f64>, ranges: &[f32]) -> Option<usize> {
+        if self.view.is_blind(local) {
+            return None;
+        }
+        let distance = local.norm();
+        let beam = (bearing(local) - self.lidar.angle_min()) / self.lidar.angle_increment();
+        let beam = (beam + 0.5).max(0.0) as usize;
+        let beams = beam.saturating_sub(NEIGHBOURS)..=beam + NEIGHBOURS;
+        let depth = DEPTH + DEPTH_SIGMAS * self.lidar.noise + DEPTH_PER_METRE * distance;
+        // Written so that no return counts as far.
+        let all = beams.clone().all(|beam| {
+            ranges
+                .get(beam)
+                .is_none_or(|range| f64::from(*range) > distance + depth)
+        });
+        (all && ranges.len() > *beams.start()).then_some(beam)
+    }
+
+    /// Notes what may go into the blind sector before the next sweep, and forgets what was lost long ago or has come out again.
+    fn lose(&mut self, now: Stamp, odom_from_laser: Pose2) {
+        let (beside, near) = (BESIDE + self.fastest / self.lidar.rate_hz, self.near);
+        let laser_from_odom = rigid(odom_from_laser.inverse());
+        // What moves by a single sweep may be a mistake: it is not worth the wait for it to come out.
+        let since = STILL.0 + self.fastest / self.lidar.rate_hz;
+        let goes = |place: &&Point2<f64>| {
+            let local = (laser_from_odom * **place).coords;
+            self.view.off_the_blind(local) <= beside && local.norm() <= near && self.moved.any_within(since, **place)
+        };
+        let places: Vec<_> = self.points.iter().filter(goes).copied().collect();
+        let (fastest, points) = (self.fastest, &self.points);
+        self.lost.retain(|lost| {
+            let age = now.secs_since(lost.stamp);
+            let reach = fastest * age + SURFACE;
+            let is_out = places.is_empty() && points.iter().any(|place| lost.is_within(reach, *place));
+            age <= LOST_SECS && !is_out
+        });
+        for place in places {
+            self.lose_at(place, now);
+        }
+    }
+
+    /// Something was last seen, or felt, at a place (odometry frame).
+    pub fn lose_at(&mut self, place: Point2<f64>, stamp: Stamp) {
+        self.lost.note(place, stamp);
+    }
+
+    /// What may be in the blind sector now.
+    pub fn lost(&self) -> impl Iterator<Item = &Trace> + '_ {
+        self.lost.iter()
     }
 
     /// Drops a run of neighbouring returns that is too narrow to be trusted.
@@ -95,21 +279,8 @@ impl Intruders {
     /// Whether an earlier look went past this place.
     fn intrudes(&self, point: Point2<f64>) -> bool {
         self.looks.iter().any(|look| {
-            let local = look.laser_from_odom.transform_point(point).coords;
-            if self.view.is_blind(local) {
-                return false;
-            }
-            let distance = local.norm();
-            let beam = (local.y.atan2(local.x) - self.lidar.angle_min()) / self.lidar.angle_increment();
-            let beam = beam.round().max(0.0) as usize;
-            let beams = beam.saturating_sub(NEIGHBOURS)..=beam + NEIGHBOURS;
-            let depth = DEPTH + DEPTH_SIGMAS * self.lidar.noise + DEPTH_PER_METRE * distance;
-            beams.clone().all(|beam| {
-                // Written so that no return counts as far.
-                look.ranges
-                    .get(beam)
-                    .is_none_or(|range| f64::from(*range) > distance + depth)
-            }) && look.ranges.len() > *beams.start()
+            self.seen_through((look.laser_from_odom * point).coords, &look.ranges)
+                .is_some()
         })
     }
 
@@ -130,18 +301,39 @@ impl Intruders {
         ranges.extend_from_slice(&sweep.ranges);
         self.looks.push_back(Look {
             stamp: sweep.stamp,
-            laser_from_odom: odom_from_laser.inverse(),
+            laser_from_odom: rigid(odom_from_laser.inverse()),
             ranges,
         });
     }
 
     /// What moves, in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        let base_from_odom = odom_from_base.inverse();
-        self.points
-            .iter()
-            .map(move |point| base_from_odom.transform_point(*point))
+        let base_from_odom = rigid(odom_from_base.inverse());
+        self.points.iter().map(move |point| base_from_odom * point)
     }
+}
+
+/// The direction of a vector, rad, to 1e-5: far finer than beams lie apart (Abramowitz and Stegun, 4.4.49).
+fn bearing(vector: Vector2<f64>) -> f64 {
+    let (x, y) = (vector.x.abs(), vector.y.abs());
+    let slope = x.min(y) / x.max(y).max(1e-12);
+    let s = slope * slope;
+    let angle = slope * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
+    let angle = if y > x { FRAC_PI_2 - angle } else { angle };
+    let angle = if vector.x < 0.0 { PI - angle } else { angle };
+    if vector.y < 0.0 { -angle } else { angle }
+}
+
+/// Leaves out points close to the one before.
+fn thin(points: &mut Vec<Point2<f64>>) {
+    let mut last = Point2::new(f64::INFINITY, 0.0);
+    points.retain(|point| {
+        let keeps = (point - last).norm_squared() >= SPACING * SPACING;
+        if keeps {
+            last = *point;
+        }
+        keeps
+    });
 }
 
 #[cfg(test)]
@@ -174,10 +366,42 @@ mod tests {
     }
 
     #[test]
+    fn bearings_are_near_enough() {
+        for step in -3141..=3141 {
+            let angle = f64::from(step) * 1e-3;
+            let vector = Vector2::new(angle.cos(), angle.sin()) * 1.7;
+            assert!((bearing(vector) - angle).abs() < 2e-5, "{angle}");
+        }
+    }
+
+    #[test]
+    fn what_has_gone_from_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
+        let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
+        let lidar = robot.lidar;
+        let mut intruders = Intruders::new(&lidar, &robot.footprint, 0.3);
+        for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
+            let range = |beam: usize| {
+                let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+                (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
+            };
+            let sweep = Sweep {
+                stamp: Stamp::from_secs(secs),
+                ranges: (0..lidar.beams).map(range).collect(),
+            };
+            intruders.insert(&sweep, Pose2::IDENTITY);
+        }
+        let points: Vec<_> = intruders.in_base(Pose2::IDENTITY).collect();
+        assert!(
+            !points.is_empty() && points.iter().all(|point| point.x < -1.0),
+            "{points:?}"
+        );
+    }
+
+    #[test]
     fn what_comes_nearer_intrudes_and_what_stands_does_not() {
         let lidar = lidar();
-        let mut still = Intruders::new(&lidar);
-        let mut moving = Intruders::new(&lidar);
+        let mut still = Intruders::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        let mut moving = Intruders::new(&lidar, &Footprint::Radius(0.265), 0.6);
         for step in 0..20 {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
@@ -186,6 +410,6 @@ mod tests {
             moving.insert(&sweep(&lidar, secs, base, Some(2.4 - 0.03 * f64::from(step))), base);
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
-        assert!(moving.in_base(Pose2::IDENTITY).count() > 5);
+        assert!(moving.in_base(Pose2::IDENTITY).count() >= 2);
     }
 }

@@ -3,11 +3,11 @@
 
 use std::f64::consts::{PI, TAU};
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::Footprint;
 
-use crate::surroundings::Surroundings;
+use crate::surroundings::{Surroundings, rigid};
 
 /// Directions that are tried.
 const DIRECTIONS: u32 = 16;
@@ -87,8 +87,8 @@ pub fn backs_into_the_unknown(
     twist: Twist2,
     secs: f64,
 ) -> bool {
-    let floor = around.trodden();
-    if !floor.is_blind(Vector2::new(twist.v, 0.0)) {
+    let (floor, odom_from_there) = (around.trodden(), rigid(odom_from_there));
+    if !floor.leads_into_the_blind(twist.v) {
         return false;
     }
     let reach = footprint.circumscribed_radius() + KEEP_OFF;

@@ -19,6 +19,8 @@ use crate::journal::Journal;
 use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
 use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
+use crate::punctuality::Punctuality;
+use crate::stopping::touched;
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
 use crate::teleop::Stick;
@@ -61,6 +63,7 @@ pub struct Pilot {
     battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
+    pub(crate) punctuality: Punctuality,
 }
 
 impl Pilot {
@@ -74,7 +77,7 @@ impl Pilot {
             behaviours: Behaviours::default(),
             journal: Journal::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: Surroundings::new(&model.lidar, &model.footprint),
+            around: Surroundings::new(&model.lidar, &model.footprint, model.drive.top_speed()),
             guard: Guard::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),
@@ -90,6 +93,7 @@ impl Pilot {
             battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
+            punctuality: Punctuality::default(),
             config,
         }
     }
@@ -105,6 +109,9 @@ impl Pilot {
             Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
         };
         self.missed_ticks = inbox.missed_ticks;
+        if let Some(late) = inbox.late {
+            self.punctuality.note(late);
+        }
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
         for (ticket, question) in inbox.questions {
             let answer = self.answer(now, question);
@@ -179,6 +186,10 @@ impl Pilot {
             && self.around.insert(sweep, odom_from_base)
         {
             out.extend(telemetry::scan(sweep, &self.config.model.lidar, &self.estimator).map(Publication::Scan));
+        }
+        if readings.bump.pressed {
+            let place = touched(&self.config.model.footprint, &readings.bump);
+            self.around.touch(now, place, self.estimator.odom_from_base());
         }
         if readings.bump.pressed && !self.pressed {
             self.journal.tell(now, EventKind::Bumped);
@@ -359,6 +370,11 @@ impl Pilot {
             }
             Motive::Teleop => {
                 self.mode = Mode::Teleop;
+                if self.stick.has_run_out(now) {
+                    let reason = "no command follows".to_owned();
+                    let zone = GuardZone::Stop;
+                    self.journal.tell(now, EventKind::Guard { zone, reason });
+                }
                 (self.stick.twist(now), Braking::Normal)
             }
             Motive::Plan => match &mut self.course {
@@ -404,7 +420,7 @@ impl Pilot {
             );
         }
         let wheels = drive.wheels(verdict.twist);
-        self.limiter.set(wheels);
+        self.limiter.set(wheels, dt);
         wheels
     }
 

@@ -1,18 +1,23 @@
-//! How fast may a robot go, so that it rests before anything could be touched? Three answers: past what stands, past what
-//! moves, and into what was never seen. Each is a share of the wanted twist, whose curvature stays.
+//! How fast may a robot go, so that it rests before anything could be touched? Four answers: past what stands, past what
+//! moves, into what was never seen, and past what has gone out of sight. Each is a share of the wanted twist, whose curvature stays.
 //!
 //! Standing things: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the free way along
 //! the robot's own arc. Moving ones: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban
 //! scenarios", Automatika 2009): whatever moves may come at the robot as fast as the robot itself can go; by the time that
-//! it could arrive the robot rests.
+//! it could arrive the robot rests. Out of sight (Bouraine et al., "Provably safe navigation for mobile robots with limited
+//! field-of-views in dynamic environments", Autonomous Robots 2012): by that time no point of the outline goes outwards faster than
+//! gently, by driving or by turning.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint};
+use zenav_protocol::time::Stamp;
 
 use crate::contact::Sweeper;
 use crate::limiter::wheel_surface_speed;
-use crate::surroundings::Surroundings;
+use crate::surroundings::{Surroundings, rigid};
+use crate::trodden::Floor;
 
 /// Least time to collision with the last centimetre while creeping inside the margin, s.
 const CREEP_TIME: f64 = 1.0;
@@ -126,6 +131,7 @@ impl<'a> Motion<'a> {
     pub fn past_intruders(&self, around: &Surroundings, odom_from_base: Pose2) -> f64 {
         let mut shares = SHARES.iter();
         let mut share = shares.next().copied().unwrap_or(0.0);
+        let mut reach = self.reach(share);
         let near = self.footprint.circumscribed_radius() + self.keep_off(1.0) + self.way(1.0);
         for point in around.intruders().in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near
@@ -133,8 +139,9 @@ impl<'a> Motion<'a> {
             {
                 continue;
             }
-            while share > 0.0 && self.is_reached(point, share) {
+            while share > 0.0 && reach.holds(self.footprint, point) {
                 share = shares.next().copied().unwrap_or(0.0);
+                reach = self.reach(share);
             }
         }
         share
@@ -145,15 +152,14 @@ impl<'a> Motion<'a> {
         self.margin + self.others * self.time(share)
     }
 
-    /// Whether something at a point (base frame) may touch the robot before it rests.
-    fn is_reached(&self, point: Point2<f64>, share: f64) -> bool {
-        let secs = self.way(share) / (share * self.speed);
+    /// What may touch the robot before it rests.
+    fn reach(&self, share: f64) -> Reach {
+        let secs = self.way(share) / (share * self.speed).max(1e-9);
         let twist = Twist2::new(share * self.twist.v, share * self.twist.w);
-        let keep_off = self.keep_off(share);
-        [0.0, 0.5, 1.0].iter().any(|part| {
-            let there = Pose2::IDENTITY.advance(twist, part * secs);
-            self.footprint.distance(there.inverse().transform_point(point)) <= keep_off
-        })
+        Reach {
+            keep_off: self.keep_off(share),
+            there_from_here: [0.0, 0.5, 1.0].map(|part| rigid(Pose2::IDENTITY.advance(twist, part * secs).inverse())),
+        }
     }
 
     /// Into what the lidar does not see: only as far as it was seen before, and backwards no faster than `allowed` (m/s), for
@@ -164,6 +170,7 @@ impl<'a> Motion<'a> {
         if !trodden.has_blind_sector() {
             return 1.0;
         }
+        let odom_from_base = rigid(odom_from_base);
         let reach = self.footprint.circumscribed_radius();
         let outline_speed = self.twist.v.abs() + self.twist.w.abs() * reach;
         let way = self.way(1.0) * (outline_speed / self.speed).max(1.0);
@@ -173,31 +180,98 @@ impl<'a> Motion<'a> {
         let samples: Vec<_> = outline(self.footprint, self.margin + UNSEEN_MARGIN)
             .into_iter()
             .filter(|(at, normal)| {
-                let velocity = Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x);
-                let outward = velocity.dot(normal);
-                if trodden.is_blind(at.coords) {
-                    fastest = fastest.max(outward);
-                }
-                outward > 1e-3
+                // What moves out gently may touch what it likes.
+                let outward = self.outward(*at, *normal);
+                fastest = fastest.max(outward);
+                outward > GENTLE
             })
+            .map(|(at, normal)| (at, at - normal * (self.margin + UNSEEN_MARGIN - LAST_CENTIMETRE)))
             .collect();
         let mut share: f64 = 1.0;
         'poses: for pose in 1..=poses as u32 {
-            let secs = f64::from(pose) * step;
-            let there = Pose2::IDENTITY.advance(self.twist, secs);
-            for (at, _) in &samples {
-                if trodden.is_unknown(&odom_from_base, there.transform_point(*at)) {
+            let there = rigid(Pose2::IDENTITY.advance(self.twist, f64::from(pose) * step));
+            for (outer, inner) in &samples {
+                let floor = trodden.floor(&odom_from_base, there * outer);
+                let met = || trodden.floor(&odom_from_base, there * inner) == Floor::Met;
+                // A cell that was met is coarse: what stands in it is remembered as a point, too.
+                if floor == Floor::Unknown || (floor != Floor::InSight && met()) {
                     share = self.share_within(self.speed * f64::from(pose - 1) * step);
                     break 'poses;
                 }
             }
         }
         share = share.max(GENTLE / fastest.max(1e-9));
-        if trodden.is_blind(Vector2::new(self.twist.v, 0.0)) {
+        if trodden.leads_into_the_blind(self.twist.v) {
             share = share.min(allowed.max(GENTLE) / self.twist.v.abs().max(1e-9));
         }
         share.min(1.0)
     }
+
+    /// Past what has gone out of sight, and may be anywhere within its reach by now: no faster than gently outwards, where
+    /// the lidar does not look; and where it does, not to swing at what may come round into sight.
+    #[must_use]
+    pub fn past_the_lost(&self, now: Stamp, around: &Surroundings, odom_from_base: Pose2) -> f64 {
+        let base_from_odom = rigid(odom_from_base.inverse());
+        let mut shares = SHARES.iter();
+        let mut share = shares.next().copied().unwrap_or(0.0);
+        for lost in around.intruders().lost() {
+            let age = now.secs_since(lost.stamp).max(0.0);
+            let distance = self.footprint.distance(base_from_odom * lost.place);
+            while share > 0.0 && distance <= self.keep_off(share) + self.others * age {
+                share = shares.next().copied().unwrap_or(0.0);
+            }
+        }
+        if share >= 1.0 {
+            return share;
+        }
+        let fastest = outline(self.footprint, 0.0)
+            .into_iter()
+            .map(|(at, normal)| {
+                if around.trodden().is_blind(at) {
+                    self.outward(at, normal)
+                } else {
+                    self.twist.w * (at.x * normal.y - at.y * normal.x)
+                }
+            })
+            .fold(0.0, f64::max);
+        share.max(GENTLE / fastest.max(1e-9)).min(1.0)
+    }
+
+    /// How fast a point of the outline moves along its normal, m/s.
+    fn outward(&self, at: Point2<f64>, normal: Vector2<f64>) -> f64 {
+        Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x).dot(&normal)
+    }
+}
+
+/// Within this distance of the outline, now or on the way to rest, something that moves may touch it.
+struct Reach {
+    keep_off: f64,
+    there_from_here: [Isometry2<f64>; 3],
+}
+
+impl Reach {
+    fn holds(&self, footprint: &Footprint, point: Point2<f64>) -> bool {
+        self.there_from_here
+            .iter()
+            .any(|there_from_here| footprint.distance(there_from_here * point) <= self.keep_off)
+    }
+}
+
+/// Where the outline was touched (base frame), a little outside of it. Without a bearing that is ahead.
+pub(crate) fn touched(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
+    let bearing = bump.bearing.unwrap_or(0.0);
+    let toward = Vector2::new(bearing.cos(), bearing.sin());
+    // Found by halving along the bearing.
+    let (mut inside, mut outside) = (0.0, 2.0 * footprint.circumscribed_radius());
+    for _ in 0..20 {
+        let middle = 0.5 * (inside + outside);
+        if footprint.distance(Point2::from(toward * middle)) > 0.0 {
+            outside = middle;
+        } else {
+            inside = middle;
+        }
+    }
+    Point2::from(toward * (outside + 1e-3))
 }
 
 /// Points on the grown outline with their outward normals, base frame.

@@ -4,8 +4,8 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Point2, Vector2};
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use nalgebra::{Isometry2, Point2, Vector2};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
@@ -34,32 +34,72 @@ pub struct Surroundings {
     trodden: Trodden,
 }
 
+/// A pose made ready for many points: sine and cosine are taken once.
+pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
+    Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
+}
+
 /// The directions that a lidar looks in, in its own frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View {
-    first: f64,
-    last: f64,
+    /// Of the first and of the last beam.
+    first: Vector2<f64>,
+    last: Vector2<f64>,
+    /// Angle that is never seen, rad; a gap of a beam is none.
+    gap: f64,
 }
 
 impl View {
     pub(crate) fn new(lidar: &LidarModel) -> Self {
         let first = lidar.angle_min();
-        let last = first + lidar.angle_increment() * (lidar.beams.max(1) - 1) as f64;
-        Self { first, last }
+        let span = lidar.angle_increment() * (lidar.beams.max(1) - 1) as f64;
+        let direction = |angle: f64| Vector2::new(angle.cos(), angle.sin());
+        let gap = std::f64::consts::TAU - span;
+        Self {
+            first: direction(first),
+            last: direction(first + span),
+            gap: if gap > 0.1 { gap } else { 0.0 },
+        }
     }
 
-    /// Whether nothing in this direction is ever seen; a gap of a beam is none.
+    /// Whether some directions are never seen.
+    pub(crate) fn has_blind_sector(&self) -> bool {
+        self.gap > 0.0
+    }
+
+    /// Whether nothing in this direction is ever seen.
     pub(crate) fn is_blind(&self, local: Vector2<f64>) -> bool {
-        let gap = std::f64::consts::TAU - (self.last - self.first);
-        let bearing = wrap_angle(local.y.atan2(local.x));
-        gap > 0.1 && (bearing < self.first || bearing > self.last)
+        let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
+        if self.gap <= std::f64::consts::PI {
+            self.gap > 0.0 && after_last && before_first
+        } else {
+            after_last || before_first
+        }
+    }
+
+    /// Distance of a place from the sector that is never seen, m: zero within it, infinite where there is none.
+    pub(crate) fn off_the_blind(&self, local: Vector2<f64>) -> f64 {
+        if !self.has_blind_sector() {
+            return f64::INFINITY;
+        }
+        if self.is_blind(local) {
+            return 0.0;
+        }
+        let off = |edge: &Vector2<f64>| {
+            if edge.dot(&local) > 0.0 {
+                edge.perp(&local).abs()
+            } else {
+                local.norm()
+            }
+        };
+        off(&self.first).min(off(&self.last))
     }
 }
 
 impl Surroundings {
-    /// Nothing seen yet.
+    /// Nothing seen yet. Nothing moves faster than `fastest`, m/s.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint) -> Self {
+    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
         let direction = |beam: usize| {
             let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
             Vector2::new(angle.cos(), angle.sin())
@@ -70,7 +110,7 @@ impl Surroundings {
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
-            intruders: Intruders::new(lidar),
+            intruders: Intruders::new(lidar, footprint, fastest),
             trodden: Trodden::new(lidar, footprint),
         }
     }
@@ -84,13 +124,13 @@ impl Surroundings {
         self.remember(odom_from_base);
         let mount = self.lidar.mount;
         self.seen.clear();
+        let to_odom = rigid(odom_from_base);
         for (range, beam) in sweep.ranges.iter().zip(&self.beams) {
             let range = f64::from(*range);
             // Written so that NaN is no return.
             if range >= self.lidar.range_min && range <= self.lidar.range_max {
-                self.seen.push(
-                    odom_from_base.transform_point(Point2::new(mount.x + range * beam.x, mount.y + range * beam.y)),
-                );
+                self.seen
+                    .push(to_odom * Point2::new(mount.x + range * beam.x, mount.y + range * beam.y));
             }
         }
         self.intruders.insert(sweep, odom_from_base);
@@ -101,11 +141,14 @@ impl Surroundings {
 
     /// Keeps of all known points those that the lidar cannot see from here.
     fn remember(&mut self, odom_from_base: Pose2) {
-        let laser_from_odom = (odom_from_base * self.lidar.mount).inverse();
         let view = View::new(&self.lidar);
+        if !view.has_blind_sector() {
+            return;
+        }
+        let laser_from_odom = rigid((odom_from_base * self.lidar.mount).inverse());
         let blind = |point: &Point2<f64>| {
-            let local = laser_from_odom.transform_point(*point).coords;
-            local.norm() < MEMORY_RANGE && view.is_blind(local)
+            let local = (laser_from_odom * point).coords;
+            view.is_blind(local) && local.norm() < MEMORY_RANGE
         };
         self.remembered.retain(blind);
         let mut last = Point2::new(f64::INFINITY, 0.0);
@@ -118,6 +161,14 @@ impl Surroundings {
                 self.remembered.pop_front();
             }
             self.remembered.push_back(*point);
+        }
+    }
+
+    /// Something was felt at a place (base frame): where nobody looks it counts as something that moves.
+    pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
+        let local = self.lidar.mount.inverse().transform_point(place).coords;
+        if View::new(&self.lidar).is_blind(local) {
+            self.intruders.lose_at(odom_from_base.transform_point(place), now);
         }
     }
 
@@ -135,22 +186,17 @@ impl Surroundings {
 
     /// All known points in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        let base_from_odom = odom_from_base.inverse();
-        let (sin, cos) = base_from_odom.yaw.sin_cos();
-        let points = self.seen.iter().chain(&self.remembered);
-        points.map(move |point| {
-            Point2::new(
-                base_from_odom.x + cos * point.x - sin * point.y,
-                base_from_odom.y + sin * point.x + cos * point.y,
-            )
-        })
+        let base_from_odom = rigid(odom_from_base.inverse());
+        self.seen
+            .iter()
+            .chain(&self.remembered)
+            .map(move |point| base_from_odom * point)
     }
 
     /// The newest sweep's points in another frame.
     pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        self.seen
-            .iter()
-            .map(move |point| frame_from_odom.transform_point(*point))
+        let frame_from_odom = rigid(frame_from_odom);
+        self.seen.iter().map(move |point| frame_from_odom * point)
     }
 
     /// What of the newest sweep moves.
@@ -190,7 +236,7 @@ mod tests {
     #[test]
     fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265), 0.6);
         assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
         assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
@@ -207,7 +253,7 @@ mod tests {
     #[test]
     fn what_the_lidar_sees_again_is_not_remembered() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265), 0.6);
         around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
         around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
@@ -216,7 +262,7 @@ mod tests {
     #[test]
     fn a_broken_sweep_is_no_sweep() {
         let lidar = tiago();
-        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265));
+        let mut around = Surroundings::new(&lidar, &Footprint::Radius(0.265), 0.6);
         assert!(!around.insert(
             &Sweep {
                 stamp: Stamp(5),

@@ -41,6 +41,15 @@ impl Stick {
         self.held = None;
     }
 
+    /// Whether a motion has just ended because no command follows: told once.
+    pub fn has_run_out(&mut self, now: Stamp) -> bool {
+        let over = self.held.filter(|(taken, _)| now.secs_since(*taken) > self.dead_man);
+        if over.is_some() {
+            self.held = None;
+        }
+        over.is_some_and(|(_, twist)| twist != Twist2::ZERO)
+    }
+
     /// The twist wanted now.
     #[must_use]
     pub fn twist(&self, now: Stamp) -> Twist2 {
@@ -72,6 +81,9 @@ mod tests {
         assert!(stick.take(now, &teleop(9.9, 0.5)));
         assert!(!stick.take(now, &teleop(9.8, 0.1)), "out of order");
         assert_eq!(stick.twist(Stamp::from_secs(10.29)).v, 0.5);
+        assert!(!stick.has_run_out(Stamp::from_secs(10.29)));
         assert_eq!(stick.twist(Stamp::from_secs(10.31)), Twist2::ZERO);
+        assert!(stick.has_run_out(Stamp::from_secs(10.31)));
+        assert!(!stick.has_run_out(Stamp::from_secs(10.33)), "told once");
     }
 }

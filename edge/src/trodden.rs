@@ -3,19 +3,20 @@
 //! A ring buffer of cells around the robot in the odometry frame. What was never seen counts as occupied: a robot does not
 //! drive backwards into the unknown. Where it starts, the disc that it needs to turn is taken for free.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
 
-use crate::surroundings::{MEMORY_RANGE, View};
+use crate::surroundings::{MEMORY_RANGE, View, rigid};
 
 /// After a return a cell is free again when this many sweeps have looked through it: thin legs are hit now and then only.
 const DOUBT: u8 = 10;
 /// Side of a cell, m.
 const CELL: f64 = 0.05;
-/// Cells a side: more than twice the memory's range.
-const SIDE: i32 = 128;
+/// Cells a side, a power of two: more than twice the memory's range.
+const SIDE: i32 = 1 << SIDE_BITS;
+const SIDE_BITS: u32 = 7;
 /// Beams are followed in steps of this, m.
 const STEP: f64 = 0.04;
 /// And up to this before what they met, m.
@@ -28,20 +29,34 @@ const AT_START: f64 = 0.16;
 pub struct Trodden {
     lidar: LidarModel,
     view: View,
+    laser_from_base: Isometry2<f64>,
     /// Radius of what is taken for free at the start, m.
     reach: f64,
     cells: Vec<Cell>,
     /// Counts the sweeps.
-    sweep: u32,
+    sweep: u16,
+}
+
+/// What is known of a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Floor {
+    /// The newest sweep tells.
+    InSight,
+    /// Out of sight, and free when it was seen last.
+    Free,
+    /// Out of sight, and something stood thereabouts: within a cell of it.
+    Met,
+    /// Never seen, or too long ago.
+    Unknown,
 }
 
 /// A place of the ring.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
-    /// What it stands for.
-    at: (i32, i32),
+    /// Which round of the ring it stands for, a side; `None` for none yet.
+    at: Option<(i16, i16)>,
     /// The sweep that looked through it last.
-    looked: u32,
+    looked: u16,
     /// Zero: free.
     doubt: u8,
 }
@@ -58,6 +73,7 @@ impl Trodden {
         Self {
             lidar: lidar.clone(),
             view: View::new(lidar),
+            laser_from_base: rigid(lidar.mount.inverse()),
             reach,
             cells: Vec::new(),
             sweep: 0,
@@ -67,7 +83,7 @@ impl Trodden {
     /// Whether there is a sector that the lidar never sees.
     #[must_use]
     pub fn has_blind_sector(&self) -> bool {
-        self.view.is_blind(Vector2::new(-1.0, 0.0)) || self.view.is_blind(Vector2::new(-1.0, -1e-9))
+        self.view.has_blind_sector()
     }
 
     /// Takes a sweep with the lidar's number of beams, and the robot's odometry at its stamp.
@@ -78,7 +94,7 @@ impl Trodden {
         self.sweep = self.sweep.wrapping_add(1);
         if self.cells.is_empty() {
             let nowhere = Cell {
-                at: (i32::MIN, i32::MIN),
+                at: None,
                 looked: 0,
                 doubt: DOUBT,
             };
@@ -99,11 +115,11 @@ impl Trodden {
                 continue;
             }
             let angle = laser.yaw + self.lidar.angle_min() + beam as f64 * increment;
-            let step = Vector2::new(angle.cos(), angle.sin()) * STEP;
-            let mut place = laser.position();
+            let (mut x, mut y) = (fixed(laser.x), fixed(laser.y));
+            let (dx, dy) = (fixed(angle.cos() * STEP), fixed(angle.sin() * STEP));
             for _ in 0..((range - SHORT).min(MEMORY_RANGE) / STEP) as u32 {
-                self.look_through(place);
-                place += step;
+                self.look_through(locate(x, y));
+                (x, y) = (x + dx, y + dy);
             }
         }
         for (beam, range) in sweep.ranges.iter().enumerate() {
@@ -121,14 +137,13 @@ impl Trodden {
             for j in -steps..=steps {
                 let off = Vector2::new(f64::from(i), f64::from(j)) * STEP;
                 if off.norm() <= radius {
-                    self.look_through(center + off);
+                    self.look_through(place(center + off));
                 }
             }
         }
     }
 
-    fn look_through(&mut self, place: Point2<f64>) {
-        let (at, index) = locate(place);
+    fn look_through(&mut self, (at, index): Place) {
         let sweep = self.sweep;
         if let Some(cell) = self.cells.get_mut(index) {
             if cell.at != at {
@@ -144,8 +159,8 @@ impl Trodden {
         }
     }
 
-    fn hit(&mut self, place: Point2<f64>) {
-        let (at, index) = locate(place);
+    fn hit(&mut self, met: Point2<f64>) {
+        let (at, index) = place(met);
         if let Some(cell) = self.cells.get_mut(index) {
             *cell = Cell {
                 at,
@@ -155,35 +170,55 @@ impl Trodden {
         }
     }
 
-    /// Whether a place (base frame of a robot at `odom_from_base`) is out of sight and not known to be free.
+    /// What is known of a place (base frame of a robot at `odom_from_base`).
     #[must_use]
-    pub fn is_unknown(&self, odom_from_base: &Pose2, place: Point2<f64>) -> bool {
-        let local = self.lidar.mount.inverse().transform_point(place).coords;
-        if !self.view.is_blind(local) {
-            return false;
+    pub fn floor(&self, odom_from_base: &Isometry2<f64>, place: Point2<f64>) -> Floor {
+        if !self.is_blind(place) {
+            return Floor::InSight;
         }
-        let (cell, index) = locate(odom_from_base.transform_point(place));
-        self.cells
-            .get(index)
-            .is_none_or(|known| known.at != cell || known.doubt > 0)
+        let (at, index) = self::place(odom_from_base * place);
+        match self.cells.get(index).filter(|cell| cell.at == at) {
+            None => Floor::Unknown,
+            Some(cell) if cell.doubt > 0 => Floor::Met,
+            Some(_) => Floor::Free,
+        }
     }
 
-    /// Whether a direction from the base leads where the lidar does not look.
+    /// Whether straight on (or back, for a negative speed) leads where the lidar does not look.
     #[must_use]
-    pub fn is_blind(&self, direction: Vector2<f64>) -> bool {
-        let (sin, cos) = self.lidar.mount.yaw.sin_cos();
-        self.view.is_blind(Vector2::new(
-            cos * direction.x + sin * direction.y,
-            cos * direction.y - sin * direction.x,
-        ))
+    pub fn leads_into_the_blind(&self, v: f64) -> bool {
+        v != 0.0 && self.is_blind(Point2::new(v.signum() * 2.0 * MEMORY_RANGE, 0.0))
+    }
+
+    /// Whether a place (base frame of a robot at `odom_from_base`) is out of sight and not known to be free.
+    #[must_use]
+    pub fn is_unknown(&self, odom_from_base: &Isometry2<f64>, place: Point2<f64>) -> bool {
+        matches!(self.floor(odom_from_base, place), Floor::Met | Floor::Unknown)
+    }
+
+    /// Whether a place (base frame) lies where the lidar does not look.
+    #[must_use]
+    pub fn is_blind(&self, place: Point2<f64>) -> bool {
+        self.view.is_blind((self.laser_from_base * place).coords)
     }
 }
 
-/// The cell of a place, and its index in the ring.
-fn locate(place: Point2<f64>) -> ((i32, i32), usize) {
-    let cell = (place.coords / CELL).map(|value| value.floor() as i32);
-    let index = cell.y.rem_euclid(SIDE) * SIDE + cell.x.rem_euclid(SIDE);
-    ((cell.x, cell.y), index as usize)
+/// The round of the ring that a place lies in, and its index in the ring.
+type Place = (Option<(i16, i16)>, usize);
+
+/// A coordinate in cells, with 16 bits below the point: a walk by these needs no rounding of floats.
+fn fixed(coordinate: f64) -> i64 {
+    (coordinate * (65536.0 / CELL)) as i64
+}
+
+fn locate(x: i64, y: i64) -> Place {
+    let (x, y) = ((x >> 16) as i32, (y >> 16) as i32);
+    let index = ((y & (SIDE - 1)) << SIDE_BITS) | (x & (SIDE - 1));
+    (Some(((x >> SIDE_BITS) as i16, (y >> SIDE_BITS) as i16)), index as usize)
+}
+
+fn place(point: Point2<f64>) -> Place {
+    locate(fixed(point.x), fixed(point.y))
 }
 
 #[cfg(test)]
@@ -207,19 +242,14 @@ mod tests {
             ranges: vec![2.0; lidar.beams],
         };
         trodden.insert(&sweep, Pose2::IDENTITY);
-        let behind = Point2::new(-0.6, 0.0);
-        assert!(trodden.is_unknown(&Pose2::IDENTITY, behind));
-        assert!(
-            !trodden.is_unknown(&Pose2::IDENTITY, Point2::new(-0.3, 0.0)),
-            "the start"
-        );
-        assert!(!trodden.is_unknown(&Pose2::IDENTITY, Point2::new(0.6, 0.0)), "in sight");
+        let floor = |base: Pose2, x: f64| trodden.floor(&rigid(base), Point2::new(x, 0.0));
+        assert_eq!(floor(Pose2::IDENTITY, -0.6), Floor::Unknown);
+        assert_eq!(floor(Pose2::IDENTITY, -0.3), Floor::Free, "the start");
+        assert_eq!(floor(Pose2::IDENTITY, 0.6), Floor::InSight);
         let turned = Pose2::new(0.0, 0.0, PI);
-        assert!(!trodden.is_unknown(&turned, behind), "seen before the turn");
-        assert!(
-            trodden.is_unknown(&turned, Point2::new(-2.5, 0.0)),
-            "beyond what was met"
-        );
+        assert_eq!(floor(turned, -0.6), Floor::Free, "seen before the turn");
+        assert_eq!(floor(turned, -2.21), Floor::Met);
+        assert_eq!(floor(turned, -2.5), Floor::Unknown, "beyond what was met");
     }
 
     #[test]

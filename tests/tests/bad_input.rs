@@ -59,6 +59,7 @@ fn key(pattern: &str) -> String {
         .replace("{robot}", ROBOT)
         .replace("{id}", "some_goal")
         .replace("{worker}", "*")
+        .replace("{store}", "*")
 }
 
 /// The one error reply of every server of a key.

@@ -220,6 +220,23 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
     rig.run(1.0);
     assert!(rig.at_rest(), "the dead-man's switch");
+    assert_eq!(stops_for(&rig, "no command follows"), 1);
+}
+
+/// How often the guard has told that it stops for this reason.
+fn stops_for(rig: &Rig, because: &str) -> usize {
+    let tells = |event: &&EventKind| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains(because));
+    rig.events.iter().filter(tells).count()
+}
+
+#[test]
+fn a_bump_stops_and_is_told() {
+    let (mut rig, _, _) = driving();
+    rig.bump = Some(0.0);
+    rig.run(1.5);
+    assert!(rig.at_rest());
+    assert_eq!(stops_for(&rig, "contact"), 1);
+    assert!(rig.events.iter().any(|event| matches!(event, EventKind::Bumped)));
 }
 
 #[test]
@@ -380,11 +397,7 @@ fn a_blind_robot_stops() {
     rig.scanning = false;
     rig.run(1.5);
     assert!(rig.at_rest());
-    assert!(
-        rig.events.iter().any(
-            |event| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains("scan"))
-        )
-    );
+    assert_eq!(stops_for(&rig, "scan is too old"), 1);
 }
 
 /// Everything that may be wrong with a plan.

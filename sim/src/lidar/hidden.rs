@@ -5,7 +5,6 @@
 
 use std::f64::consts::TAU;
 
-
 use super::AngularBuffer;
 use super::angle::turns;
 use crate::boxes::{Apart, Visitor};

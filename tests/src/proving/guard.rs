@@ -18,6 +18,9 @@ pub const GENTLE: f64 = 0.01;
 const DURATION: f64 = 12.0;
 /// Distance that a benign way keeps from what stands, m.
 const BENIGN_CLEARANCE: f64 = 0.12;
+/// Whoever switches a robot on sees to it that nobody is this near where it cannot look, m: it has never seen that place, and no
+/// guard could tell such a world from one in which the same turn is benign.
+const SWITCHED_ON_CLEAR: f64 = 1.5;
 /// And from where movers go, m: none comes near within the robot's time to stop.
 const BENIGN_BERTH: f64 = 1.8;
 
@@ -96,6 +99,14 @@ impl Outcome {
 /// # Errors
 /// [`GroundError`] when no world can be made of the seed.
 pub fn drive(seed: u64) -> Result<Outcome, GroundError> {
+    drive_watched(seed, |_| {})
+}
+
+/// Drives in the world of a seed; `watch` sees every tick.
+///
+/// # Errors
+/// [`GroundError`] when no world can be made of the seed.
+pub fn drive_watched(seed: u64, mut watch: impl FnMut(&Ground)) -> Result<Outcome, GroundError> {
     let mut dice = Dice::new(seed, 1);
     let command = COMMANDS
         .get(dice.below(COMMANDS.len()))
@@ -117,6 +128,9 @@ pub fn drive(seed: u64) -> Result<Outcome, GroundError> {
         let Some(start) = place(&mut dice, &empty, &model, 0.25) else {
             continue;
         };
+        if somebody_stands_behind(&empty, &model, start) {
+            continue;
+        }
         let role = match command {
             Command::Benign | Command::ThroughWalls => LeaseRole::Mission,
             _ => LeaseRole::Operator,
@@ -154,6 +168,7 @@ pub fn drive(seed: u64) -> Result<Outcome, GroundError> {
                     }
                 }
             });
+            watch(&ground);
             if command == Command::Benign && ground.finished() {
                 break;
             }
@@ -183,6 +198,17 @@ fn place(dice: &mut Dice, sim: &Simulation, model: &RobotModel, room: f64) -> Op
             dice.between(-3.1, 3.1),
         );
         (sim.clearance(&model.footprint, pose) > room).then_some(pose)
+    })
+}
+
+/// Whether anything that moves begins close by in the lidar's blind sector.
+fn somebody_stands_behind(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
+    let laser_from_map = (start * model.lidar.mount).inverse();
+    let half = 0.5 * model.lidar.field_of_view;
+    sim.movers().any(|mover| {
+        let local = laser_from_map.transform_point(mover);
+        let is_seen = local.y.atan2(local.x).abs() <= half;
+        !is_seen && local.coords.norm() < model.footprint.circumscribed_radius() + SWITCHED_ON_CLEAR
     })
 }
 

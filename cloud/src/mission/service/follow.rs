@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::BusError;
 use zenav_protocol::messages::*;
@@ -18,6 +18,8 @@ use super::{MissionError, Post, Turn, blocking};
 const UNHEARD: Duration = Duration::from_secs(1);
 /// How long an answer to that is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// The robot says within this time that it has granted a lease.
+const WORD: Duration = Duration::from_millis(250);
 
 /// Where a standby stands in its leader's journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,6 +43,7 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
     let store = post.store.clone();
     let mut epoch = blocking(move || store.standing()).await??.epoch;
     let mut place: Option<Place> = None;
+    let mut word: Option<Leader> = None;
     let mut next_join = Instant::now();
     loop {
         tokio::select! {
@@ -55,7 +58,12 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
             }
             entry = post.journal.next() => {
                 let Some(entry) = entry else { return Err(BusError::Closed.into()) };
-                match judge(&entry.body, epoch, place.as_ref()) {
+                let heard = Instant::now() + WORD;
+                while word.as_ref().is_none_or(|word| word.epoch < entry.body.epoch) {
+                    let Ok(Some(state)) = timeout_at(heard, states.next()).await else { break };
+                    word = state.message.lease.leader;
+                }
+                match judge(&entry.body, epoch, word.as_ref(), place.as_ref()) {
                     Err(refusal) => {
                         tracing::info!(%refusal, "what a leader hands over is not taken");
                         if matches!(refusal, Refusal::Rejected { .. }) {
@@ -82,6 +90,7 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
             }
             state = states.next() => {
                 let Some(state) = state else { return Err(BusError::Closed.into()) };
+                word.clone_from(&state.message.lease.leader);
                 if may_lead(&state.message.lease, post.store.name()) {
                     tracing::info!(robot = %post.config.robot, "asks to lead");
                     return Ok(Turn::Lead);
@@ -95,8 +104,11 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
     }
 }
 
-/// Whether a batch follows on what is stored.
-fn judge(entry: &JournalEntry, epoch: u64, place: Option<&Place>) -> Result<Verdict, Refusal> {
+/// Whether a batch is the leader's, by the robot's `word`, and follows on what is stored.
+fn judge(entry: &JournalEntry, epoch: u64, word: Option<&Leader>, place: Option<&Place>) -> Result<Verdict, Refusal> {
+    if !word.is_some_and(|word| word.store == entry.leader && word.epoch == entry.epoch) {
+        return Err(Refusal::NotLeader);
+    }
     if entry.epoch < epoch {
         return Err(Refusal::WrongEpoch {
             got: entry.epoch,
@@ -173,5 +185,76 @@ fn info(post: &Post) -> InfoReply {
         robot: post.config.robot.to_string(),
         boot: None,
         model: None,
+        pacing: None,
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn entry(leader: &str, epoch: u64, position: u64, whole: bool) -> JournalEntry {
+        JournalEntry {
+            leader: leader.into(),
+            epoch,
+            position,
+            whole,
+            writes: Vec::new(),
+        }
+    }
+
+    fn word(store: &str, epoch: u64, caught_up: &[&str]) -> Leader {
+        Leader {
+            store: store.into(),
+            epoch,
+            caught_up: caught_up.iter().map(|&store| store.into()).collect(),
+        }
+    }
+
+    #[test]
+    fn only_what_follows_on_what_is_stored_is_taken_and_only_from_whom_the_robot_names() {
+        let (named, place) = (
+            word("a", 7, &["a"]),
+            Place {
+                leader: "a".into(),
+                position: 4,
+            },
+        );
+        let judged = |entry: JournalEntry| judge(&entry, 7, Some(&named), Some(&place));
+        assert_eq!(judged(entry("a", 7, 5, false)), Ok(Verdict::Take));
+        assert_eq!(judged(entry("a", 7, 4, false)), Ok(Verdict::Known), "sent again");
+        assert!(
+            matches!(judged(entry("a", 7, 6, false)), Err(Refusal::Rejected { .. })),
+            "something is missing"
+        );
+        assert_eq!(judged(entry("a", 7, 9, true)), Ok(Verdict::Take), "all there is");
+        for stranger in [
+            entry("b", 7, 5, true),
+            entry("a", 6, 5, true),
+            entry("a", u64::MAX, 5, true),
+        ] {
+            assert_eq!(judged(stranger), Err(Refusal::NotLeader));
+        }
+        assert_eq!(
+            judge(&entry("a", 7, 5, true), 7, None, None),
+            Err(Refusal::NotLeader),
+            "of a robot that is silent"
+        );
+    }
+
+    #[test]
+    fn a_standby_asks_to_lead_when_the_lease_has_lapsed_and_it_has_caught_up() {
+        let lease = |live: bool, leader: Option<Leader>| LeaseState {
+            live,
+            leader,
+            ..LeaseState::default()
+        };
+        assert!(may_lead(&lease(false, None), "b"));
+        assert!(!may_lead(&lease(true, None), "b"));
+        assert!(may_lead(&lease(false, Some(word("a", 7, &["a", "b"]))), "b"));
+        assert!(!may_lead(&lease(true, Some(word("a", 7, &["a", "b"]))), "b"));
+        assert!(!may_lead(&lease(false, Some(word("a", 7, &["a"]))), "b"));
+        assert!(may_lead(&lease(true, Some(word("b", 7, &["b"]))), "b"), "it leads");
     }
 }
