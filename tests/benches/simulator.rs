@@ -140,8 +140,10 @@ fn peer(text: &str) -> String {
     let output = Command::new(python).arg(script).arg(&file).args(numbers).output();
     match output {
         Ok(output) if output.status.success() => {
+            // Before it, the plotting libraries may have their say.
             let said = String::from_utf8_lossy(&output.stdout);
-            said.split_whitespace().next().unwrap_or("?").to_owned()
+            let last = said.lines().last().unwrap_or_default();
+            last.split_whitespace().next().unwrap_or("?").to_owned()
         }
         _ => "not there".to_owned(),
     }

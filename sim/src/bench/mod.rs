@@ -18,6 +18,11 @@ use crate::simulation::{RobotSpec, SimError, Simulation};
 use crate::world::World;
 pub use worlds::{office, polygons};
 
+/// Rounds of sweeps.
+const ROUNDS: usize = 10;
+/// Least time of each.
+const ROUND: Duration = Duration::from_millis(50);
+
 /// What was measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BenchReport {
@@ -27,7 +32,7 @@ pub struct BenchReport {
     pub beams: usize,
     /// Steps of the whole simulation that were timed.
     pub steps: u64,
-    /// Beams a second of exact sweeps alone, on one core.
+    /// Beams a second of exact sweeps alone, on one core, in the fastest round.
     pub rays_per_s: f64,
     /// Simulated time over the time that the whole simulation took on one core, everything included; robots see one another.
     pub real_time_factor: f64,
@@ -132,31 +137,30 @@ fn whole(
     Ok((simulation.robots(), steps, simulation.now().as_secs() / took.max(1e-9)))
 }
 
-/// Exact sweeps from random free poses, for about half a second; beams a second.
+/// Exact sweeps from random free poses; beams a second in the fastest of ten rounds, because other programs only ever slow one down.
 #[must_use]
 pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 {
     let poses = scatter(world, model, 100, 0.0, 2);
     let mut buffer = AngularBuffer::new(&model.lidar);
-    let begin = clock();
-    let (mut sweeps, mut seen) = (0_u64, 0.0_f64);
-    let took = loop {
-        for pose in &poses {
-            buffer.begin(*pose * model.lidar.mount);
-            buffer.scene(world.scene());
-            // The result is used, so that nothing of the work can be left out.
-            seen += buffer.ranges().filter(|range| range.is_finite()).sum::<f64>();
-        }
-        sweeps += poses.len() as u64;
-        let took = clock().saturating_sub(begin);
-        if took >= Duration::from_millis(500) || poses.is_empty() {
-            break took;
-        }
-    };
-    if seen.is_nan() {
-        0.0
-    } else {
-        (sweeps * model.lidar.beams as u64) as f64 / took.as_secs_f64().max(1e-9)
+    let (mut fastest, mut seen) = (0.0_f64, 0.0_f64);
+    for _ in 0..if poses.is_empty() { 0 } else { ROUNDS } {
+        let (begin, mut sweeps) = (clock(), 0);
+        let took = loop {
+            for pose in &poses {
+                buffer.begin(*pose * model.lidar.mount);
+                buffer.scene(world.scene());
+                // The result is used, so that nothing of the work can be left out.
+                seen += buffer.ranges().filter(|range| range.is_finite()).sum::<f64>();
+            }
+            sweeps += poses.len();
+            let took = clock().saturating_sub(begin);
+            if took >= ROUND {
+                break took;
+            }
+        };
+        fastest = fastest.max((sweeps * model.lidar.beams) as f64 / took.as_secs_f64());
     }
+    if seen.is_nan() { 0.0 } else { fastest }
 }
 
 #[cfg(test)]
