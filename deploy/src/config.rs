@@ -12,7 +12,7 @@ use figment::providers::{Env, Format as _, Serialized, Toml};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{LostPolicy, exit_code};
+use zenav_protocol::messages::{DrivingProfile, LostPolicy, exit_code};
 
 use crate::failure::{Failure, Outcome};
 use crate::output::{Format, table, value};
@@ -140,6 +140,8 @@ pub struct MissionSection {
     pub latency_budget_secs: f64,
     /// Validity of a plan, s.
     pub plan_valid_secs: f64,
+    /// What motions are to be good at where a goal does not say: `fastest` or `economy`.
+    pub profile: DrivingProfile,
 }
 
 /// What is kept on disk.

@@ -227,6 +227,7 @@ impl Parts {
             config.planner.clone_from(&deployment.planning.planner);
             config.latency_budget = deployment.mission.latency_budget_secs;
             config.plan_valid = deployment.mission.plan_valid_secs;
+            config.profile = deployment.mission.profile;
             config.zones = Arc::clone(&zones);
             config
         };

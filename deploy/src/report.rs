@@ -52,6 +52,8 @@ pub struct DemoReport {
     pub latency: Latency,
     /// Energy drawn, J.
     pub energy_j: f64,
+    /// Energy drawn for each metre driven, J/m.
+    pub energy_per_m: f64,
     /// How walls were followed, where they were.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub walls: Option<WallReport>,
@@ -147,6 +149,16 @@ pub struct GoalReport {
     pub min_clearance_m: f64,
     /// Distance from the goal at the end, m; `None` for a drive without a goal of its own.
     pub final_error_m: Option<f64>,
+    /// Energy drawn, J.
+    pub energy_j: f64,
+    /// Energy drawn for each metre driven, J/m.
+    pub energy_per_m: f64,
+}
+
+/// Energy for each metre of a way, J/m; zero where nothing was driven.
+#[must_use]
+pub fn per_metre(joules: f64, metres: f64) -> f64 {
+    if metres > 0.0 { joules / metres } else { 0.0 }
 }
 
 /// Wall-clock latencies.
@@ -210,10 +222,11 @@ impl DemoReport {
                     format!("{:.3}", goal.min_clearance_m),
                     goal.final_error_m
                         .map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
+                    format!("{:.0}", goal.energy_per_m),
                 ]
             })
             .collect();
-        let header = ["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m"];
+        let header = ["GOAL", "OUTCOME", "TIME s", "LENGTH m", "CLEARANCE m", "ERROR m", "J/m"];
         let table = self
             .walls
             .as_ref()
@@ -243,8 +256,8 @@ impl DemoReport {
             lines.push(format!("refused: goal {}: {}{near}", goal.name, goal.reason));
         }
         lines.push(format!(
-            "collisions {}, least clearance {:.3} m, energy {:.0} J",
-            self.collisions, self.min_clearance_m, self.energy_j
+            "collisions {}, least clearance {:.3} m, energy {:.0} J ({:.0} J/m)",
+            self.collisions, self.min_clearance_m, self.energy_j, self.energy_per_m
         ));
         lines.push(format!(
             "simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans",

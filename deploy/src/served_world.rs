@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde::Serialize;
-use zenav_protocol::bus::{Bus, BusConfig, Publisher, Router, RouterConfig, Shutdown};
+use zenav_protocol::bus::{Bus, BusConfig, Publisher, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{AttachReply, AttachRequest, Refusal, SimClock, exit_code};
@@ -173,29 +173,24 @@ pub fn serve(args: &ServeArgs) -> Outcome {
         crate::receivers::ensure_enough();
     }
     runtime()?.block_on(async {
-        let router = match &args.connect {
-            Some(_) => None,
+        let bus = match &args.connect {
+            Some(endpoint) => Bus::open(BusConfig::service("sim", endpoint)).await?,
+            // A router itself: readings reach the edges' links without a detour.
             None => {
-                let config = RouterConfig {
+                let config = BusConfig {
+                    connect: Vec::new(),
                     listen: args.listen.clone(),
-                    ..RouterConfig::default()
+                    name: "sim".to_owned(),
+                    retry: false,
                 };
-                Some(Router::open(&config).await?)
+                Bus::open(config).await?
             }
         };
-        let endpoint = args.connect.as_ref().or(args.listen.first());
-        let endpoint = endpoint.ok_or_else(|| Failure::usage("--listen: expected an endpoint"))?;
-        let endpoint = match &router {
-            // Port 0 is a free one.
-            Some(router) => router
-                .endpoints()
-                .await
-                .first()
-                .cloned()
-                .unwrap_or_else(|| endpoint.clone()),
-            None => endpoint.clone(),
+        // Port 0 is a free one.
+        let endpoint = match &args.connect {
+            Some(endpoint) => endpoint.clone(),
+            None => bus.endpoints().await.join(", "),
         };
-        let bus = Bus::open(BusConfig::service("sim", &endpoint)).await?;
         tracing::info!(world = world.name(), endpoint, "the world is served");
         let host = Arc::new(Mutex::new(Host {
             world,
@@ -205,9 +200,6 @@ pub fn serve(args: &ServeArgs) -> Outcome {
         let shutdown = Shutdown::new();
         let result = run(&bus, &host, args.speed, &shutdown).await;
         bus.close().await;
-        if let Some(router) = router {
-            router.close().await;
-        }
         result?;
         output::values(args.output, &lock(&host).report(), |rows| {
             let row = |row: &RobotReport| {

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use zenav_protocol::time::Stamp;
+
 use crate::body::Body;
 use crate::exchange::Exchange;
 use crate::pilot::Pilot;
@@ -32,18 +34,39 @@ struct Beat {
 }
 
 impl Beat {
-    /// Waits for the next tick; returns how many had to be left out.
-    fn wait(&mut self) -> u64 {
+    /// Waits for the next tick; returns how many had to be left out, and how late this one is.
+    fn wait(&mut self) -> (u64, Duration) {
         self.deadline += self.period;
         let now = Instant::now();
         if let Some(left) = self.deadline.checked_duration_since(now) {
             std::thread::sleep(left);
-            return 0;
+            return (0, self.deadline.elapsed());
         }
         let late = now.duration_since(self.deadline);
         let skipped = u32::try_from(late.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u32::MAX);
         self.deadline += self.period.saturating_mul(skipped);
-        u64::from(skipped)
+        (u64::from(skipped), late)
+    }
+}
+
+/// The pace that a body gives: how late is each tick by it?
+struct Pace {
+    period: Duration,
+    last: Option<(Stamp, Instant)>,
+}
+
+impl Pace {
+    /// Readings have come; returns how many before them never did, and how much longer than the pace it took.
+    fn heard(&mut self, stamp: Stamp, secs: f64) -> (u64, Option<Duration>) {
+        let now = Instant::now();
+        let Some((before, then)) = self.last.replace((stamp, now)) else {
+            return (0, None);
+        };
+        let steps = (stamp.secs_since(before) / secs).round().max(1.0) as u32;
+        let late = now
+            .duration_since(then)
+            .saturating_sub(self.period.saturating_mul(steps));
+        (u64::from(steps - 1), Some(late))
     }
 }
 
@@ -57,17 +80,21 @@ pub fn run(
     halt: &Arc<AtomicBool>,
 ) {
     let mut body = Wheels(body);
+    let period = Duration::from_secs_f64(tick / speed);
     let mut beat = (!body.0.gives_the_pace()).then(|| Beat {
-        period: Duration::from_secs_f64(tick / speed),
+        period,
         deadline: Instant::now(),
     });
-    let mut last = None;
+    let mut pace = Pace { period, last: None };
     let mut missed_ticks = 0;
     let mut halting = 0;
     let mut failing = false;
     loop {
+        let mut late = None;
         if let Some(beat) = &mut beat {
-            missed_ticks += beat.wait();
+            let (missed, by) = beat.wait();
+            missed_ticks += missed;
+            late = Some(by);
         }
         let readings = match body.0.read() {
             Ok(readings) => readings,
@@ -83,11 +110,13 @@ pub fn run(
             }
         };
         failing = false;
-        if let Some(last) = last.replace(readings.stamp).filter(|_| beat.is_none()) {
-            missed_ticks += ((readings.stamp.secs_since(last) / tick).round() as u64).saturating_sub(1);
+        if beat.is_none() {
+            let (missed, by) = pace.heard(readings.stamp, tick);
+            missed_ticks += missed;
+            late = by;
         }
         let mut inbox = exchange.take_inbox();
-        inbox.missed_ticks = missed_ticks;
+        (inbox.missed_ticks, inbox.late) = (missed_ticks, late);
         inbox.halt = halt.load(Ordering::Relaxed);
         halting += u32::from(inbox.halt);
         let outbox = pilot.step(readings.stamp, &readings, inbox);

@@ -138,6 +138,7 @@ impl Pilot {
                 boot_id: self.journal.boot_id().to_owned(),
             }),
             model: Some(self.config.model.clone()),
+            pacing: Some(self.punctuality.pacing()),
         }
     }
 }

@@ -26,6 +26,12 @@ impl PoseHistory {
         self.poses.push_back((stamp, odom_from_base));
     }
 
+    /// Stamp of the newest pose.
+    #[must_use]
+    pub fn newest(&self) -> Option<Stamp> {
+        self.poses.back().map(|(stamp, _)| *stamp)
+    }
+
     /// The pose at a stamp; the newest pose for later ones, `None` for a stamp before the oldest.
     #[must_use]
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {

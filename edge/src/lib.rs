@@ -15,7 +15,7 @@
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
-//! | [`control`], [`exchange`] | when does the pilot step, and how does it meet the network? |
+//! | [`control`], [`punctuality`], [`exchange`] | when does the pilot step, how late, and how does it meet the network? |
 //! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
@@ -40,6 +40,7 @@ pub mod mailbox;
 pub mod nearest_free;
 pub mod params;
 pub mod pilot;
+pub mod punctuality;
 pub mod recoveries;
 pub mod remote_body;
 pub mod service;

@@ -1,4 +1,7 @@
-//! Which wheel speeds may follow the last ones? Speed limits that keep the curvature, then acceleration limits.
+//! Which wheel speeds may follow the last ones? Speed limits that keep the curvature, then acceleration limits, and for a robot that has one
+//! the limit of the jerk.
+//!
+//! The jerk limits how a motion begins and changes, never how it ends: a command to rest brakes at once, and the guard comes after.
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::Drive;
@@ -17,6 +20,8 @@ pub enum Braking {
 pub struct Limiter {
     drive: Drive,
     last: [f64; 2],
+    /// How fast the wheels gained speed last, rad/s²; zero where somebody else braked.
+    gained: [f64; 2],
 }
 
 impl Limiter {
@@ -26,6 +31,7 @@ impl Limiter {
         Self {
             drive: drive.clone(),
             last: [0.0; 2],
+            gained: [0.0; 2],
         }
     }
 
@@ -48,11 +54,36 @@ impl Limiter {
         let change = [wheels[0] - self.last[0], wheels[1] - self.last[1]];
         let largest = change[0].abs().max(change[1].abs());
         let share = if largest > rate * dt { rate * dt / largest } else { 1.0 };
-        [self.last[0] + share * change[0], self.last[1] + share * change[1]]
+        let limited = [self.last[0] + share * change[0], self.last[1] + share * change[1]];
+        match self.drive.max_jerk {
+            Some(jerk) if wheels != [0.0; 2] && braking == Braking::Normal && dt > 0.0 => {
+                self.eased(limited, wheels, dt, jerk / self.drive.wheel_radius)
+            }
+            _ => limited,
+        }
     }
 
-    /// Records what was really set.
-    pub fn set(&mut self, wheels: [f64; 2]) {
+    /// On the way to `limited` with an acceleration that changes by at most `jerk` (rad/s³), and is gone when `target` is reached.
+    fn eased(&self, limited: [f64; 2], target: [f64; 2], dt: f64, jerk: f64) -> [f64; 2] {
+        let rate = self.drive.max_wheel_acceleration;
+        let wheel = |side: usize| {
+            let left = target[side] - self.last[side];
+            // The greatest acceleration a from which a²/2j of speed brings it to nothing, in whole ticks.
+            let greatest = (2.0 * jerk * left.abs() + 0.25 * (jerk * dt).powi(2)).sqrt() - 0.5 * jerk * dt;
+            let wanted = ((limited[side] - self.last[side]) / dt).clamp(-greatest, greatest);
+            let gained = self.gained[side];
+            let gains = wanted.clamp(gained - jerk * dt, gained + jerk * dt).clamp(-rate, rate);
+            (self.last[side] + gains * dt).clamp(-self.drive.max_wheel_speed, self.drive.max_wheel_speed)
+        };
+        [wheel(0), wheel(1)]
+    }
+
+    /// Records what was really set, `dt` seconds after the last.
+    pub fn set(&mut self, wheels: [f64; 2], dt: f64) {
+        let gained = [(wheels[0] - self.last[0]) / dt, (wheels[1] - self.last[1]) / dt];
+        let most = self.drive.max_wheel_acceleration * (1.0 + 1e-9);
+        let own = gained.iter().all(|gained| gained.abs() <= most);
+        self.gained = if own { gained } else { [0.0; 2] };
         self.last = wheels;
     }
 
@@ -106,10 +137,65 @@ mod tests {
                     prop_assert!(now.abs() <= drive.max_wheel_speed + 1e-9);
                     prop_assert!((now - before).abs() <= drive.max_wheel_acceleration * 0.02 + 1e-9);
                 }
-                limiter.set(wheels);
+                limiter.set(wheels, 0.02);
                 last = wheels;
             }
         }
+    }
+
+    fn gentle(jerk: f64) -> Drive {
+        Drive {
+            max_jerk: Some(jerk),
+            ..tiago()
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn with_a_limited_jerk_a_wheel_reaches_its_speed_without_a_jump_and_without_overshoot(jerk in 0.5..20.0_f64, v in 0.02..0.55_f64, dt in 0.005..0.05_f64) {
+            let drive = gentle(jerk);
+            let mut limiter = Limiter::new(&drive);
+            let (mut last, mut gained) = (0.0, 0.0);
+            for _ in 0..(20.0 / dt) as usize {
+                let wheels = limiter.limit(Twist2::new(v, 0.0), dt, Braking::Normal);
+                limiter.set(wheels, dt);
+                let now = (wheels[0] - last) / dt;
+                prop_assert!((now - gained).abs() <= jerk / drive.wheel_radius * dt + 1e-6);
+                prop_assert!(now.abs() <= drive.max_wheel_acceleration + 1e-6);
+                prop_assert!(wheels[0] * drive.wheel_radius <= v + jerk * dt * dt);
+                (last, gained) = (wheels[0], now);
+            }
+            prop_assert!((last * drive.wheel_radius - v).abs() < 1e-3, "{} of {v}", last * drive.wheel_radius);
+        }
+
+        #[test]
+        fn a_command_to_rest_brakes_as_hard_with_a_limited_jerk_as_without(jerk in 0.1..20.0_f64, v in 0.0..0.6_f64, ticks in 1..100_u32) {
+            let (mut gentle, mut plain) = (Limiter::new(&gentle(jerk)), Limiter::new(&tiago()));
+            for _ in 0..ticks {
+                let wheels = gentle.limit(Twist2::new(v, 0.3), 0.02, Braking::Normal);
+                gentle.set(wheels, 0.02);
+            }
+            plain.set(gentle.last, 0.02);
+            for braking in [Braking::Normal, Braking::Hard] {
+                prop_assert_eq!(gentle.limit(Twist2::ZERO, 0.02, braking), plain.limit(Twist2::ZERO, 0.02, braking));
+            }
+        }
+    }
+
+    #[test]
+    fn after_the_guard_has_braked_it_starts_anew_without_a_jump() {
+        let drive = gentle(2.0);
+        let mut limiter = Limiter::new(&drive);
+        for _ in 0..100 {
+            let wheels = limiter.limit(Twist2::new(0.5, 0.0), 0.02, Braking::Normal);
+            limiter.set(wheels, 0.02);
+        }
+        limiter.set([0.0; 2], 0.02);
+        let [left, _] = limiter.limit(Twist2::new(0.5, 0.0), 0.02, Braking::Normal);
+        assert!(
+            left > 0.0 && left <= 2.0 / drive.wheel_radius * 0.02 * 0.02 + 1e-9,
+            "{left}"
+        );
     }
 
     #[test]

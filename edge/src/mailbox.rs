@@ -21,6 +21,8 @@ pub struct Inbox {
     pub questions: Vec<(Ticket, Question)>,
     /// Control ticks that came too late, since start.
     pub missed_ticks: u64,
+    /// How much later than its deadline this tick began, where somebody measures it.
+    pub late: Option<std::time::Duration>,
     /// Brake now, whatever else: the edge shuts down.
     pub halt: bool,
 }

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use miette::{Report, miette};
 use zenav_edge::{Body, EdgeConfig, RemoteBody, ServiceConfig};
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
@@ -74,23 +73,23 @@ fn main() -> ExitCode {
     match start(Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("{:?}", failure.report);
+            eprintln!("error: {}", failure.reason);
             ExitCode::from(failure.code)
         }
     }
 }
 
-/// What went wrong, and the exit code that says so.
+/// What went wrong, and the exit code that says so. In plain words: the robot's binary stays small.
 struct Failure {
     code: u8,
-    report: Report,
+    reason: String,
 }
 
 impl Failure {
     fn new(code: u8, error: impl std::fmt::Display) -> Self {
         Self {
             code,
-            report: miette!("{error}"),
+            reason: error.to_string(),
         }
     }
 

@@ -19,6 +19,7 @@ use crate::journal::Journal;
 use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
 use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
+use crate::punctuality::Punctuality;
 use crate::stopping::touched;
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
@@ -62,6 +63,7 @@ pub struct Pilot {
     battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
+    pub(crate) punctuality: Punctuality,
 }
 
 impl Pilot {
@@ -91,6 +93,7 @@ impl Pilot {
             battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
+            punctuality: Punctuality::default(),
             config,
         }
     }
@@ -106,6 +109,9 @@ impl Pilot {
             Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
         };
         self.missed_ticks = inbox.missed_ticks;
+        if let Some(late) = inbox.late {
+            self.punctuality.note(late);
+        }
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
         for (ticket, question) in inbox.questions {
             let answer = self.answer(now, question);
@@ -168,12 +174,11 @@ impl Pilot {
     }
 
     fn sense(&mut self, now: Stamp, readings: &Readings, corrections: &[Correction], out: &mut Vec<Publication>) {
-        self.estimator.step(readings);
-        for correction in corrections
-            .iter()
-            .filter(|correction| correction.boot_id == self.journal.boot_id())
-        {
-            self.estimator.correction(correction);
+        let boot_id = self.journal.boot_id();
+        let of_this_boot = corrections.iter().filter(|correction| correction.boot_id == boot_id);
+        self.estimator.step(readings, of_this_boot);
+        if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
+            self.journal.tell(now, kind);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
         if let Some(sweep) = &readings.sweep
@@ -415,7 +420,7 @@ impl Pilot {
             );
         }
         let wheels = drive.wheels(verdict.twist);
-        self.limiter.set(wheels);
+        self.limiter.set(wheels, dt);
         wheels
     }
 

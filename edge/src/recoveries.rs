@@ -249,7 +249,7 @@ mod tests {
                 Step::Done(report) => return (report, pose),
                 Step::Go(twist) => {
                     let wheels = limiter.limit(if stopped { Twist2::ZERO } else { twist }, 0.02, Braking::Normal);
-                    limiter.set(wheels);
+                    limiter.set(wheels, 0.02);
                     pose = pose.advance(limiter.twist(), 0.02);
                 }
             }

@@ -1,13 +1,12 @@
 //! How is a robot in another process a [`Body`]? Its readings and wheel speeds go over the bus: a world that is served for many robots
 //! (`zenav sim serve`), or a driver in any language.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use thiserror::Error;
+use tokio::runtime::Handle;
 use tokio::sync::watch;
-use tokio::task::AbortHandle;
-use zenav_protocol::bus::{AskError, Bus, BusError};
+use zenav_protocol::bus::{AskError, Bus, BusError, Subscription};
 use zenav_protocol::messages::{AttachReply, AttachRequest, WheelSpeeds, exit_code};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
@@ -24,17 +23,10 @@ const ATTACH: Duration = Duration::from_secs(10);
 
 /// A body on the other side of the bus.
 pub struct RemoteBody {
-    slot: Arc<Slot>,
+    readings: Subscription<Readings>,
     wheels: watch::Sender<WheelSpeeds>,
     stamp: Stamp,
-    hearing: AbortHandle,
-}
-
-/// What was sensed since it was last asked for.
-#[derive(Default)]
-struct Slot {
-    readings: Mutex<Option<Readings>>,
-    filled: Condvar,
+    runtime: Handle,
 }
 
 /// There is no such body.
@@ -81,17 +73,8 @@ impl RemoteBody {
     /// # Errors
     /// [`BusError`] when its topics cannot be declared.
     pub fn new(bus: &Bus, robot: &str) -> Result<Self, BusError> {
-        let mut subscription = bus.subscribe(&topics::READINGS, &[robot], QUEUE)?;
+        let readings = bus.subscribe(&topics::READINGS, &[robot], QUEUE)?;
         let publisher = bus.publisher(&topics::WHEELS, &[robot])?;
-        let slot = Arc::new(Slot::default());
-        let hearing = tokio::spawn({
-            let slot = Arc::clone(&slot);
-            async move {
-                while let Some(received) = subscription.next().await {
-                    slot.put(received.message);
-                }
-            }
-        });
         let still = WheelSpeeds {
             stamp: Stamp::ZERO,
             wheels: [0.0; 2],
@@ -104,36 +87,37 @@ impl RemoteBody {
             }
         });
         Ok(Self {
-            slot,
+            readings,
             wheels,
             stamp: Stamp::ZERO,
-            hearing: hearing.abort_handle(),
+            runtime: Handle::current(),
         })
-    }
-}
-
-impl Slot {
-    fn put(&self, newer: Readings) {
-        let mut readings = self.readings.lock().unwrap_or_else(PoisonError::into_inner);
-        *readings = Some(match readings.take() {
-            Some(older) if older.stamp < newer.stamp => older.followed_by(newer),
-            _ => newer,
-        });
-        self.filled.notify_one();
     }
 }
 
 impl Body for RemoteBody {
     fn read(&mut self) -> Result<Readings, BodyError> {
-        let readings = self.slot.readings.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut readings, _) = self
-            .slot
-            .filled
-            .wait_timeout_while(readings, SILENCE, |readings| readings.is_none())
-            .unwrap_or_else(PoisonError::into_inner);
-        let readings = readings
-            .take()
-            .ok_or_else(|| BodyError(format!("no readings for {SILENCE:?}")))?;
+        // The control thread itself waits and decodes: Zenoh's thread wakes it, and no other has to have its turn before.
+        let readings = &mut self.readings;
+        let heard = self
+            .runtime
+            .block_on(async { tokio::time::timeout(SILENCE, readings.next()).await });
+        let mut readings = match heard {
+            Ok(Some(received)) => received.message,
+            Ok(None) => {
+                std::thread::sleep(SILENCE);
+                return Err(BodyError("the bus is closed".to_owned()));
+            }
+            Err(_) => return Err(BodyError(format!("no readings for {SILENCE:?}"))),
+        };
+        while let Some(received) = self.readings.try_next() {
+            let newer = received.message;
+            readings = if readings.stamp < newer.stamp {
+                readings.followed_by(newer)
+            } else {
+                newer
+            };
+        }
         if readings.stamp <= self.stamp {
             let reason = format!(
                 "readings of {} s after those of {} s: where the world began anew, start the edge anew",
@@ -154,12 +138,5 @@ impl Body for RemoteBody {
 
     fn gives_the_pace(&self) -> bool {
         true
-    }
-}
-
-impl Drop for RemoteBody {
-    fn drop(&mut self) {
-        // The last wheel speeds still go out: their task ends with the sender.
-        self.hearing.abort();
     }
 }

@@ -93,9 +93,15 @@ impl SimBody {
     }
 }
 
-impl Body for SimBody {
-    fn read(&mut self) -> Result<Readings, BodyError> {
-        let mut turn = self.shared.lock();
+impl SimBody {
+    /// Asks for the next readings without waiting for them, so that one thread can drive several robots.
+    pub fn ask(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        self.ask_of(&mut shared.lock());
+    }
+
+    /// Returns the steps made when the robot asked.
+    fn ask_of(&mut self, turn: &mut Turn) -> u64 {
         let before = *self.asked.get_or_insert_with(|| {
             turn.asked += 1;
             turn.steps
@@ -103,6 +109,15 @@ impl Body for SimBody {
         if turn.steps == before && turn.step() {
             self.shared.stepped.notify_all();
         }
+        before
+    }
+}
+
+impl Body for SimBody {
+    fn read(&mut self) -> Result<Readings, BodyError> {
+        let shared = Arc::clone(&self.shared);
+        let mut turn = shared.lock();
+        let before = self.ask_of(&mut turn);
         let (turn, _) = self
             .shared
             .stepped
@@ -200,5 +215,72 @@ mod tests {
         assert!(first.read().is_err() && first.read().is_err());
         let other = std::thread::spawn(move || second.read().unwrap().stamp);
         assert_eq!(first.read().unwrap().stamp, other.join().unwrap());
+    }
+
+    /// What a robot commands in a tick.
+    fn command(robot: usize, tick: usize) -> [f64; 2] {
+        let phase = (robot * 7 + tick) as f64;
+        [3.0 + phase.sin(), 3.0 + (0.7 * phase).cos()]
+    }
+
+    const ROBOTS: usize = 8;
+    const TICKS: usize = 120;
+
+    /// Everything that each robot reads in a drive, as bytes, when as many threads as told take turns at its robots, the last first if so told.
+    fn driven_by(threads: usize, reversed: bool) -> Vec<String> {
+        let bodies: Vec<_> = bodies(ROBOTS).into_iter().enumerate().collect();
+        let referee = bodies.first().unwrap().1.1.clone();
+        let mut shares: Vec<Vec<(usize, SimBody)>> = (0..threads).map(|_| Vec::new()).collect();
+        for (robot, (body, _)) in bodies {
+            shares[robot % threads].push((robot, body));
+        }
+        if reversed {
+            shares.reverse();
+        }
+        let running: Vec<_> = shares
+            .into_iter()
+            .map(|mut share| {
+                if reversed {
+                    share.reverse();
+                }
+                std::thread::spawn(move || {
+                    let mut said: Vec<(usize, String)> =
+                        share.iter().map(|(robot, _)| (*robot, String::new())).collect();
+                    for tick in 0..TICKS {
+                        for (robot, body) in &mut share {
+                            body.drive(command(*robot, tick)).unwrap();
+                            if (*robot + tick) % 3 == 0 {
+                                std::thread::yield_now();
+                            }
+                        }
+                        // Whoever has several robots asks for all of them before it waits for any.
+                        share.iter_mut().for_each(|(_, body)| body.ask());
+                        for ((_, body), (_, said)) in share.iter_mut().zip(&mut said) {
+                            *said += &format!("{:?}\n", body.read().unwrap());
+                        }
+                    }
+                    said
+                })
+            })
+            .collect();
+        let mut said: Vec<(usize, String)> = running.into_iter().flat_map(|thread| thread.join().unwrap()).collect();
+        said.sort();
+        let mut said: Vec<String> = said.into_iter().map(|(_, said)| said).collect();
+        said.push(format!("{:?} {:?}", referee.truth(), referee.now()));
+        said
+    }
+
+    #[test]
+    fn a_seed_gives_the_same_bytes_whatever_the_number_and_order_of_threads() {
+        let alone = driven_by(1, false);
+        assert!(alone.iter().take(ROBOTS).all(|said| said.lines().count() == TICKS));
+        for threads in [1, 2, 8] {
+            for reversed in [false, true] {
+                assert!(
+                    driven_by(threads, reversed) == alone,
+                    "{threads} threads, reversed: {reversed}"
+                );
+            }
+        }
     }
 }

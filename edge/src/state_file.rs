@@ -1,9 +1,10 @@
-//! What outlives a restart of the edge, and where does it lie? The last epoch and the stop latch, in one small file,
-//! replaced as a whole: write beside it, fsync, rename, fsync the folder.
+//! What outlives a restart of the edge, and where does it lie? The last epoch, the stop latch and who keeps the goals, in one small file,
+//! replaced as a whole: write beside it, fsync, rename, fsync the folder. A locked file beside it keeps a second edge out.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use thiserror::Error;
 use zenav_protocol::id::Id;
@@ -14,6 +15,8 @@ use crate::mailbox::Persisted;
 #[derive(Clone, Debug)]
 pub struct StateFile {
     path: PathBuf,
+    /// Locked as long as somebody has the state.
+    _lock: Arc<File>,
 }
 
 /// Why the state could not be read or written. A robot whose epochs and stop latch are unknown must not start.
@@ -26,6 +29,12 @@ pub enum StateError {
         path: PathBuf,
         /// Why.
         source: io::Error,
+    },
+    /// Another edge has the robot's state.
+    #[error("{path}: in use by another edge; expected one process a robot")]
+    Locked {
+        /// The locked file.
+        path: PathBuf,
     },
     /// The file holds something else.
     #[error("{path} holds no edge state ({source}); remove it only if nobody can still hold an old lease")]
@@ -41,14 +50,26 @@ impl StateFile {
     /// The file of a robot in a folder, which is made if need be.
     ///
     /// # Errors
-    /// [`StateError::Io`] when the folder cannot be made.
+    /// [`StateError::Io`] when the folder cannot be made; [`StateError::Locked`] while another edge has it.
     pub fn open(folder: &Path, robot: &Id) -> Result<Self, StateError> {
         fs::create_dir_all(folder).map_err(|source| StateError::Io {
             path: folder.to_owned(),
             source,
         })?;
+        let path = folder.join(format!("edge-{robot}.lock"));
+        let locked = File::create(&path).and_then(|file| match file.try_lock() {
+            Ok(()) => Ok(Some(file)),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(error),
+        });
+        let lock = match locked {
+            Ok(Some(file)) => Arc::new(file),
+            Ok(None) => return Err(StateError::Locked { path }),
+            Err(source) => return Err(StateError::Io { path, source }),
+        };
         Ok(Self {
             path: folder.join(format!("edge-{robot}.json")),
+            _lock: lock,
         })
     }
 
@@ -120,5 +141,17 @@ mod tests {
         assert_eq!(file.load().unwrap(), state);
         fs::write(&file.path, b"{\"epoch\": 4").unwrap();
         assert!(file.load().unwrap_err().to_string().contains("edge-tiago.json"));
+    }
+
+    #[test]
+    fn a_second_edge_is_kept_out_as_long_as_the_first_runs() {
+        let folder = tempfile::tempdir().unwrap();
+        let [tiago, neato] = ["tiago", "neato"].map(|name| Id::robot(name).unwrap());
+        let first = StateFile::open(folder.path(), &tiago).unwrap();
+        let second = StateFile::open(folder.path(), &tiago);
+        assert!(matches!(second, Err(StateError::Locked { .. })));
+        StateFile::open(folder.path(), &neato).unwrap();
+        drop(first);
+        StateFile::open(folder.path(), &tiago).unwrap();
     }
 }

@@ -6,7 +6,7 @@ use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
-use crate::estimator::Estimator;
+use crate::estimator::{Estimator, Tally};
 use crate::mailbox::Publication;
 
 /// Period of the state, s.
@@ -15,6 +15,8 @@ const STATE: f64 = 0.1;
 const MARKER: f64 = 0.2;
 /// Period of what hardly changes (battery, contact), s.
 const SLOW: f64 = 1.0;
+/// Least time between two events about dropped inputs, s.
+const DROPPED: f64 = 10.0;
 
 /// The schedule.
 #[derive(Clone, Debug, Default)]
@@ -22,6 +24,8 @@ pub struct Telemetry {
     state: Due,
     marker: Due,
     slow: Due,
+    dropped: Due,
+    told: (u64, u64),
     pressed: bool,
 }
 
@@ -69,6 +73,16 @@ impl Telemetry {
         }
     }
 
+    /// Whether more inputs were dropped than was told, and it is time to tell.
+    pub fn dropped(&mut self, now: Stamp, tally: Tally) -> Option<EventKind> {
+        let Tally { too_late, broken, .. } = tally;
+        if self.told == (too_late, broken) || !self.dropped.now(now, DROPPED) {
+            return None;
+        }
+        self.told = (too_late, broken);
+        Some(EventKind::InputsDropped { too_late, broken })
+    }
+
     /// Whether the state is due.
     pub fn state_due(&mut self, now: Stamp) -> bool {
         self.state.now(now, STATE)
@@ -99,6 +113,21 @@ pub fn scan(sweep: &Sweep, lidar: &LidarModel, estimator: &Estimator) -> Option<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dropped_inputs_are_told_at_once_and_not_again_until_there_are_more_and_some_time_has_passed() {
+        let mut telemetry = Telemetry::default();
+        let mut told = Vec::new();
+        for second in 1..40 {
+            let tally = Tally {
+                too_late: second.min(20),
+                ..Tally::default()
+            };
+            told.extend(telemetry.dropped(Stamp::from_secs(second as f64), tally));
+        }
+        let event = |too_late| EventKind::InputsDropped { too_late, broken: 0 };
+        assert_eq!(told, [event(1), event(10), event(20)]);
+    }
 
     #[test]
     fn ten_hertz_stay_ten_hertz_on_a_fifty_hertz_loop() {

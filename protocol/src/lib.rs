@@ -8,6 +8,7 @@
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key |
 //! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
+//! | [`energy`] | motors, and what it costs a battery to move a robot |
 //! | [`readings`] | what a body gives its pilot |
 //! | [`messages`] | everything that crosses the wire |
 //! | [`lease`] | who may command a robot |
@@ -19,6 +20,7 @@
 #[cfg(feature = "bus")]
 pub mod bus;
 pub mod codec;
+pub mod energy;
 pub mod geometry;
 pub mod grid;
 pub mod id;

@@ -8,6 +8,7 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::energy::MotorModel;
 use crate::geometry::Pose2;
 use crate::wall_following::WallFollowing;
 
@@ -32,9 +33,12 @@ pub struct RobotModel {
     /// GPS or beacons, where there are any.
     #[serde(default)]
     pub gps: Option<GpsModel>,
-    /// Battery and consumption.
+    /// Battery.
     #[serde(default)]
     pub battery: BatteryModel,
+    /// Motors, and what they move.
+    #[serde(default)]
+    pub motors: MotorModel,
     /// Gains of the trackers.
     #[serde(default)]
     pub controller: ControllerGains,
@@ -124,7 +128,7 @@ pub struct Drive {
     /// Largest forward speed, m/s; the wheels may allow less.
     #[serde(default = "unlimited")]
     pub max_speed: f64,
-    /// Largest jerk of the base along its way, m/s³; without it plans change their acceleration at once.
+    /// Largest jerk of the base along its way, m/s³; without it plans and commands change their acceleration at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk: Option<f64>,
     /// Time constant of the motors, s.
@@ -347,18 +351,14 @@ pub struct GpsModel {
     pub latency: f64,
 }
 
-/// Battery and consumption: power at rest and by rolling, energy by accelerating; nothing comes back by braking.
+/// Battery; what motion draws of it is in [`MotorModel`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BatteryModel {
     /// When full, J.
     pub capacity: f64,
-    /// Drawn at rest, W.
+    /// Drawn by sensors and computers whatever happens, W.
     pub idle_power: f64,
-    /// Drawn by rolling, W for each m/s.
-    pub rolling_power: f64,
-    /// Drawn by accelerating, J for each m²/s² of speed gained (half the mass over the efficiency).
-    pub acceleration_energy: f64,
     /// Share of the charge below which the robot says that its battery is low.
     pub low: f64,
 }
@@ -368,8 +368,6 @@ impl Default for BatteryModel {
         Self {
             capacity: 500_000.0,
             idle_power: 20.0,
-            rolling_power: 40.0,
-            acceleration_energy: 40.0,
             low: 0.2,
         }
     }
@@ -550,6 +548,8 @@ impl RobotModel {
             ("gps.rate_hz", self.gps.as_ref().map_or(1.0, |gps| gps.rate_hz)),
             ("encoders.rate_hz", self.encoders.rate_hz.unwrap_or(1.0)),
             ("battery.capacity", self.battery.capacity),
+            ("motors.mass", self.motors.mass),
+            ("motors.motor_constant", self.motors.motor_constant),
             ("controller.waypoint_threshold", self.controller.waypoint_threshold),
         ];
         for (field, value) in positive {
@@ -571,8 +571,9 @@ impl RobotModel {
             ("imu.resolution", self.imu.resolution),
             ("drive.errors.slip", self.drive.errors.slip),
             ("battery.idle_power", self.battery.idle_power),
-            ("battery.rolling_power", self.battery.rolling_power),
-            ("battery.acceleration_energy", self.battery.acceleration_energy),
+            ("motors.inertia", self.motors.inertia),
+            ("motors.rolling_resistance", self.motors.rolling_resistance),
+            ("motors.viscous_friction", self.motors.viscous_friction),
             ("controller.guard_margin", self.controller.guard_margin),
             ("controller.blind_speed", self.controller.blind_speed),
         ];

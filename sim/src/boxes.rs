@@ -6,7 +6,7 @@
 use nalgebra::Point2;
 
 /// Things in one leaf, at most.
-const RUN: usize = 8;
+const RUN: usize = 16;
 
 /// Something that has an extent.
 pub trait Bounded {
@@ -31,22 +31,30 @@ pub struct BoxTree<T> {
     things: Vec<T>,
 }
 
-/// What a walk comes to.
+/// A box, and how far it is.
 #[derive(Clone, Copy, Debug)]
-pub enum Met<'a, T> {
-    /// A box: is it to be entered?
-    Box {
-        /// Lower-left corner, m.
-        low: Point2<f64>,
-        /// Upper-right corner, m.
-        high: Point2<f64>,
-        /// Squared distance, m²; zero inside.
-        squared: f64,
-        /// Whether it holds things, not boxes.
-        leaf: bool,
-    },
-    /// Things in a box that was entered.
-    Things(&'a [T]),
+pub struct Apart {
+    /// Lower-left corner, m.
+    pub low: Point2<f64>,
+    /// Upper-right corner, m.
+    pub high: Point2<f64>,
+    /// Squared distance, m²; zero inside.
+    pub squared: f64,
+}
+
+/// Whoever walks through a tree.
+pub trait Visitor<T> {
+    /// What a box looks like from where the walk began.
+    type View: Copy;
+
+    /// Looks at two boxes that lie side by side; the root comes twice.
+    fn look(&self, pair: [&Apart; 2]) -> [Self::View; 2];
+
+    /// Whether to enter a box, now that the walk has come to it.
+    fn enters(&self, view: &Self::View) -> bool;
+
+    /// Comes to the things in a box that was entered.
+    fn meet(&mut self, things: &[T]);
 }
 
 impl<T: Bounded> BoxTree<T> {
@@ -67,39 +75,33 @@ impl<T: Bounded> BoxTree<T> {
         &self.things
     }
 
-    /// Walks from a point outwards: `meet` says of each box whether to enter it (its answer to things does not matter).
-    pub fn walk(&self, from: Point2<f64>, mut meet: impl FnMut(Met<'_, T>) -> bool) {
+    /// Walks from a point outwards.
+    pub fn walk<V: Visitor<T>>(&self, from: Point2<f64>, visitor: &mut V) {
+        let Some(root) = self.nodes.first() else {
+            return;
+        };
+        let root = apart(from, root);
         // Deeper than any tree of u32 things: one child waits on every level.
-        let mut waiting = [(0_u32, 0.0_f64); 64];
-        let mut depth = 0;
-        let mut next = self.nodes.first().map(|root| (0, squared_distance(from, root)));
-        while let Some((index, squared)) = next {
-            next = None;
-            let node = &self.nodes[index as usize];
-            let Node { low, high, count, .. } = *node;
-            if meet(Met::Box {
-                low,
-                high,
-                squared,
-                leaf: count > 0,
-            }) {
-                let first = node.first as usize;
-                if node.count > 0 {
-                    meet(Met::Things(&self.things[first..first + node.count as usize]));
-                } else {
-                    let child = |index: u32| (index, squared_distance(from, &self.nodes[index as usize]));
-                    let (left, right) = (child(node.first), child(node.first + 1));
-                    let (near, far) = if right.1 < left.1 { (right, left) } else { (left, right) };
-                    if depth < waiting.len() {
-                        waiting[depth] = far;
-                        depth += 1;
-                    }
-                    next = Some(near);
-                }
+        let mut waiting = [(0_u32, visitor.look([&root; 2])[0]); 64];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let (index, view) = waiting[depth];
+            if !visitor.enters(&view) {
+                continue;
             }
-            if next.is_none() && depth > 0 {
-                depth -= 1;
-                next = Some(waiting[depth]);
+            let node = &self.nodes[index as usize];
+            let first = node.first as usize;
+            if node.count > 0 {
+                visitor.meet(&self.things[first..first + node.count as usize]);
+            } else if depth + 2 <= waiting.len() {
+                let (left, right) = (apart(from, &self.nodes[first]), apart(from, &self.nodes[first + 1]));
+                let views = visitor.look([&left, &right]);
+                // The nearer one last: it is taken first.
+                let nearer = usize::from(right.squared < left.squared);
+                waiting[depth] = (node.first + 1 - nearer as u32, views[1 - nearer]);
+                waiting[depth + 1] = (node.first + nearer as u32, views[nearer]);
+                depth += 2;
             }
         }
     }
@@ -113,20 +115,53 @@ impl<T: Bounded> BoxTree<T> {
         limit: f64,
         distance: impl Fn(&T) -> (f64, N),
     ) -> Option<(f64, N)> {
-        let mut best: Option<(f64, N)> = None;
-        self.walk(from, |met| match met {
-            Met::Box { squared, .. } => squared.sqrt() - reach < best.as_ref().map_or(limit, |(least, _)| *least),
-            Met::Things(things) => {
-                for thing in things {
-                    let found = distance(thing);
-                    if found.0 < best.as_ref().map_or(limit, |(least, _)| *least) {
-                        best = Some(found);
-                    }
-                }
-                false
+        let mut search = Search {
+            reach,
+            limit,
+            distance,
+            best: None,
+        };
+        self.walk(from, &mut search);
+        search.best.map(|best| (search.limit, best))
+    }
+}
+
+/// A search for the nearest thing.
+struct Search<N, D> {
+    reach: f64,
+    /// The least distance so far, m.
+    limit: f64,
+    distance: D,
+    best: Option<N>,
+}
+
+impl<T, N, D: Fn(&T) -> (f64, N)> Visitor<T> for Search<N, D> {
+    type View = f64;
+
+    fn look(&self, pair: [&Apart; 2]) -> [f64; 2] {
+        pair.map(|apart| apart.squared)
+    }
+
+    fn enters(&self, squared: &f64) -> bool {
+        squared.sqrt() - self.reach < self.limit
+    }
+
+    fn meet(&mut self, things: &[T]) {
+        for thing in things {
+            let (distance, what) = (self.distance)(thing);
+            if distance < self.limit {
+                (self.limit, self.best) = (distance, Some(what));
             }
-        });
-        best
+        }
+    }
+}
+
+/// How far a node's box is from a point.
+fn apart(from: Point2<f64>, node: &Node) -> Apart {
+    Apart {
+        low: node.low,
+        high: node.high,
+        squared: squared_distance(from, node),
     }
 }
 
@@ -197,25 +232,40 @@ mod tests {
             .prop_map(|dots| dots.into_iter().map(|(x, y)| Dot(Point2::new(x, y))).collect())
     }
 
+    /// Counts what is within a radius.
+    struct Within {
+        from: Point2<f64>,
+        radius: f64,
+        met: usize,
+    }
+
+    impl Visitor<Dot> for Within {
+        type View = f64;
+
+        fn look(&self, pair: [&Apart; 2]) -> [f64; 2] {
+            pair.map(|apart| apart.squared)
+        }
+
+        fn enters(&self, squared: &f64) -> bool {
+            *squared <= self.radius * self.radius
+        }
+
+        fn meet(&mut self, dots: &[Dot]) {
+            self.met += dots
+                .iter()
+                .filter(|dot| (dot.0 - self.from).norm() <= self.radius)
+                .count();
+        }
+    }
+
     proptest! {
         #[test]
-        fn a_walk_comes_to_everything_within_reach_and_boxes_hold_what_is_in_them(dots in dots(), x in -6.0..6.0, y in -6.0..6.0, radius in 0.0..8.0) {
+        fn a_walk_comes_to_everything_within_reach(dots in dots(), x in -6.0..6.0, y in -6.0..6.0, radius in 0.0..8.0) {
             let from = Point2::new(x, y);
             let tree = BoxTree::new(dots.clone());
-            let mut within: Option<[Point2<f64>; 2]> = None;
-            let mut met = 0;
-            tree.walk(from, |what| match what {
-                Met::Box { low, high, squared, .. } => {
-                    within = Some([low, high]);
-                    squared <= radius * radius
-                }
-                Met::Things(things) => {
-                    let [low, high] = within.unwrap_or([from; 2]);
-                    assert!(things.iter().all(|dot| dot.0 >= low && dot.0 <= high));
-                    met += things.iter().filter(|dot| (dot.0 - from).norm() <= radius).count();
-                    true
-                }
-            });
+            let mut within = Within { from, radius, met: 0 };
+            tree.walk(from, &mut within);
+            let met = within.met;
             prop_assert_eq!(met, dots.iter().filter(|dot| (dot.0 - from).norm() <= radius).count());
         }
 

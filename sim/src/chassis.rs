@@ -12,7 +12,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::clearance::{Nearest, Placed};
 use crate::crowd::Crowd;
-use crate::drive::{Motors, energy};
+use crate::drive::Motors;
 use crate::scene::Scene;
 use crate::sensors::gauss;
 
@@ -192,8 +192,11 @@ impl Chassis {
     }
 
     fn substep(&mut self, model: &RobotModel, around: Surroundings<'_>, secs: f64, now: Stamp, moved: &mut Moved) {
-        let before = true_twist(&model.drive, self.motors.speed()).v;
+        let before = self.motors.speed();
         let wheels = self.motors.step(&model.drive, secs);
+        let after = self.motors.speed();
+        let gained = [(after[0] - before[0]) / secs, (after[1] - before[1]) / secs];
+        self.truth.drawn_j += model.power(wheels, gained) * secs;
         let turning = true_twist(&model.drive, wheels);
         let twist = true_twist(&model.drive, self.slipped(&model.drive, wheels, secs));
         let share = if wheels == [0.0; 2] {
@@ -212,7 +215,6 @@ impl Chassis {
             self.motors.stall();
         }
         self.truth.twist = true_twist(&model.drive, self.motors.speed());
-        self.truth.drawn_j += energy(&model.battery, twist, before, self.truth.twist.v, secs);
     }
 
     /// The wheel speeds by which the robot gets on, rad/s: a random walk along the way, whatever the step.

@@ -1,10 +1,9 @@
-//! What do wheels and motors make of a command? Lag, limits, exact arcs, energy.
+//! What do wheels and motors make of a command? Lag, limits, exact arcs.
 //!
 //! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by
 //! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean.
 
-use zenav_protocol::geometry::Twist2;
-use zenav_protocol::robot::{BatteryModel, Drive};
+use zenav_protocol::robot::Drive;
 
 /// Both motors.
 #[derive(Clone, Debug)]
@@ -85,18 +84,12 @@ fn limited(speed: f64, wanted: f64, down: f64, up: f64) -> f64 {
     sign * next
 }
 
-/// Energy drawn over a time at mean velocity `twist` while the speed went from `before` to `after` (m/s), J.
-#[must_use]
-pub fn energy(battery: &BatteryModel, twist: Twist2, before: f64, after: f64, secs: f64) -> f64 {
-    let rolling = battery.rolling_power * twist.v.abs();
-    (battery.idle_power + rolling) * secs + battery.acceleration_energy * (after * after - before * before).max(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
     use proptest::prelude::*;
+    use zenav_protocol::geometry::Twist2;
     use zenav_protocol::robot::{self, RobotModel};
 
     fn tiago() -> Drive {
@@ -121,6 +114,23 @@ mod tests {
             .sum();
         let hard = top * top / (2.0 * drive.hard_braking);
         assert!(distance > hard && distance < hard + top * drive.motor_lag, "{distance}");
+    }
+
+    #[test]
+    fn a_motor_has_come_two_thirds_of_the_way_after_its_lag() {
+        let mut drive = tiago();
+        (drive.motor_lag, drive.max_wheel_acceleration) = (0.2, 1e3);
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, [4.0, -4.0]);
+        for _ in 0..40 {
+            motors.step(&drive, 0.005);
+        }
+        let expected = 4.0 * (1.0 - (-1.0_f64).exp());
+        let [left, right] = motors.speed();
+        assert!(
+            (left - expected).abs() < 1e-9 && (right + expected).abs() < 1e-9,
+            "{left} {right}"
+        );
     }
 
     #[test]

@@ -274,6 +274,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
                     start_velocity: Twist2::ZERO,
                     goal_yaw: None,
                     unknown_is_free: true,
+                    profile: DrivingProfile::default(),
                 };
                 let reply = smoothing
                     .answer(Some(&mirror), &request, &mut || begin.elapsed().as_secs_f64())

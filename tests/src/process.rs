@@ -66,6 +66,12 @@ impl Process {
         }
     }
 
+    /// Its number.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Kills it at once, as `kill -9` does.
     pub fn kill(&mut self) {
         let _ = self.child.kill();

@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::time::Duration;
+
+use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
 use zenav_tests::proving::guard::{Command, drive};
@@ -28,7 +31,7 @@ fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings
     for conditions in pose::CONDITIONS {
         let mut sums = pose::Sums::default();
         for seed in 1..=20 {
-            pose::drive(&mut sums, &conditions, seed, 20.0).unwrap();
+            pose::drive(&mut sums, &conditions, seed, 20.0, &|| Duration::ZERO).unwrap();
         }
         let means: Vec<f64> = sums.nees.iter().map(|sum| sum / 20.0).collect();
         let (_, mean) = pose::share(&means, (0.0, 1.0));
@@ -44,7 +47,7 @@ fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings
 fn the_time_law_keeps_to_its_path_more_closely_than_any_other_tracker() {
     let model = ground::robot("tiago").unwrap();
     let world = World::shipped("kitchen").unwrap();
-    let ways = tracking::ways(&tracking::true_map(&world), &model, 2, 2);
+    let ways = tracking::ways(&tracking::true_map(&world), &model, 2, 2, DrivingProfile::Fastest);
     assert_eq!(ways.len(), 2);
     let p95 = |law: TrackerKind| {
         let mut errors = Vec::new();

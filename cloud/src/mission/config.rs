@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::messages::{DrivingProfile, GoalPoint};
 
 use crate::space::Zones;
 
@@ -34,6 +34,8 @@ pub struct MissionConfig {
     pub renew_period: f64,
     /// Distance that counts as reached where a goal does not say, m.
     pub tolerance: f64,
+    /// What motions are to be good at where a goal does not say.
+    pub profile: DrivingProfile,
     /// Without this much progress (m or rad) …
     pub progress: (f64, f64),
     /// … within this time a drive has failed, s.
@@ -60,6 +62,7 @@ impl MissionConfig {
             plan_valid: 5.0,
             renew_period: 1.0,
             tolerance: 0.15,
+            profile: DrivingProfile::default(),
             progress: (0.2, 0.2),
             progress_secs: 10.0,
             zones: Arc::default(),

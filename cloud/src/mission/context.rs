@@ -92,6 +92,8 @@ pub struct GoalInHand {
     pub id: String,
     /// Distance that counts as reached, m.
     pub tolerance: f64,
+    /// What its motions are to be good at.
+    pub profile: DrivingProfile,
     /// How it goes.
     pub feedback: GoalFeedback,
     /// Its drives.

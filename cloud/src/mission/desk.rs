@@ -37,6 +37,7 @@ impl Mission {
                 robot: self.ctx.config.robot.to_string(),
                 boot: None,
                 model: None,
+                pacing: None,
             }))),
         }
     }

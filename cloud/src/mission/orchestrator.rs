@@ -218,6 +218,7 @@ impl Mission {
         self.ctx.goal = GoalInHand {
             id: id.clone(),
             tolerance: request.tolerance.unwrap_or(self.ctx.config.tolerance),
+            profile: request.profile.unwrap_or(self.ctx.config.profile),
             feedback: goal.state.feedback.clone(),
             legs,
             leg_changes: 0,

@@ -65,7 +65,9 @@ mod tests {
     use zenav_protocol::bus::{AskError, BusConfig, Clock, Router, RouterConfig};
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
-    use zenav_protocol::messages::{MapInfo, MapRef, MapReply, PlanOutcome, PlanRequest, SmoothRequest};
+    use zenav_protocol::messages::{
+        DrivingProfile, MapInfo, MapRef, MapReply, PlanOutcome, PlanRequest, SmoothRequest,
+    };
     use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
     use zenav_protocol::topics::{MAP, PLAN_SERVICE, TREE};
@@ -180,6 +182,7 @@ mod tests {
             start_velocity: Twist2::ZERO,
             goal_yaw: Some(0.0),
             unknown_is_free: false,
+            profile: DrivingProfile::default(),
         };
         let smoothed = client.ask(&SMOOTH_SERVICE, &["w1"], &way, DEADLINE).await.unwrap();
         assert_eq!(smoothed.statistics.status, "smoothed");

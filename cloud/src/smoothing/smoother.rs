@@ -5,13 +5,14 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{PlanStatistics, TrajectoryPoint};
+use zenav_protocol::messages::{DrivingProfile, PlanStatistics, TrajectoryPoint};
 use zenav_protocol::robot::RobotModel;
 
 use super::certificate::certify;
 use super::corridor::RoomSize;
 use super::course::{Checked, Course};
 use super::shortcut::{is_clear, shortcut};
+use super::timing::economy::economical;
 use super::timing::legs::corners_from;
 use super::timing::{Limits, Motion, UNRESTRICTED};
 use crate::space::ConfigurationSpace;
@@ -40,6 +41,8 @@ pub struct SmoothSettings {
     pub step: f64,
     /// The solver's iterations, at most.
     pub max_iterations: u32,
+    /// What the time law is to be good at.
+    pub profile: DrivingProfile,
 }
 
 impl Default for SmoothSettings {
@@ -53,6 +56,7 @@ impl Default for SmoothSettings {
             turning_length: 0.25,
             step: 0.02,
             max_iterations: 60,
+            profile: DrivingProfile::default(),
         }
     }
 }
@@ -105,6 +109,10 @@ pub fn smooth(
         evidence,
         least,
     } = checked.unwrap_or_default();
+    let (motion, limits) = match settings.profile {
+        DrivingProfile::Fastest => (motion, limits),
+        DrivingProfile::Economy => times.measure(|t| &mut t.timing, || economical(motion, model, &limits)),
+    };
     let (motion, jerk) = times.measure(|t| &mut t.timing, || motion.with_limited_jerk(&limits));
     let solver = evidence.status();
     let certificate = times.measure(|t| &mut t.timing, || certify(&motion, &model.drive, evidence, jerk));
@@ -114,6 +122,7 @@ pub fn smooth(
     (statistics.length, statistics.duration) = (motion.length(), motion.duration());
     (statistics.status, statistics.solver, statistics.min_clearance) = (status, solver, least);
     statistics.certificate = certificate;
+    statistics.energy_j = motion.energy(model);
     result.motion = motion;
     result
 }

@@ -27,6 +27,7 @@ pub fn unsmoothed(
     let statistics = PlanStatistics {
         length: motion.length(),
         duration: motion.duration(),
+        energy_j: motion.energy(model),
         certificate: certify(&motion, &model.drive, Evidence::default(), jerk),
         ..PlanStatistics::default()
     };

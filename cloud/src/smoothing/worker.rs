@@ -73,7 +73,11 @@ impl SmoothWorker {
             start_velocity: request.start_velocity,
             goal_yaw: request.goal_yaw,
         };
-        let smoothed = smooth(&space, &query, &model, &SmoothSettings::default(), clock);
+        let settings = SmoothSettings {
+            profile: request.profile,
+            ..SmoothSettings::default()
+        };
+        let smoothed = smooth(&space, &query, &model, &settings, clock);
         let trajectory = smoothed.trajectory(PERIOD);
         let statistics: PlanStatistics = smoothed.statistics;
         Ok(SmoothReply {

@@ -8,7 +8,7 @@ use zenav_cloud::smoothing::shortcut::shortcut;
 use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_way};
 use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{PlanOutcome, exit_code};
+use zenav_protocol::messages::{DrivingProfile, PlanOutcome, exit_code};
 use zenav_protocol::robot::RobotModel;
 
 use super::queries::{self, Query};
@@ -58,6 +58,9 @@ pub struct SmoothArgs {
     /// Largest jerk along the way, m/s³; the robot's own where it has one, unlimited else
     #[arg(long, value_name = "J", value_parser = positive)]
     jerk_limit: Option<f64>,
+    /// What the time law is to be good at, `fastest` or `economy`
+    #[arg(long, default_value = "fastest")]
+    profile: DrivingProfile,
     /// Unknown cells may be driven through
     #[arg(long)]
     unknown_is_free: bool,
@@ -105,6 +108,10 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
         searcher,
         model,
         options,
+        settings: SmoothSettings {
+            profile: args.profile,
+            ..SmoothSettings::default()
+        },
         watchdog,
         start: Instant::now(),
     };
@@ -133,6 +140,7 @@ struct Workshop {
     searcher: Searcher,
     model: RobotModel,
     options: PlanOptions,
+    settings: SmoothSettings,
     watchdog: Option<Watchdog>,
     start: Instant,
 }
@@ -169,7 +177,7 @@ impl Workshop {
         if self.space.clearance(start.position()) <= self.model.footprint.inscribed_radius() {
             return (search_us, None);
         }
-        let settings = SmoothSettings::default();
+        let settings = self.settings;
         // A query has no heading: the robot stands as its way begins, without the grid's own corners.
         let corners = shortcut(&self.space, &path, settings.rooms.comfort, None);
         if let Some(along) = corners

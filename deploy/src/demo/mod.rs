@@ -27,7 +27,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use zenav_cloud::planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
-use zenav_protocol::messages::{GoalRequest, LostPolicy, exit_code};
+use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy, exit_code};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
@@ -105,6 +105,9 @@ pub struct DemoArgs {
     /// Planner, instead of the scenario's
     #[arg(long)]
     planner: Option<Planner>,
+    /// What motions are to be good at, `fastest` or `economy`
+    #[arg(long)]
+    profile: Option<DrivingProfile>,
     /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already
     #[arg(long, default_value = "zenav-out")]
     out: PathBuf,
@@ -246,6 +249,7 @@ async fn play(
     let request = GoalRequest {
         id: Some(format!("{}-{}", script.name, args.seed)),
         tree: Some(script.name.to_owned()),
+        profile: args.profile,
         ..GoalRequest::default()
     };
     watch.narrate("waiting for the parts");

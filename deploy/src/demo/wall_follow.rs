@@ -21,7 +21,7 @@ use crate::failure::Failure;
 use crate::files;
 use crate::launch::interrupted;
 use crate::parts::Parts;
-use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport};
+use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport, per_metre};
 use crate::wall_following::score::Errors;
 
 pub(super) const SCRIPT: Script = Script {
@@ -279,6 +279,7 @@ impl Watch<'_> {
             replans: 0,
             latency: Latency::default(),
             energy_j: truth.drawn_j,
+            energy_per_m: per_metre(truth.drawn_j, truth.length),
             walls: Some(WallReport {
                 target_m: self.target,
                 kept,

@@ -15,7 +15,7 @@ use zenav_sim::{Truth, World};
 use super::album::Album;
 use super::{DemoArgs, Script};
 use crate::failure::Failure;
-use crate::report::{DemoReport, GoalReport, Latency, Percentiles, ScenarioOutcome};
+use crate::report::{DemoReport, GoalReport, Latency, Percentiles, ScenarioOutcome, per_metre};
 
 /// How often truth is sampled, wall.
 const SAMPLE: Duration = Duration::from_millis(10);
@@ -310,6 +310,7 @@ impl Watch {
                 goal_to_motion_ms: Percentiles::of(&self.goal_to_motion),
             },
             energy_j: truth.drawn_j,
+            energy_per_m: per_metre(truth.drawn_j, truth.length),
             walls: None,
             notes,
         }
@@ -322,9 +323,12 @@ impl Watch {
             .iter()
             .filter(|sample| sample.now >= leg.started && sample.now <= end)
             .collect();
-        let length = match (during.first(), during.last()) {
-            (Some(first), Some(last)) => last.truth.length - first.truth.length,
-            _ => 0.0,
+        let (length, energy) = match (during.first(), during.last()) {
+            (Some(first), Some(last)) => (
+                last.truth.length - first.truth.length,
+                last.truth.drawn_j - first.truth.drawn_j,
+            ),
+            _ => (0.0, 0.0),
         };
         let last = during.last().map(|sample| sample.truth.map_from_base);
         let error = leg
@@ -348,6 +352,8 @@ impl Watch {
                 .map(|sample| sample.truth.clearance)
                 .fold(f64::INFINITY, f64::min),
             final_error_m: error,
+            energy_j: energy,
+            energy_per_m: per_metre(energy, length),
         }
     }
 }

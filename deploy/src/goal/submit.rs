@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::ValueEnum;
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
+use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
 use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
@@ -57,6 +57,9 @@ pub(super) struct SubmitArgs {
     /// Distance that counts as reached, m
     #[arg(long, value_name = "M", value_parser = positive)]
     tolerance: Option<f64>,
+    /// What its motions are to be good at, `fastest` or `economy` [default: the deployment's choice]
+    #[arg(long)]
+    profile: Option<DrivingProfile>,
     /// Wait for the end; Ctrl-C detaches (exit 130) and the robot goes on, `goal cancel` ends it
     #[arg(long)]
     wait: bool,
@@ -123,6 +126,7 @@ impl SubmitArgs {
             priority: self.priority,
             deadline_secs: self.deadline,
             tolerance: self.tolerance,
+            profile: self.profile,
         })
     }
 }

@@ -412,6 +412,7 @@ pub(super) mod tests {
             robot: "r".into(),
             boot: None,
             model: None,
+            pacing: None,
         });
         let check = judge(&robot, TIME)
             .into_iter()

@@ -11,7 +11,7 @@ use zenav_edge::EdgeConfig;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPhase, GoalRequest, exit_code};
+use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code};
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -20,6 +20,7 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, value};
 use crate::parts::places;
+use crate::report::per_metre;
 
 /// The robot's name in a run.
 const ROBOT: &str = "robot";
@@ -58,6 +59,9 @@ pub struct RunArgs {
     /// Mean delay from scan to plan, ms
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
+    /// What motions are to be good at, `fastest` or `economy`
+    #[arg(long)]
+    profile: Option<DrivingProfile>,
     /// Write the driven way as CSV `t,x,y,yaw,v,w`
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
@@ -107,6 +111,8 @@ pub struct RunReport {
     pub final_error_m: f64,
     /// Energy drawn, J.
     pub energy_j: f64,
+    /// Energy drawn for each metre driven, J/m.
+    pub energy_per_m: f64,
     /// Seed of all noise and delays.
     pub seed: u64,
     /// Mean delay from scan to plan, ms.
@@ -217,6 +223,7 @@ fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
         x: Some(goal.x),
         y: Some(goal.y),
         tolerance: Some(args.tolerance),
+        profile: args.profile,
         ..GoalRequest::default()
     });
     let mut reason = None;
@@ -275,6 +282,7 @@ fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
         plans: feedback.plans,
         final_error_m: (truth.map_from_base.position() - goal).norm(),
         energy_j: truth.drawn_j,
+        energy_per_m: per_metre(truth.drawn_j, truth.length),
         seed: args.seed,
         cloud_delay_ms: args.cloud_delay_ms,
     }
@@ -282,7 +290,7 @@ fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
 
 fn text(report: &RunReport) -> String {
     format!(
-        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans",
+        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans, {:.0} J ({:.0} J/m)",
         report.outcome,
         report
             .reason
@@ -294,6 +302,8 @@ fn text(report: &RunReport) -> String {
         report.min_clearance_m,
         report.final_error_m,
         report.collisions,
-        report.replans
+        report.replans,
+        report.energy_j,
+        report.energy_per_m
     )
 }

@@ -234,6 +234,13 @@ pub enum EventKind {
         /// Charge left, 0 to 1.
         charge: f64,
     },
+    /// Sensors said something that could not count for the pose; told every ten seconds at most.
+    InputsDropped {
+        /// Inputs since the start that came when their time was no longer kept.
+        too_late: u64,
+        /// Inputs since the start that were no numbers, no covariance, or of a time yet to come.
+        broken: u64,
+    },
     /// The guard changed its mind.
     Guard {
         /// The zone from now on.

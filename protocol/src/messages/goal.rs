@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::DrivingProfile;
 use crate::time::Stamp;
 
 /// A place to be at, map frame.
@@ -58,6 +59,9 @@ pub struct GoalRequest {
     /// Distance that counts as reached, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<f64>,
+    /// What its motions are to be good at; without it the deployment's choice.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<DrivingProfile>,
 }
 
 /// What to do with a goal when another one runs.

@@ -88,4 +88,21 @@ pub struct InfoReply {
     /// The robot's footprint, limits and sensors, from an edge.
     #[serde(default)]
     pub model: Option<RobotModel>,
+    /// How punctual its control loop is, from an edge.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pacing: Option<Pacing>,
+}
+
+/// How late control ticks began, since start: after their deadline, or longer after the tick before than the body's pace, where that
+/// gives it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pacing {
+    /// Ticks counted.
+    pub ticks: u64,
+    /// Median, ms.
+    pub late_p50_ms: f64,
+    /// What one tick in a hundred exceeds, ms.
+    pub late_p99_ms: f64,
+    /// The worst, ms.
+    pub late_max_ms: f64,
 }

@@ -117,6 +117,9 @@ pub struct PlanStatistics {
     pub length: f64,
     /// Duration of the trajectory, s.
     pub duration: f64,
+    /// Energy that it will draw by the robot's model, J.
+    #[serde(default)]
+    pub energy_j: f64,
     /// Least distance of the true footprint to an occupied cell along the way, m; `None` when there is nothing near.
     pub min_clearance: Option<f64>,
     /// `smoothed`, `fallback:REASON`, or `waypoints`.
@@ -291,6 +294,32 @@ pub struct SmoothRequest {
     /// Whether unknown cells may be driven through.
     #[serde(default)]
     pub unknown_is_free: bool,
+    /// What the motion is to be good at.
+    #[serde(default)]
+    pub profile: DrivingProfile,
+}
+
+/// What a motion is to be good at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DrivingProfile {
+    /// As fast as the limits allow.
+    #[default]
+    Fastest,
+    /// With the least energy for the way, by the robot's own model of its motors, in whatever time that takes.
+    Economy,
+}
+
+impl std::str::FromStr for DrivingProfile {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "fastest" => Ok(Self::Fastest),
+            "economy" => Ok(Self::Economy),
+            _ => Err(format!("`{name}`: expected fastest or economy")),
+        }
+    }
 }
 
 /// Answer to a [`SmoothRequest`].

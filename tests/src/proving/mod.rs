@@ -7,6 +7,7 @@
 //! | [`worlds`] | what does a random world look like? |
 //! | [`pose`] | is the estimate as good as its covariance says? |
 //! | [`tracking`] | how near to its path does each tracker keep the robot? |
+//! | [`footprint`] | what does the robot's side cost its machine? |
 //! | [`kills`] | is any goal lost when the orchestrator is killed? |
 //! | [`handover`] | does another orchestrator go on when the leader dies or freezes? |
 //! | [`fleet`] | how many robots' missions does one orchestrator run? |
@@ -14,6 +15,7 @@
 //! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
 
 pub mod fleet;
+pub mod footprint;
 pub mod ground;
 pub mod guard;
 pub mod handover;

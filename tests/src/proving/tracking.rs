@@ -9,7 +9,7 @@ use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
 use zenav_edge::Inbox;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{LeaseRole, PlanOutcome, TrajectoryPoint};
+use zenav_protocol::messages::{DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
 use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
 use zenav_sim::World;
 
@@ -39,6 +39,8 @@ pub struct Way {
     pub corners: Vec<Point2<f64>>,
     /// The smoothed way with its time law.
     pub trajectory: Vec<TrajectoryPoint>,
+    /// Energy that it will draw by the robot's model, J.
+    pub forecast_j: f64,
 }
 
 /// How a way was driven.
@@ -90,9 +92,9 @@ pub fn true_map(world: &World) -> OccupancyGrid {
     map
 }
 
-/// `count` random ways that were smoothed.
+/// `count` random ways that were smoothed; the same ones for every profile.
 #[must_use]
-pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize) -> Vec<Way> {
+pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, profile: DrivingProfile) -> Vec<Way> {
     let space = ConfigurationSpace::new(map, &model.footprint, UnknownPolicy::default(), 0.0);
     let Ok(mut searcher) = Searcher::new(space.free()) else {
         return Vec::new();
@@ -120,7 +122,10 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize) ->
         let PlanOutcome::Found { path, .. } = planned.outcome else {
             continue;
         };
-        let settings = SmoothSettings::default();
+        let settings = SmoothSettings {
+            profile,
+            ..SmoothSettings::default()
+        };
         let corners = shortcut(&space, &path, settings.rooms.comfort, None);
         let Some(along) = corners
             .iter()
@@ -142,6 +147,7 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize) ->
                 start,
                 corners,
                 trajectory: smoothed.trajectory(0.02),
+                forecast_j: smoothed.statistics.energy_j,
             });
         }
     }

@@ -72,6 +72,7 @@ impl Leaf<Context> for SmoothPath {
             start_velocity: Twist2::ZERO,
             goal_yaw: data.goal.yaw,
             unknown_is_free: ctx.config.unknown_is_free,
+            profile: ctx.goal.profile,
         };
         *self = Self {
             ticket: Some(ctx.asks.ask(Ask::Smooth(Box::new(request)))),

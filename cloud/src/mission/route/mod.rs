@@ -435,6 +435,7 @@ impl Search {
             start_velocity: begin.twist,
             goal_yaw: self.legs.last().yaw,
             unknown_is_free: self.unknown_is_free,
+            profile: ctx.goal.profile,
         };
         let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request.clone())));
         let smoothing = Smoothing {

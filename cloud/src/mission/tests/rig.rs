@@ -289,6 +289,8 @@ pub struct Rig {
     pub status: Option<MissionStatus>,
     pub planner_up: bool,
     pub smoother_up: bool,
+    /// The robot's own motions do not end.
+    pub behaviours_run: bool,
     /// The planner finds no way.
     pub plans_none: bool,
     /// So near to (0, 0) the planner takes a start for occupied, and (0, 0.55) for the nearest free place, m.
@@ -353,6 +355,7 @@ impl Rig {
             status: None,
             planner_up: true,
             smoother_up: true,
+            behaviours_run: false,
             plans_none: false,
             start_occupied_within: 0.0,
             latency: 0.1,
@@ -579,11 +582,16 @@ impl Rig {
                     boot_id: self.edge.boot_id.clone(),
                 }),
                 model: Some(model()),
+                pacing: None,
             }))),
             Ask::Behaviour(request) => {
+                let state = match self.behaviours_run {
+                    true => BehaviourState::Running,
+                    false => BehaviourState::Succeeded,
+                };
                 let report = BehaviourReport {
                     id: request.id.clone(),
-                    state: BehaviourState::Succeeded,
+                    state,
                     reason: None,
                 };
                 Ok(Answer::Behaviour(BehaviourReply { report: Some(report) }))

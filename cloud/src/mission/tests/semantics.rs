@@ -50,6 +50,7 @@ impl Stand {
             robot: "tiago".into(),
             boot: None,
             model: Some(model()),
+            pacing: None,
         };
         ctx.asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(info))));
         ctx.robot.step(Stamp(2), &mut ctx.asks).unwrap();

@@ -6,11 +6,13 @@
 //! | [`path`] | where does the way run, by arc length? |
 //! | [`sweep`] | what is the fastest law along it? |
 //! | [`jerk`] | what is the fastest law whose jerk is limited? |
+//! | [`economy`] | which law costs the least energy? |
 //! | [`law`] | how do speed and time run between samples? |
 //! | [`profile`] | how does a robot turn, or come to rest? |
 //! | [`motion`] | where is the robot at a time? |
 //! | [`legs`] | what is always safe: stop, turn, go straight |
 
+pub mod economy;
 pub mod jerk;
 pub mod law;
 pub mod legs;

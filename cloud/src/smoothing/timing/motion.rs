@@ -2,6 +2,7 @@
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{SolverFigures, TrajectoryPoint};
+use zenav_protocol::robot::RobotModel;
 
 use super::jerk::{self, JerkError};
 use super::law::{Progress, TimeLaw};
@@ -181,6 +182,55 @@ impl Motion {
             figures.solver.status = error.to_string();
         }
         (motion, Some(figures))
+    }
+
+    /// The same turns and ways by other limits; braking stays as hard as it is. `None` where they do not allow the speed at a
+    /// way's start.
+    #[must_use]
+    pub fn retimed(&self, limits: &Limits) -> Option<Self> {
+        let mut motion = Self::new();
+        (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
+        for (_, stretch) in &self.stretches {
+            let stretch = match stretch {
+                Stretch::Brake { .. } => stretch.clone(),
+                Stretch::Spin { start, sign, profile } => Stretch::Spin {
+                    start: *start,
+                    sign: *sign,
+                    profile: Profile::rest_to_rest(profile.distance(), &limits.spin()),
+                },
+                Stretch::Follow { path, law } => {
+                    let begins = law.squared().first().copied().unwrap_or(0.0);
+                    let squared = fastest(path, limits, begins.sqrt()).ok()?;
+                    if squared[0] < begins - 1e-9 {
+                        return None;
+                    }
+                    let law = TimeLaw::steady(path, &squared);
+                    Stretch::Follow {
+                        path: path.clone(),
+                        law,
+                    }
+                }
+            };
+            let duration = stretch.duration();
+            motion.stretches.push((motion.duration, stretch));
+            motion.duration += duration;
+        }
+        Some(motion)
+    }
+
+    /// Energy that it draws from a robot's battery, J: Simpson's rule on every piece.
+    #[must_use]
+    pub fn energy(&self, model: &RobotModel) -> f64 {
+        let power = |rates: &Rates| {
+            let wheels = |twist| model.drive.wheels(twist);
+            model.power(wheels(rates.twist), wheels(Twist2::new(rates.a, rates.alpha)))
+        };
+        let rates = self.rates();
+        let pieces = rates.chunks_exact(SHARES.len()).map(|piece| match piece {
+            [begin, middle, end] => (end.t - begin.t) / 6.0 * (power(begin) + 4.0 * power(middle) + power(end)),
+            _ => 0.0,
+        });
+        pieces.sum()
     }
 
     fn push(&mut self, duration: f64, lower_bound: f64, stretch: Stretch) {

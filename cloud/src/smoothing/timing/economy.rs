@@ -1,0 +1,158 @@
+//! How is a way driven with the least energy? By the same turns and ways in more time.
+//!
+//! Slow motion costs what the electronics draw meanwhile, fast motion friction that grows with speed, and hard accelerations heat the motors
+//! with the square of the force; braking gives nothing back. Which speed and acceleration balance these depends on the robot and on
+//! how often the way makes it slow down, so that they are found for each motion: the two limits (as shares of the robot's) with the least
+//! energy by the robot's own model, by pattern search.
+//!
+//! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004 (the best speed from the motors' power); the
+//! search: Hooke and Jeeves, "Direct Search Solution of Numerical and Statistical Problems", JACM 1961.
+
+use zenav_protocol::robot::RobotModel;
+
+use super::limits::Limits;
+use super::motion::Motion;
+
+/// First step of the search, as a share of a limit, and the last.
+const STEPS: (f64, f64) = (0.32, 0.02);
+/// Least share of a limit.
+const LEAST: f64 = 0.1;
+
+/// The motion with less energy along the same turns and ways, and the limits that it keeps. Never one with more.
+#[must_use]
+pub fn economical(fastest: Motion, model: &RobotModel, limits: &Limits) -> (Motion, Limits) {
+    let mut best = Found {
+        joules: fastest.energy(model),
+        shares: [1.0; 2],
+        motion: fastest.clone(),
+        limits: *limits,
+    };
+    let mut step = STEPS.0;
+    while step > STEPS.1 {
+        let [speed, acceleration] = best.shares;
+        let around = [
+            [speed - step, acceleration],
+            [speed, acceleration - step],
+            [speed + step, acceleration],
+            [speed, acceleration + step],
+        ];
+        let better = around
+            .into_iter()
+            .filter_map(|shares| Found::new(&fastest, model, limits, shares))
+            .min_by(|a, b| a.joules.total_cmp(&b.joules))
+            .filter(|found| found.joules < best.joules);
+        match better {
+            Some(found) => best = found,
+            None => step *= 0.5,
+        }
+    }
+    (best.motion, best.limits)
+}
+
+/// A motion under a share of the limits of speed and acceleration.
+struct Found {
+    joules: f64,
+    shares: [f64; 2],
+    motion: Motion,
+    limits: Limits,
+}
+
+impl Found {
+    /// `None` where these limits do not allow the speed at the start.
+    fn new(fastest: &Motion, model: &RobotModel, limits: &Limits, shares: [f64; 2]) -> Option<Self> {
+        if shares.iter().any(|share| !(LEAST..=1.0).contains(share)) {
+            return None;
+        }
+        let [speed, acceleration] = shares;
+        let limits = Limits {
+            speed: speed * limits.speed,
+            yaw_rate: speed * limits.yaw_rate,
+            wheel_acceleration: acceleration * limits.wheel_acceleration,
+            ..*limits
+        };
+        let motion = fastest.retimed(&limits)?;
+        Some(Self {
+            joules: motion.energy(model),
+            shares,
+            motion,
+            limits,
+        })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::geometry::{Pose2, Twist2};
+    use zenav_protocol::robot::shipped;
+
+    use super::super::UNRESTRICTED;
+    use super::super::legs::safe_motion;
+    use super::*;
+
+    fn robot(name: &str) -> RobotModel {
+        RobotModel::from_toml(shipped(name).unwrap(), name).unwrap()
+    }
+
+    fn drive(model: &RobotModel, speed: f64) -> (Motion, Limits) {
+        let limits = Limits::of(model);
+        let way = [Point2::new(6.0, 0.0), Point2::new(6.0, 4.0), Point2::new(0.0, 4.0)];
+        let motion = safe_motion(
+            &way,
+            Pose2::IDENTITY,
+            Twist2::new(speed, 0.0),
+            None,
+            &limits,
+            UNRESTRICTED,
+        );
+        (motion, limits)
+    }
+
+    #[test]
+    fn it_takes_longer_draws_less_and_goes_the_same_way() {
+        for name in ["tiago", "jackal"] {
+            let model = robot(name);
+            let (fastest, limits) = drive(&model, 0.0);
+            let (economy, kept) = economical(fastest.clone(), &model, &limits);
+            assert!(economy.energy(&model) < 0.98 * fastest.energy(&model), "{name}");
+            assert!(economy.duration() > fastest.duration() && economy.length() == fastest.length());
+            assert!(kept.speed <= limits.speed && kept.wheel_acceleration <= limits.wheel_acceleration);
+            let end = |motion: &Motion| motion.at(motion.duration()).point.pose();
+            assert!(end(&economy).distance(&end(&fastest)) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_robot_without_losses_but_with_thirsty_electronics_hurries() {
+        let mut model = robot("tiago");
+        model.battery.idle_power = 5000.0;
+        let (fastest, limits) = drive(&model, 0.0);
+        let (economy, _) = economical(fastest.clone(), &model, &limits);
+        assert!(economy.duration() < 1.001 * fastest.duration());
+    }
+
+    #[test]
+    fn a_robot_at_speed_goes_on_at_that_speed() {
+        let model = robot("jackal");
+        let (fastest, limits) = drive(&model, 1.8);
+        let (economy, _) = economical(fastest, &model, &limits);
+        assert!((economy.at(0.0).point.v - 1.8).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_forecast_is_the_power_summed_up() {
+        let model = robot("tiago");
+        let (motion, _) = drive(&model, 0.0);
+        let steps = 200_000;
+        let dt = motion.duration() / f64::from(steps);
+        let summed: f64 = (0..steps)
+            .map(|i| {
+                let state = motion.at(dt * (f64::from(i) + 0.5));
+                let wheels = |twist| model.drive.wheels(twist);
+                model.power(wheels(state.point.twist()), wheels(Twist2::new(state.a, state.alpha))) * dt
+            })
+            .sum();
+        assert!((motion.energy(&model) - summed).abs() < 1e-3 * summed);
+    }
+}

@@ -1,0 +1,250 @@
+//! Where is the robot? Dead reckoning (`odom_from_base`, continuous) and its correction (`map_from_odom`), REP-105.
+//!
+//! Encoders and gyro predict, compass, GPS and corrections from off board update (`belief`). An input counts at its own stamp,
+//! however late and in whatever order it comes, because what came after it is applied again (`timeline`): the pose in the map is a function
+//! of the set of inputs. Odometry only ever goes on from where it is: neither a correction nor a late reading makes it jump.
+
+mod belief;
+#[cfg(test)]
+mod tests;
+mod timeline;
+
+use nalgebra::{Matrix3, Vector2};
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{Correction, Gps, Imu};
+use zenav_protocol::readings::Readings;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+use crate::history::PoseHistory;
+use belief::{Belief, Input, Reckoned};
+use timeline::{Admission, Timeline};
+
+/// After so many readings in a row that are too late, the body's clock has begun anew.
+const ANOTHER_CLOCK_AFTER: u32 = 25;
+/// Without the wheels' angles for longer, s, the robot may have gone anywhere.
+const WHEELS_PATIENCE: f64 = 0.3;
+/// Velocity is averaged over about this time, s: encoder steps are coarse against one tick.
+const SMOOTHING: f64 = 0.05;
+
+/// What became of the inputs since the beginning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Measurements of the pose that counted.
+    pub fused: u64,
+    /// Measurements of the pose that did not fit what was believed when they first came.
+    pub outliers: u64,
+    /// Inputs that came when their time was no longer kept.
+    pub too_late: u64,
+    /// Inputs that came once more.
+    pub repeated: u64,
+    /// Inputs that were no numbers, no covariance, or of a time yet to come.
+    pub broken: u64,
+}
+
+/// The pose filter.
+#[derive(Clone, Debug)]
+pub struct Estimator {
+    model: RobotModel,
+    start: Belief,
+    timeline: Option<Timeline>,
+    odom_from_base: Pose2,
+    /// As far as odometry has taken it up.
+    reckoned: Reckoned,
+    velocity: Twist2,
+    history: PoseHistory,
+    late_in_a_row: u32,
+    tally: Tally,
+    nis: [Option<f64>; 3],
+}
+
+impl Estimator {
+    /// A robot that stands at `start` in the map, known to the given standard deviations (m, rad).
+    #[must_use]
+    pub fn new(model: &RobotModel, start: Pose2, std: f64, yaw_std: f64) -> Self {
+        Self {
+            model: model.clone(),
+            start: Belief::new(model, start, std, yaw_std),
+            timeline: None,
+            odom_from_base: Pose2::IDENTITY,
+            reckoned: Reckoned::default(),
+            velocity: Twist2::ZERO,
+            history: PoseHistory::default(),
+            late_in_a_row: 0,
+            tally: Tally::default(),
+            nis: [None; 3],
+        }
+    }
+
+    /// Takes one tick's readings and the pose measurements that were made off board for this boot. Cost: a few microseconds; when
+    /// something comes late, once more all that came after it, a window's worth at most.
+    pub fn step<'a>(&mut self, readings: &Readings, corrections: impl IntoIterator<Item = &'a Correction>) {
+        self.nis = [None; 3];
+        self.wheels(readings);
+        if let Some(imu) = &readings.imu {
+            self.imu(imu);
+        }
+        if let Some(gps) = &readings.gps {
+            self.gps(gps);
+        }
+        for correction in corrections {
+            self.correction(correction);
+        }
+        self.settle();
+    }
+
+    /// Pose in the map.
+    #[must_use]
+    pub fn map_from_base(&self) -> Pose2 {
+        self.belief().map_from_base()
+    }
+
+    /// The normalised innovation squared of this tick's measurements: compass (1 degree of freedom), GPS (2), correction (3).
+    #[must_use]
+    pub fn nis(&self) -> [Option<f64>; 3] {
+        self.nis
+    }
+
+    /// What became of the inputs.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        self.tally
+    }
+
+    /// Dead reckoning since start: continuous, drifting.
+    #[must_use]
+    pub fn odom_from_base(&self) -> Pose2 {
+        self.odom_from_base
+    }
+
+    /// The correction of dead reckoning: may jump.
+    #[must_use]
+    pub fn map_from_odom(&self) -> Pose2 {
+        self.map_from_base() * self.odom_from_base.inverse()
+    }
+
+    /// Dead reckoning at an earlier stamp; `None` when that is too long ago.
+    #[must_use]
+    pub fn odom_from_base_at(&self, stamp: Stamp) -> Option<Pose2> {
+        self.history.at(stamp)
+    }
+
+    /// Velocity in the base frame.
+    #[must_use]
+    pub fn velocity(&self) -> Twist2 {
+        self.velocity
+    }
+
+    /// Row-major covariance of (x, y, yaw): m², m rad, rad².
+    #[must_use]
+    pub fn covariance(&self) -> [f64; 9] {
+        let covariance = self.belief().covariance();
+        std::array::from_fn(|i| covariance[(i / 3, i % 3)])
+    }
+
+    fn belief(&self) -> &Belief {
+        self.timeline.as_ref().map_or(&self.start, Timeline::belief)
+    }
+
+    /// The wheels' angles. Without them everything waits for the next ones, which make up for it, but not for long.
+    fn wheels(&mut self, readings: &Readings) {
+        if !readings.wheels.iter().all(|angle| angle.is_finite()) {
+            self.tally.broken += 1;
+            let patient = |timeline: &Timeline| readings.stamp.secs_since(timeline.newest()) <= WHEELS_PATIENCE;
+            if self.timeline.as_ref().is_none_or(patient) {
+                return;
+            }
+        }
+        if self.timeline.is_none() {
+            self.timeline = Some(Timeline::new(self.start.clone(), readings.stamp, readings.wheels));
+            self.history.push(readings.stamp, self.odom_from_base);
+        } else if self.admit(readings.stamp, Input::Wheels(readings.wheels)) == Some(Admission::TooLate) {
+            self.late_in_a_row += 1;
+            if self.late_in_a_row >= ANOTHER_CLOCK_AFTER {
+                self.timeline = Some(Timeline::new(self.belief().clone(), readings.stamp, readings.wheels));
+                self.history = PoseHistory::default();
+                self.history.push(readings.stamp, self.odom_from_base);
+                self.late_in_a_row = 0;
+            }
+            return;
+        }
+        self.late_in_a_row = 0;
+    }
+
+    /// A gyro's and a compass's reading.
+    fn imu(&mut self, imu: &Imu) {
+        self.admit(imu.stamp, Input::Gyro(imu.yaw_rate));
+        if let Some(yaw) = imu.yaw.filter(|_| self.model.imu.compass_noise.is_some()) {
+            self.admit(imu.stamp, Input::Compass(yaw));
+        }
+    }
+
+    /// A position measurement.
+    fn gps(&mut self, gps: &Gps) {
+        if gps.std_dev < 0.0 {
+            self.tally.broken += 1;
+            return;
+        }
+        let variance = gps.std_dev * gps.std_dev;
+        self.admit(gps.stamp, Input::Gps(Vector2::new(gps.x, gps.y), variance));
+    }
+
+    /// A pose measurement made off board.
+    fn correction(&mut self, correction: &Correction) {
+        let noise = Matrix3::from_row_slice(&correction.covariance);
+        if noise.cholesky().is_none() || (noise - noise.transpose()).norm() > 1e-9 * noise.norm() {
+            self.tally.broken += 1;
+            return;
+        }
+        self.admit(correction.stamp, Input::Correction(correction.map_from_base, noise));
+    }
+
+    fn admit(&mut self, stamp: Stamp, input: Input) -> Option<Admission> {
+        let timeline = self.timeline.as_mut()?;
+        if !input.is_finite() {
+            self.tally.broken += 1;
+            return None;
+        }
+        let admission = timeline.insert(stamp, input);
+        match admission {
+            Admission::Taken => {}
+            Admission::Repeated => self.tally.repeated += 1,
+            Admission::TooLate => self.tally.too_late += 1,
+            Admission::Ahead => self.tally.broken += 1,
+        }
+        Some(admission)
+    }
+
+    /// Applies what was admitted, and lets odometry go on by what is new.
+    fn settle(&mut self) {
+        let Some(timeline) = &mut self.timeline else {
+            return;
+        };
+        timeline.replay(&self.model, |compared| {
+            self.nis[compared.sensor] = Some(compared.distance);
+            *(if compared.fused {
+                &mut self.tally.fused
+            } else {
+                &mut self.tally.outliers
+            }) += 1;
+        });
+        let newest = timeline.newest();
+        let belief = timeline.belief();
+        let (now, then) = (belief.reckoned(), self.reckoned);
+        let Some(last) = self.history.newest().filter(|last| *last < newest) else {
+            return;
+        };
+        self.reckoned = now;
+        // The bias as it is known by now: what it was believed to be earlier stays as it was driven.
+        let turn = now.turn - then.turn - belief.gyro_bias() * (now.by_gyro - then.by_gyro);
+        let way = now.way - then.way;
+        self.odom_from_base = self.odom_from_base.advance(Twist2::new(way, turn), 1.0);
+        self.history.push(newest, self.odom_from_base);
+        let secs = newest.secs_since(last);
+        let share = (secs / SMOOTHING).min(1.0);
+        self.velocity = Twist2::new(
+            self.velocity.v + share * (way / secs - self.velocity.v),
+            self.velocity.w + share * (turn / secs - self.velocity.w),
+        );
+    }
+}

@@ -1,0 +1,311 @@
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use proptest::prelude::*;
+use zenav_protocol::messages::{Battery, Bump};
+use zenav_protocol::robot::shipped;
+
+use super::timeline::WINDOW;
+use super::*;
+
+/// Ticks of a drive: longer than the window.
+const TICKS: usize = 200;
+/// The most ticks within the window.
+const WINDOW_TICKS: usize = (WINDOW * 50.0) as usize;
+
+fn model() -> RobotModel {
+    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+}
+
+fn stamp(tick: usize) -> Stamp {
+    Stamp(tick as u64 * 20_000_000)
+}
+
+fn readings(tick: usize, wheels: [f64; 2]) -> Readings {
+    let stamp = stamp(tick);
+    Readings {
+        stamp,
+        wheels,
+        imu: None,
+        gps: None,
+        sweep: None,
+        bump: Bump {
+            stamp,
+            pressed: false,
+            bearing: None,
+        },
+        battery: Battery {
+            stamp,
+            charge: 1.0,
+            drawn_j: 0.0,
+        },
+    }
+}
+
+/// Something that arrives.
+#[derive(Clone, Debug)]
+enum Item {
+    Wheels(Readings),
+    Imu(Imu),
+    Gps(Gps),
+    Correction(Correction),
+}
+
+/// What the sensors of a winding drive say, in the order of stamps, each with the tick it was made in. Some measurements lie far off.
+fn drive(speeds: &[(f64, f64)], noise: &[f64]) -> Vec<(usize, Item)> {
+    let drive = model().drive;
+    let mut noise = noise.iter().copied().cycle();
+    let mut wobble = move || noise.next().unwrap_or(0.0);
+    let (mut pose, mut wheels) = (Pose2::new(1.0, 2.0, 0.3), [0.0; 2]);
+    let mut items = Vec::new();
+    for tick in 0..TICKS {
+        let (left, right) = speeds[tick / 10 % speeds.len()];
+        let twist = drive.twist([left, right]);
+        if tick > 0 {
+            pose = pose.advance(twist, 0.02);
+            wheels = [wheels[0] + 0.02 * left, wheels[1] + 0.02 * right];
+        }
+        items.push((tick, Item::Wheels(readings(tick, wheels))));
+        let imu = Imu {
+            stamp: stamp(tick),
+            yaw_rate: twist.w + 0.01 * wobble(),
+            yaw: (tick % 2 == 0).then(|| pose.yaw + 0.02 * wobble()),
+        };
+        items.push((tick, Item::Imu(imu)));
+        if tick % 5 == 3 {
+            // Between two ticks.
+            let gps = Gps {
+                stamp: stamp(tick) - std::time::Duration::from_millis(7),
+                x: pose.x + 0.1 * wobble(),
+                y: pose.y + 0.1 * wobble(),
+                std_dev: 0.02,
+            };
+            items.push((tick, Item::Gps(gps)));
+        }
+        if tick % 20 == 7 {
+            let correction = Correction {
+                stamp: stamp(tick),
+                boot_id: String::new(),
+                map_from_base: Pose2::new(pose.x + 0.1 * wobble(), pose.y + 0.1 * wobble(), pose.yaw),
+                covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
+            };
+            items.push((tick, Item::Correction(correction)));
+        }
+    }
+    items
+}
+
+fn take(estimator: &mut Estimator, item: &Item) {
+    match item {
+        Item::Wheels(readings) => estimator.wheels(readings),
+        Item::Imu(imu) => estimator.imu(imu),
+        Item::Gps(gps) => estimator.gps(gps),
+        Item::Correction(correction) => estimator.correction(correction),
+    }
+}
+
+/// Each item as many ticks late as told; several in one tick in the order of their making.
+fn estimate(items: &[(usize, Item)], delay: impl Fn(usize) -> usize) -> Estimator {
+    let mut arrivals: Vec<(usize, &Item)> = items
+        .iter()
+        .enumerate()
+        .map(|(index, (made, item))| (made + delay(index), item))
+        .collect();
+    arrivals.sort_by_key(|(arrival, _)| *arrival);
+    let mut estimator = Estimator::new(&model(), Pose2::new(1.0, 2.0, 0.3), 0.05, 0.05);
+    for tick in arrivals.chunk_by(|a, b| a.0 == b.0) {
+        tick.iter().for_each(|(_, item)| take(&mut estimator, item));
+        estimator.settle();
+    }
+    estimator
+}
+
+/// Largest difference of pose and covariance.
+fn difference(a: &Estimator, b: &Estimator) -> f64 {
+    let (here, there) = (a.map_from_base(), b.map_from_base());
+    let pose = [here.x - there.x, here.y - there.y, here.yaw - there.yaw];
+    let covariance = a.covariance().into_iter().zip(b.covariance()).map(|(a, b)| a - b);
+    pose.into_iter().chain(covariance).map(f64::abs).fold(0.0, f64::max)
+}
+
+fn speeds() -> impl Strategy<Value = Vec<(f64, f64)>> {
+    prop::collection::vec((-2.0..5.0, -2.0..5.0), 20)
+}
+
+fn noise() -> impl Strategy<Value = Vec<f64>> {
+    prop::collection::vec(-1.0..1.0, 50)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn a_late_input_counts_as_if_it_had_come_in_order(
+        speeds in speeds(),
+        noise in noise(),
+        late in prop::collection::vec((any::<prop::sample::Index>(), 1..=WINDOW_TICKS), 0..20),
+    ) {
+        let items = drive(&speeds, &noise);
+        let mut delays = vec![0; items.len()];
+        for (index, ticks) in late {
+            // The drive's own first and last wheels say when it begins and ends.
+            let index = index.index(items.len() - 4).max(1);
+            delays[index] = ticks.min(TICKS - 1 - items[index].0);
+        }
+        let (in_order, delayed) = (estimate(&items, |_| 0), estimate(&items, |index| delays[index]));
+        prop_assert!(difference(&in_order, &delayed) < 1e-9, "{}", difference(&in_order, &delayed));
+        prop_assert_eq!(delayed.tally().too_late, 0);
+    }
+
+    #[test]
+    fn what_is_later_than_the_window_is_left_out_and_counted(
+        speeds in speeds(),
+        noise in noise(),
+        late in any::<prop::sample::Index>(),
+        more in 1..20_usize,
+    ) {
+        let items = drive(&speeds, &noise);
+        let early: Vec<usize> = (0..items.len())
+            .filter(|index| items[*index].0 + WINDOW_TICKS + 20 < TICKS && matches!(items[*index].1, Item::Gps(_) | Item::Correction(_)))
+            .collect();
+        let late = *late.get(&early);
+        let mut without = items.clone();
+        without.remove(late);
+        let dropped = estimate(&items, |index| if index == late { WINDOW_TICKS + more } else { 0 });
+        prop_assert_eq!(difference(&dropped, &estimate(&without, |_| 0)), 0.0);
+        prop_assert_eq!(dropped.tally().too_late, 1);
+    }
+
+    #[test]
+    fn what_comes_twice_or_is_no_number_changes_nothing(
+        speeds in speeds(),
+        noise in noise(),
+        hit in prop::collection::vec(any::<prop::sample::Index>(), 1..20),
+    ) {
+        let items = drive(&speeds, &noise);
+        let mut spoiled = items.clone();
+        for hit in &hit {
+            let (tick, item) = hit.get(&items).clone();
+            spoiled.push((tick, item));
+            let stamp = Stamp(stamp(tick).0 + 1);
+            spoiled.push((tick, Item::Imu(Imu { stamp, yaw_rate: f64::NAN, yaw: Some(f64::INFINITY) })));
+            spoiled.push((tick, Item::Gps(Gps { stamp, x: f64::NAN, y: 0.0, std_dev: 0.02 })));
+            spoiled.push((tick, Item::Gps(Gps { stamp, x: 0.0, y: 0.0, std_dev: -1.0 })));
+            let covariance = [1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+            spoiled.push((tick, Item::Correction(Correction { stamp, boot_id: String::new(), map_from_base: Pose2::IDENTITY, covariance })));
+        }
+        let (clean, spoiled) = (estimate(&items, |_| 0), estimate(&spoiled, |_| 0));
+        prop_assert_eq!(difference(&clean, &spoiled), 0.0);
+        prop_assert!(spoiled.tally().repeated >= hit.len() as u64 && spoiled.tally().broken == 5 * hit.len() as u64, "{:?}", spoiled.tally());
+    }
+
+    #[test]
+    fn no_correction_makes_odometry_jump(speeds in speeds(), noise in noise(), offsets in prop::collection::vec((-0.5..0.5, -0.5..0.5), 10)) {
+        let mut estimator = Estimator::new(&model(), Pose2::new(1.0, 2.0, 0.3), 0.5, 0.5);
+        let mut before = estimator.odom_from_base();
+        let mut jumped = 0.0_f64;
+        let mut offsets = offsets.into_iter().cycle();
+        for tick in drive(&speeds, &noise).chunk_by(|a, b| a.0 == b.0) {
+            let map_before = estimator.map_from_base();
+            for (_, item) in tick {
+                let mut item = item.clone();
+                if let (Item::Correction(correction), Some((x, y))) = (&mut item, offsets.next()) {
+                    (correction.map_from_base.x, correction.map_from_base.y) = (correction.map_from_base.x + x, correction.map_from_base.y + y);
+                }
+                take(&mut estimator, &item);
+            }
+            estimator.settle();
+            let step = before.inverse() * estimator.odom_from_base();
+            // No wheel turns faster than 5 rad/s here.
+            prop_assert!(step.position().coords.norm() < 0.02 * 5.0 * 0.0985 + 1e-9 && step.yaw.abs() < 0.06, "{step:?}");
+            before = estimator.odom_from_base();
+            jumped = jumped.max(map_before.distance(&estimator.map_from_base()));
+        }
+        prop_assert!(jumped > 0.02, "nothing corrected the pose in the map: {jumped}");
+    }
+}
+
+#[test]
+fn a_gyro_that_comes_late_takes_the_place_of_the_wheels_turn() {
+    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    // The base turns by 0.5 rad/s, and the wheels slip: they do not show it.
+    for tick in 0..100 {
+        let mut readings = readings(tick, [0.02 * tick as f64; 2]);
+        readings.imu = tick.checked_sub(10).map(|then| Imu {
+            stamp: stamp(then),
+            yaw_rate: 0.5,
+            yaw: None,
+        });
+        estimator.step(&readings, &[]);
+    }
+    // Known for all but the last ten ticks and the first reading's time.
+    let expected = 0.5 * 0.02 * 89.0;
+    assert!(
+        (estimator.map_from_base().yaw - expected).abs() < 0.02,
+        "{:?}",
+        estimator.map_from_base()
+    );
+    assert!(
+        (estimator.odom_from_base().yaw - expected).abs() < 0.02,
+        "{:?}",
+        estimator.odom_from_base()
+    );
+}
+
+#[test]
+fn wheels_that_fall_silent_are_made_up_for_and_without_end_nothing_is_sure() {
+    let silent = |from: usize, to: usize| {
+        let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+        for tick in 0..150 {
+            let angle = 0.04 * tick as f64;
+            let wheels = if (from..to).contains(&tick) { f64::NAN } else { angle };
+            estimator.step(&readings(tick, [wheels; 2]), &[]);
+        }
+        estimator
+    };
+    let (sound, short, forever) = (silent(0, 0), silent(50, 60), silent(50, 150));
+    assert!((sound.map_from_base().x - short.map_from_base().x).abs() < 1e-9);
+    assert!(
+        short.covariance()[0] < 1e-3 && forever.covariance()[0] > 0.1,
+        "{:?}",
+        forever.covariance()
+    );
+    assert_eq!(short.tally().broken, 10);
+}
+
+#[test]
+fn a_body_whose_clock_begins_anew_is_followed_again() {
+    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    for tick in 500..600 {
+        estimator.step(&readings(tick, [0.04 * tick as f64; 2]), &[]);
+    }
+    let before = estimator.map_from_base();
+    for tick in 0..100 {
+        estimator.step(&readings(tick, [0.04 * tick as f64; 2]), &[]);
+    }
+    let way = estimator.map_from_base().x - before.x;
+    assert!((0.2..0.4).contains(&way), "{way}");
+    assert!(estimator.odom_from_base_at(stamp(90)).is_some());
+}
+
+#[test]
+fn a_flood_of_inputs_is_bounded() {
+    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    for tick in 0..20 {
+        let corrections: Vec<_> = (0..500)
+            .map(|i| Correction {
+                stamp: Stamp(stamp(tick).0 + i * 1_000),
+                boot_id: String::new(),
+                map_from_base: Pose2::IDENTITY,
+                covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
+            })
+            .collect();
+        estimator.step(&readings(tick, [0.0; 2]), &corrections);
+    }
+    assert!(estimator.map_from_base().is_finite());
+    assert!(
+        estimator
+            .timeline
+            .as_ref()
+            .is_some_and(|timeline| timeline.len() <= 1024)
+    );
+}

@@ -1,0 +1,128 @@
+//! What does it cost a battery to move a robot? One model of motors and what they move, for whoever simulates, plans or reports.
+//!
+//! A wheel pushes with the force `F` that its half of the mass, its inertia when it turns, and friction ask for. A direct-current motor
+//! turns electricity into `F v`, and loses what its current heats its winding with: the torque `F r` over the motor constant, squared.
+//! Nothing flows back into the battery: what braking gives is lost. To this comes what sensors and computers draw whatever happens.
+//!
+//! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004, and "A Case Study of Mobile Robot's Energy
+//! Consumption and Conservation Techniques", ICAR 2005 (power of a robot as power at rest and of motion); Kim and Kim, "Minimum-Energy
+//! Translational Trajectory Generation for Differential-Driven Wheeled Mobile Robots", JIRS 2007 (motors with losses in their windings).
+
+use serde::{Deserialize, Serialize};
+
+use crate::robot::RobotModel;
+
+/// m/s².
+const GRAVITY: f64 = 9.81;
+
+/// Motors, and what they move.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotorModel {
+    /// Mass that is moved, load included, kg.
+    pub mass: f64,
+    /// Moment of inertia about the vertical through the middle of the axle, kg m².
+    pub inertia: f64,
+    /// Friction that does not depend on speed (tyres, casters, gears): force over weight.
+    pub rolling_resistance: f64,
+    /// Friction that grows with speed (gears, bearings, eddy currents), of the whole robot, N for each m/s.
+    pub viscous_friction: f64,
+    /// Torque at a wheel for each square root of a watt that heats its motor's winding (torque constant times gear ratio over the
+    /// square root of the resistance), N m/√W.
+    pub motor_constant: f64,
+}
+
+impl Default for MotorModel {
+    fn default() -> Self {
+        Self {
+            mass: 20.0,
+            inertia: 0.5,
+            rolling_resistance: 0.03,
+            viscous_friction: 10.0,
+            motor_constant: 0.5,
+        }
+    }
+}
+
+impl RobotModel {
+    /// Power that the robot draws, W, while its wheels (left, right) run at `speeds` (rad/s) and gain `accelerations` (rad/s²).
+    #[must_use]
+    pub fn power(&self, speeds: [f64; 2], accelerations: [f64; 2]) -> f64 {
+        let motors = &self.motors;
+        let radius = self.drive.wheel_radius;
+        let gained = self.drive.twist(accelerations);
+        // Both wheels push the base, their difference turns it.
+        let push = 0.5 * motors.mass * gained.v;
+        let turn = motors.inertia * gained.w / self.drive.wheel_separation;
+        let rolling = 0.5 * motors.rolling_resistance * motors.mass * GRAVITY;
+        let side = |speed: f64, turn: f64| {
+            let v = speed * radius;
+            let direction = if v == 0.0 { 0.0 } else { v.signum() };
+            let force = push + turn + rolling * direction + 0.5 * motors.viscous_friction * v;
+            let heat = (force * radius / motors.motor_constant).powi(2);
+            (force * v + heat).max(0.0)
+        };
+        self.battery.idle_power + side(speeds[0], -turn) + side(speeds[1], turn)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::geometry::Twist2;
+    use crate::robot::shipped;
+    use proptest::prelude::*;
+
+    fn tiago() -> RobotModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    }
+
+    fn power(robot: &RobotModel, v: f64, a: f64) -> f64 {
+        let wheels = |v| robot.drive.wheels(Twist2::new(v, 0.0));
+        robot.power(wheels(v), wheels(a))
+    }
+
+    #[test]
+    fn at_rest_it_draws_what_its_electronics_need() {
+        assert_eq!(power(&tiago(), 0.0, 0.0), tiago().battery.idle_power);
+    }
+
+    #[test]
+    fn a_drive_without_losses_costs_friction_and_the_energy_of_motion() {
+        let mut robot = tiago();
+        (
+            robot.motors.motor_constant,
+            robot.motors.viscous_friction,
+            robot.battery.idle_power,
+        ) = (1e6, 0.0, 0.0);
+        let (a, steps, dt) = (0.5, 1000, 1e-3);
+        let drawn: f64 = (0..steps)
+            .map(|i| power(&robot, a * (f64::from(i) + 0.5) * dt, a) * dt)
+            .sum();
+        let (motors, v) = (&robot.motors, a * f64::from(steps) * dt);
+        let way = 0.5 * v;
+        let expected = 0.5 * motors.mass * v * v + motors.rolling_resistance * motors.mass * GRAVITY * way;
+        assert!((drawn - expected).abs() < 1e-3 * expected, "{drawn} against {expected}");
+        // Braking harder than friction does gives nothing back.
+        assert_eq!(power(&robot, 0.5, -2.0), 0.0);
+    }
+
+    #[test]
+    fn heat_grows_with_the_square_of_the_force() {
+        let mut robot = tiago();
+        robot.motors.rolling_resistance = 0.0;
+        let at_start = |a| power(&robot, 0.0, a) - robot.battery.idle_power;
+        assert!((at_start(0.6) - 4.0 * at_start(0.3)).abs() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn it_never_draws_less_than_at_rest_and_the_same_both_ways(v in -1.0..1.0_f64, w in -3.0..3.0_f64, a in -2.0..2.0_f64, alpha in -5.0..5.0_f64) {
+            let robot = tiago();
+            let drawn = |sign: f64| robot.power(robot.drive.wheels(Twist2::new(sign * v, sign * w)), robot.drive.wheels(Twist2::new(sign * a, sign * alpha)));
+            prop_assert!(drawn(1.0) >= robot.battery.idle_power);
+            prop_assert!((drawn(1.0) - drawn(-1.0)).abs() < 1e-9 * drawn(1.0));
+        }
+    }
+}

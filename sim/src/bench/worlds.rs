@@ -1,0 +1,64 @@
+//! In which worlds is the simulator measured? Made ones, which every machine has.
+
+use std::fmt::Write as _;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+
+use crate::world::World;
+
+/// A world file of `shapes` regular polygons of `sides` sides on a lattice in a walled square of `size` m.
+#[must_use]
+pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
+    let mut text = format!("size = [{size:?}, {size:?}]\n");
+    for (from, to) in [
+        ([0.0, 0.0], [size, 0.0]),
+        ([size, 0.0], [size, size]),
+        ([size, size], [0.0, size]),
+        ([0.0, size], [0.0, 0.0]),
+    ] {
+        let _ = writeln!(text, "[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = 0.1");
+    }
+    let a_row = (shapes as f64).sqrt().ceil() as usize;
+    let pitch = size / a_row as f64;
+    for shape in 0..shapes {
+        let (x, y) = ((shape % a_row) as f64 + 0.5, (shape / a_row) as f64 + 0.5);
+        // Sizes and angles that differ, without a generator.
+        let radius = pitch * (0.1 + 0.15 * ((shape * 7) % 10) as f64 / 10.0);
+        let corners: Vec<[f64; 2]> = (0..sides)
+            .map(|side| std::f64::consts::TAU * (side as f64 / sides as f64 + shape as f64 * 0.13))
+            .map(|angle| [x * pitch + radius * angle.cos(), y * pitch + radius * angle.sin()])
+            .collect();
+        let _ = writeln!(text, "[[polygon]]\npoints = {corners:?}");
+    }
+    text
+}
+
+/// An office of rooms with doors and furniture, as a map of 5 cm cells.
+#[must_use]
+pub fn office() -> World {
+    const SIDE: u32 = 1200;
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: SIDE,
+        height: SIDE,
+    };
+    let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+    for y in 0..SIDE {
+        for x in 0..SIDE {
+            let (in_x, in_y) = (x % 120, y % 120);
+            let wall = (in_x < 3 && !(50..70).contains(&in_y)) || (in_y < 3 && !(50..70).contains(&in_x));
+            let (room_x, room_y) = (x / 120, y / 120);
+            let corner = 20 + (room_x * 13 + room_y * 29) % 60;
+            let furniture = (corner..corner + 14).contains(&in_x) && (80..88).contains(&in_y);
+            // Clutter, as a scanner sees it.
+            let speck = (x * 7919 + y * 104_729) % 1013 == 0;
+            if wall || furniture || speck || x == SIDE - 1 || y == SIDE - 1 {
+                map[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    World::from_map("office", map, Pose2::new(3.0, 3.0, 0.0))
+}

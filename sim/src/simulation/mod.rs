@@ -1,0 +1,301 @@
+//! How does everything advance together? In fixed steps from a seed: the same commands give the same bytes.
+//!
+//! A step moves the movers, then the robots in their order, each against what stands where it stands by then; when all
+//! have moved, clearances are computed and sensors measure. Robots see and hit one another.
+
+mod spec;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::readings::Readings;
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::time::Stamp;
+
+use crate::body::Body;
+use crate::chassis::{CONTACT, Surroundings, Truth};
+use crate::clearance::Placed;
+use crate::crowd::Crowd;
+use crate::movers::Mover;
+use crate::scene::Scene;
+use crate::sensors::walker_stream;
+use crate::shape::{Shape, Solid};
+use crate::world::World;
+pub use spec::{MAX_ROBOTS, RobotSpec, SimError};
+
+/// The default step: a control loop of 50 Hz.
+pub const TICK: Duration = Duration::from_millis(20);
+
+/// A world at work.
+#[derive(Clone)]
+pub struct Simulation {
+    scene: Arc<Scene>,
+    movers: Vec<Mover>,
+    bodies: Vec<Body>,
+    /// Movers first, then robots.
+    crowd: Crowd,
+    ids: BTreeMap<Id, usize>,
+    tick: Duration,
+    now: Stamp,
+    seed: u64,
+}
+
+impl Simulation {
+    /// Puts robots into a world, with the default step.
+    ///
+    /// # Errors
+    /// [`SimError`]: names, models or starts that cannot be.
+    pub fn new(world: &World, robots: Vec<RobotSpec>, seed: u64) -> Result<Self, SimError> {
+        Self::with_tick(world, robots, seed, TICK)
+    }
+
+    /// Puts robots into a world, with a step of one's own between 1 ms and 1 s.
+    ///
+    /// # Errors
+    /// [`SimError`]: a step, names, models or starts that cannot be.
+    pub fn with_tick(world: &World, robots: Vec<RobotSpec>, seed: u64, tick: Duration) -> Result<Self, SimError> {
+        if !(Duration::from_millis(1)..=Duration::from_secs(1)).contains(&tick) {
+            return Err(SimError::Tick(tick));
+        }
+        let (movers, solids): (Vec<Mover>, Vec<Solid>) = world
+            .movers()
+            .iter()
+            .enumerate()
+            .map(|(index, model)| Mover::new(model, walker_stream(seed, index)))
+            .unzip();
+        let mut simulation = Self {
+            scene: world.shared_scene(),
+            movers,
+            bodies: Vec::with_capacity(robots.len()),
+            crowd: Crowd::new(solids),
+            ids: BTreeMap::new(),
+            tick,
+            now: Stamp::ZERO,
+            seed,
+        };
+        if robots.len() > MAX_ROBOTS {
+            return Err(SimError::TooMany(robots.len()));
+        }
+        for robot in robots {
+            simulation.place(world, robot)?;
+        }
+        simulation.sense();
+        Ok(simulation)
+    }
+
+    /// Puts a further robot into the world, which is the one that the simulation began with; its sensors say something from the next step
+    /// on. Returns its place in all calls that take one.
+    ///
+    /// # Errors
+    /// [`SimError`]: a name, a model or a start that cannot be.
+    pub fn add(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
+        let index = self.place(world, robot)?;
+        self.crowd.refresh();
+        Ok(index)
+    }
+
+    fn place(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
+        let RobotSpec { id, model, start } = robot;
+        let index = self.bodies.len();
+        if index >= MAX_ROBOTS {
+            return Err(SimError::TooMany(index + 1));
+        }
+        let model = model.checked(id.as_str())?;
+        if self.ids.contains_key(&id) {
+            return Err(SimError::Duplicate(id));
+        }
+        if !start.is_finite() {
+            return Err(SimError::NotFinite(id));
+        }
+        let start = Pose2::new(start.x, start.y, start.yaw);
+        let around = Surroundings {
+            scene: &self.scene,
+            crowd: &self.crowd,
+            own: usize::MAX,
+        };
+        if world.is_solid(start.position()) || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT
+        {
+            return Err(SimError::Occupied {
+                robot: id,
+                x: start.x,
+                y: start.y,
+            });
+        }
+        self.crowd.push(Solid::new(Shape::from(&model.footprint), start));
+        self.bodies.push(Body::new(&id, model, start, self.seed));
+        self.ids.insert(id, index);
+        Ok(index)
+    }
+
+    /// Simulated time since the beginning.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.now
+    }
+
+    /// Time that one step takes.
+    #[must_use]
+    pub fn tick(&self) -> Duration {
+        self.tick
+    }
+
+    /// Number of robots.
+    #[must_use]
+    pub fn robots(&self) -> usize {
+        self.bodies.len()
+    }
+
+    /// The place of a robot in all calls that take one.
+    #[must_use]
+    pub fn find(&self, id: &Id) -> Option<usize> {
+        self.ids.get(id).copied()
+    }
+
+    /// Commands a robot's wheels (left, right; rad/s), until the next command. Bounded by its limits; what is not a
+    /// number stops it.
+    ///
+    /// # Panics
+    /// Unless `robot` is less than [`Self::robots`]; so do all calls that take a robot.
+    pub fn drive(&mut self, robot: usize, wheels: [f64; 2]) {
+        self.bodies[robot].command(wheels);
+    }
+
+    /// Advances by one step.
+    pub fn step(&mut self) {
+        let secs = self.tick.as_secs_f64();
+        self.now = self.now + self.tick;
+        let mut farthest = self.move_movers(secs);
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
+        for (index, body) in bodies.iter_mut().enumerate() {
+            let own = movers.len() + index;
+            let moved = body.advance(Surroundings { scene, crowd, own }, secs, farthest, self.now);
+            farthest = farthest.max(moved.reach);
+            crowd.place(own, body.chassis.truth().map_from_base);
+        }
+        self.sense();
+    }
+
+    /// Moves all movers; returns how far the fastest went at most, m.
+    fn move_movers(&mut self, secs: f64) -> f64 {
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
+        let mut farthest = 0.0_f64;
+        for (index, mover) in movers.iter_mut().enumerate() {
+            let stride = mover.stride(secs);
+            farthest = farthest.max(stride);
+            let Some(solid) = crowd.solids().get(index) else {
+                continue;
+            };
+            let robots = bodies
+                .iter()
+                .map(|body| Placed::new(&body.model().footprint, body.chassis.truth().map_from_base));
+            let near: Vec<(Placed<'_>, f64)> = robots
+                .filter(|placed| placed.at_least_to(solid) <= stride + CONTACT)
+                .map(|placed| (placed, placed.to_solid(solid).distance))
+                .collect();
+            // Half of what counts as contact: a robot that was run into knows it.
+            let blocked = |solid: &Solid| {
+                near.iter().any(|(placed, before)| {
+                    let distance = placed.to_solid(solid).distance;
+                    distance <= 0.5 * CONTACT && distance < *before
+                })
+            };
+            crowd.change(index, |solid| mover.step(secs, scene, solid, blocked));
+        }
+        farthest
+    }
+
+    fn sense(&mut self) {
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
+        crowd.refresh();
+        for (index, body) in bodies.iter_mut().enumerate() {
+            body.sense(
+                Surroundings {
+                    scene,
+                    crowd,
+                    own: movers.len() + index,
+                },
+                self.now,
+            );
+        }
+    }
+
+    /// What a robot's sensors said in the last step; before the first, at time zero.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    #[must_use]
+    pub fn readings(&self, robot: usize) -> Readings {
+        self.bodies[robot].readings()
+    }
+
+    /// What nobody on the robot knows for sure.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    #[must_use]
+    pub fn truth(&self, robot: usize) -> Truth {
+        self.bodies[robot].chassis.truth()
+    }
+
+    /// What a robot's file says.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    #[must_use]
+    pub fn model(&self, robot: usize) -> &RobotModel {
+        self.bodies[robot].model()
+    }
+
+    /// Where the movers are now, in the order of the world's file, m.
+    pub fn movers(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+        self.crowd.solids().iter().take(self.movers.len()).map(Solid::center)
+    }
+
+    /// True clearance that a footprint would have at a pose now, among solids, movers and robots, m.
+    #[must_use]
+    pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        self.clearance_but(usize::MAX, footprint, map_from_base)
+    }
+
+    /// The same, were it not for this robot.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    #[must_use]
+    pub fn clearance_beside(&self, robot: usize, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        self.clearance_but(self.movers.len() + robot, footprint, map_from_base)
+    }
+
+    fn clearance_but(&self, own: usize, footprint: &Footprint, map_from_base: Pose2) -> f64 {
+        let around = Surroundings {
+            scene: &self.scene,
+            crowd: &self.crowd,
+            own,
+        };
+        around.nearest(&Placed::new(footprint, map_from_base)).distance
+    }
+}

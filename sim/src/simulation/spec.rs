@@ -1,0 +1,52 @@
+//! Which robots may be put into a world, and why not?
+
+use std::time::Duration;
+
+use thiserror::Error;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::robot::{RobotError, RobotModel};
+
+/// Most robots in one world.
+pub const MAX_ROBOTS: usize = 10_000;
+
+/// A robot to put into a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotSpec {
+    /// Its name: its noise depends on it and on the seed, not on other robots.
+    pub id: Id,
+    /// Footprint, limits, sensors.
+    pub model: RobotModel,
+    /// Where it starts, map frame.
+    pub start: Pose2,
+}
+
+/// Why a simulation cannot begin.
+#[derive(Debug, Error)]
+pub enum SimError {
+    /// Two robots have one name.
+    #[error("two robots are named `{0}`")]
+    Duplicate(Id),
+    /// Values that no robot has.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The start is not a pose.
+    #[error("robot `{0}`: its start is not finite")]
+    NotFinite(Id),
+    /// Something stands where the robot should start: choose another start.
+    #[error("robot `{robot}` cannot start at ({x}, {y}): something stands there")]
+    Occupied {
+        /// The robot.
+        robot: Id,
+        /// m.
+        x: f64,
+        /// m.
+        y: f64,
+    },
+    /// More robots than a world holds.
+    #[error("{0} robots: expected at most {MAX_ROBOTS}")]
+    TooMany(usize),
+    /// The step is not usable.
+    #[error("a step of {0:?}: expected 1 ms to 1 s")]
+    Tick(Duration),
+}

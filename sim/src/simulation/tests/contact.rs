@@ -1,0 +1,108 @@
+//! What happens when things meet?
+
+use proptest::prelude::*;
+
+use super::*;
+
+#[test]
+fn a_wall_stops_a_robot_and_one_touch_is_one_collision() {
+    let mut simulation = simulate(&world(WALL), vec![robot("a", "tiago", Pose2::IDENTITY)]);
+    steps(&mut simulation, 0, [6.0, 6.0], 250);
+    let truth = simulation.truth(0);
+    assert!(
+        (truth.map_from_base.x - (0.95 - 0.265)).abs() < 1e-4,
+        "{}",
+        truth.map_from_base.x
+    );
+    assert_eq!(truth.collisions, 1);
+    let contact = truth.last_contact.unwrap();
+    assert!(contact.bearing.abs() < 1e-6 && contact.own_speed > 0.4, "{contact:?}");
+    let bump = simulation.readings(0).bump;
+    assert!(bump.pressed && bump.bearing.unwrap().abs() < 1e-6);
+    // It may turn away, back off and touch again.
+    steps(&mut simulation, 0, [-2.0, 2.0], 50);
+    assert!(simulation.truth(0).map_from_base.yaw > 0.5);
+    steps(&mut simulation, 0, [2.0, -2.0], 50);
+    steps(&mut simulation, 0, [-3.0, -3.0], 50);
+    assert!(!simulation.readings(0).bump.pressed && simulation.truth(0).collisions == 1);
+    steps(&mut simulation, 0, [3.0, 3.0], 100);
+    assert_eq!(simulation.truth(0).collisions, 2);
+}
+
+#[test]
+fn robots_see_and_hit_one_another() {
+    let mut simulation = simulate(
+        &world(""),
+        vec![
+            robot("a", "tiago", Pose2::IDENTITY),
+            robot("b", "jackal", Pose2::new(2.0, 0.0, PI)),
+        ],
+    );
+    let sweep = simulation.readings(0).sweep.unwrap();
+    let ahead = sweep.ranges[333];
+    assert!((ahead - (2.0 - 0.21 - 0.2)).abs() < 0.03, "{ahead}");
+    assert!((simulation.truth(0).clearance - (2.0 - 0.265 - 0.21)).abs() < 1e-9);
+    simulation.drive(1, [3.0, 3.0]);
+    steps(&mut simulation, 0, [3.0, 3.0], 300);
+    for robot in 0..2 {
+        assert_eq!(simulation.truth(robot).collisions, 1);
+        assert!(simulation.truth(robot).min_clearance >= 0.0 && simulation.truth(robot).clearance < 1e-4);
+    }
+}
+
+#[test]
+fn a_mover_that_runs_into_a_robot_waits_and_the_robot_is_not_to_blame() {
+    let mover = "[[mover]]\nradius = 0.25\npath = [[3, 0], [-3, 0]]\nspeed = 0.5\n";
+    let mut simulation = simulate(&world(mover), vec![robot("a", "tiago", Pose2::IDENTITY)]);
+    steps(&mut simulation, 0, [0.0, 0.0], 600);
+    let truth = simulation.truth(0);
+    assert_eq!(truth.collisions, 1);
+    assert!(truth.last_contact.unwrap().own_speed.abs() < 1e-9 && truth.clearance > 0.0);
+    assert!((simulation.movers().next().unwrap().x - 0.515).abs() < 1e-3);
+    // Once the robot is gone the mover goes on.
+    steps(&mut simulation, 0, [-3.0, -3.0], 100);
+    assert!(simulation.movers().next().unwrap().x < 0.5);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+    #[test]
+    fn whatever_is_commanded_no_footprint_ever_overlaps_anything(
+        name in prop_oneof![Just("tiago"), Just("jackal"), Just("turtlebot3_waffle"), Just("neato")],
+        yaw in -PI..PI,
+        commands in prop::collection::vec((-25.0..25.0, -25.0..25.0, 1..40_usize), 1..12),
+    ) {
+        let body = format!("{WALL}[[circle]]\nx = -1\ny = 0.3\nradius = 0.4\n[[polygon]]\npoints = [[-0.5, 1.0], [0.5, 0.6], [0.4, 1.5]]\n[[mover]]\nradius = 0.2\npath = [[0.3, -1], [-0.6, -1]]\nspeed = 0.7\n");
+        let world = world(&body);
+        let mut simulation = Simulation::new(&world, vec![robot("a", name, Pose2::new(0.0, 0.0, yaw))], 3).unwrap();
+        for (left, right, count) in commands {
+            for _ in 0..count {
+                steps(&mut simulation, 0, [left, right], 1);
+                let truth = simulation.truth(0);
+                prop_assert!(truth.map_from_base.is_finite());
+                prop_assert!(truth.clearance > 0.0 && truth.clearance >= truth.min_clearance, "{truth:?}");
+                prop_assert_eq!(truth.clearance, simulation.clearance_without(0));
+                prop_assert_eq!(truth.collisions > 0, truth.last_contact.is_some());
+            }
+        }
+    }
+}
+
+impl Simulation {
+    /// Clearance computed anew from everything else, one by one.
+    fn clearance_without(&self, robot: usize) -> f64 {
+        let placed = Placed::new(&self.model(robot).footprint, self.truth(robot).map_from_base);
+        let solids = self
+            .crowd
+            .solids()
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| *index != self.movers.len() + robot)
+            .map(|(_, solid)| placed.to_solid(solid).distance);
+        let fixed = self
+            .scene
+            .nearest(&placed, f64::INFINITY)
+            .map(|nearest| nearest.distance);
+        solids.chain(fixed).fold(f64::INFINITY, f64::min)
+    }
+}

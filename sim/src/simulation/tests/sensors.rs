@@ -1,0 +1,173 @@
+//! Does each sensor err as its model says, and only that one? A robot at rest in front of a wall knows what they should say.
+
+use zenav_protocol::messages::{Gps, Imu};
+use zenav_protocol::readings::Sweep;
+
+use super::*;
+
+/// True distance from the lidar to the wall straight ahead, m.
+const AHEAD: f64 = 0.95 - 0.2;
+/// Where the robot stands, x and yaw.
+const STANDS: (f64, f64) = (0.0, 0.0);
+const TICKS: usize = 2000;
+
+/// What came, each with the time at which it came.
+#[derive(Default)]
+struct Heard {
+    sweeps: Vec<(Stamp, Sweep)>,
+    imu: Vec<(Stamp, Imu)>,
+    gps: Vec<(Stamp, Gps)>,
+}
+
+impl Heard {
+    fn ahead(&self) -> Vec<f64> {
+        let beams = self.sweeps.iter().map(|(_, sweep)| f64::from(sweep.ranges[3]));
+        beams.filter(|range| range.is_finite()).collect()
+    }
+
+    fn rates(&self) -> Vec<f64> {
+        self.imu.iter().map(|(_, imu)| imu.yaw_rate).collect()
+    }
+
+    fn headings(&self) -> Vec<f64> {
+        self.imu.iter().filter_map(|(_, imu)| imu.yaw).collect()
+    }
+
+    fn eastings(&self) -> Vec<f64> {
+        self.gps.iter().map(|(_, gps)| gps.x).collect()
+    }
+}
+
+/// A robot whose sensors are perfect, but for what `spoil` does to them.
+fn heard(spoil: impl Fn(&mut RobotModel)) -> Heard {
+    let mut spec = robot("a", "tiago", Pose2::new(STANDS.0, 0.0, STANDS.1));
+    let model = &mut spec.model;
+    model.lidar.beams = 7;
+    (model.lidar.noise, model.lidar.resolution) = (0.0, 0.0);
+    (model.imu.gyro_noise, model.imu.gyro_bias, model.imu.compass_noise) = (0.0, 0.0, Some(0.0));
+    model.gps.as_mut().unwrap().noise = 0.0;
+    spoil(model);
+    let mut simulation = simulate(&world(WALL), vec![spec]);
+    let mut heard = Heard::default();
+    for _ in 0..TICKS {
+        simulation.step();
+        let readings = simulation.readings(0);
+        heard.sweeps.extend(readings.sweep.map(|sweep| (readings.stamp, sweep)));
+        heard.imu.extend(readings.imu.map(|imu| (readings.stamp, imu)));
+        heard.gps.extend(readings.gps.map(|gps| (readings.stamp, gps)));
+    }
+    heard
+}
+
+fn gps(model: &mut RobotModel) -> &mut zenav_protocol::robot::GpsModel {
+    model.gps.as_mut().unwrap()
+}
+
+/// Mean and standard deviation.
+fn spread(values: &[f64]) -> (f64, f64) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
+    (mean, variance.sqrt())
+}
+
+/// Whether values lie around `expected` with a standard deviation.
+fn lie(values: &[f64], expected: f64, deviation: f64) -> bool {
+    let (mean, spread) = spread(values);
+    (mean - expected).abs() <= 0.2 * deviation + 1e-6 && (spread - deviation).abs() <= 0.1 * deviation + 1e-6
+}
+
+#[test]
+fn sensors_without_errors_tell_the_truth() {
+    let heard = heard(|_| ());
+    assert!(lie(&heard.ahead(), AHEAD, 0.0) && lie(&heard.rates(), 0.0, 0.0));
+    assert!(lie(&heard.headings(), STANDS.1, 0.0) && lie(&heard.eastings(), STANDS.0, 0.0));
+}
+
+#[test]
+fn each_sensor_has_its_own_noise() {
+    let heard = heard(|model| {
+        (model.lidar.noise, model.imu.gyro_noise, model.imu.compass_noise) = (0.01, 0.02, Some(0.03));
+        gps(model).noise = 0.04;
+    });
+    assert!(lie(&heard.ahead(), AHEAD, 0.01) && lie(&heard.rates(), 0.0, 0.02));
+    assert!(lie(&heard.headings(), STANDS.1, 0.03) && lie(&heard.eastings(), STANDS.0, 0.04));
+}
+
+#[test]
+fn each_sensor_has_its_own_bias() {
+    let heard = heard(|model| {
+        (model.lidar.bias, model.imu.gyro_bias, model.imu.compass_bias) = (0.1, 0.2, 0.3);
+        gps(model).bias = [0.4, -0.5];
+    });
+    assert!(lie(&heard.ahead(), AHEAD + 0.1, 0.0) && lie(&heard.rates(), 0.2, 0.0));
+    assert!(lie(&heard.headings(), STANDS.1 + 0.3, 0.0) && lie(&heard.eastings(), STANDS.0 + 0.4, 0.0));
+    assert!(heard.gps.iter().all(|(_, gps)| (gps.y + 0.5).abs() < 1e-9));
+}
+
+#[test]
+fn each_sensor_loses_its_own_share() {
+    let heard = heard(|model| {
+        (model.lidar.dropout, model.imu.dropout) = (0.1, 0.3);
+        gps(model).dropout = 0.6;
+    });
+    let share = |count: usize, of: usize| 1.0 - count as f64 / of as f64;
+    let beams: Vec<f32> = heard
+        .sweeps
+        .iter()
+        .flat_map(|(_, sweep)| sweep.ranges[2..5].to_vec())
+        .collect();
+    let seen = beams.iter().filter(|range| range.is_finite()).count();
+    assert!(
+        (share(seen, beams.len()) - 0.1).abs() < 0.04,
+        "{seen} of {}",
+        beams.len()
+    );
+    assert!(
+        (share(heard.imu.len(), TICKS) - 0.3).abs() < 0.04,
+        "{}",
+        heard.imu.len()
+    );
+    assert!(
+        (share(heard.gps.len(), TICKS / 5) - 0.6).abs() < 0.08,
+        "{}",
+        heard.gps.len()
+    );
+}
+
+#[test]
+fn each_sensor_has_its_own_steps() {
+    let heard = heard(|model| {
+        (model.lidar.noise, model.lidar.resolution) = (0.1, 0.05);
+        (model.imu.gyro_noise, model.imu.resolution) = (0.1, 0.02);
+        (gps(model).noise, gps(model).resolution) = (1.0, 0.25);
+    });
+    let on = |values: &[f64], step: f64| {
+        let spread = spread(values).1;
+        spread > step
+            && values
+                .iter()
+                .all(|value| (value / step - (value / step).round()).abs() < 1e-4)
+    };
+    assert!(on(&heard.ahead(), 0.05) && on(&heard.rates(), 0.02) && on(&heard.eastings(), 0.25));
+}
+
+#[test]
+fn each_sensor_has_its_own_rate_and_latency_and_keeps_the_stamp_of_its_measurement() {
+    let heard = heard(|model| {
+        (model.lidar.rate_hz, model.lidar.latency) = (5.0, 0.1);
+        (model.imu.rate_hz, model.imu.latency) = (25.0, 0.06);
+        (gps(model).rate_hz, gps(model).latency) = (1.0, 0.5);
+    });
+    let late = |came: Stamp, stamp: Stamp, latency: f64| (came.secs_since(stamp) - latency).abs() < 1e-9;
+    assert!(heard.sweeps.iter().all(|(came, sweep)| late(*came, sweep.stamp, 0.1)));
+    assert!(heard.imu.iter().all(|(came, imu)| late(*came, imu.stamp, 0.06)));
+    assert!(heard.gps.iter().all(|(came, gps)| late(*came, gps.stamp, 0.5)));
+    let secs = TICKS as f64 * 0.02;
+    for (count, rate) in [
+        (heard.sweeps.len(), 5.0),
+        (heard.imu.len(), 25.0),
+        (heard.gps.len(), 1.0),
+    ] {
+        assert!((count as f64 - rate * secs).abs() <= 2.0, "{count} at {rate} Hz");
+    }
+}

@@ -1,0 +1,103 @@
+//! Which tables and keys has a world file? Anything else is an error.
+
+use serde::Deserialize;
+use toml::Spanned;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WorldFile {
+    pub(super) name: Option<Spanned<String>>,
+    pub(super) size: Option<Spanned<[f64; 2]>>,
+    pub(super) origin: Option<Spanned<[f64; 2]>>,
+    pub(super) start: Option<Spanned<StartTable>>,
+    pub(super) map: Option<MapTable>,
+    #[serde(default)]
+    pub(super) polygon: Vec<PolygonTable>,
+    #[serde(default)]
+    pub(super) circle: Vec<Spanned<CircleTable>>,
+    #[serde(default)]
+    pub(super) wall: Vec<Spanned<WallTable>>,
+    #[serde(default)]
+    pub(super) mover: Vec<Spanned<MoverTable>>,
+    #[serde(default)]
+    pub(super) door: Vec<Spanned<DoorTable>>,
+    #[serde(default)]
+    pub(super) place: Vec<Spanned<PlaceTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StartTable {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    #[serde(default)]
+    pub(super) yaw: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MapTable {
+    pub(super) yaml: Spanned<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PolygonTable {
+    pub(super) points: Spanned<Vec<[f64; 2]>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CircleTable {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) radius: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WallTable {
+    pub(super) from: [f64; 2],
+    pub(super) to: Spanned<[f64; 2]>,
+    pub(super) thickness: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MoverTable {
+    pub(super) radius: Option<Spanned<f64>>,
+    pub(super) polygon: Option<Spanned<Vec<[f64; 2]>>>,
+    pub(super) path: Option<Spanned<Vec<[f64; 2]>>>,
+    pub(super) rest_secs: Option<Spanned<Vec<f64>>>,
+    pub(super) walk: Option<Spanned<[[f64; 2]; 2]>>,
+    pub(super) start: Option<Spanned<[f64; 2]>>,
+    pub(super) speed: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DoorTable {
+    pub(super) from: [f64; 2],
+    pub(super) to: Spanned<[f64; 2]>,
+    pub(super) thickness: Spanned<f64>,
+    pub(super) closed_secs: Spanned<f64>,
+    pub(super) open_secs: Spanned<f64>,
+    #[serde(default = "slide_secs")]
+    pub(super) slide_secs: Spanned<f64>,
+    #[serde(default)]
+    pub(super) starts_open: bool,
+}
+
+/// Time that a door takes to slide where its table does not say, s.
+fn slide_secs() -> Spanned<f64> {
+    Spanned::new(0..0, 2.0)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlaceTable {
+    pub(super) name: Spanned<String>,
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) yaw: Option<f64>,
+}

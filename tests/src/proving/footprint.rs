@@ -1,0 +1,241 @@
+//! What does the robot's side cost its machine? `zenav-edge` as its own process, attached to a served world as on a robot, driven by hand and
+//! heard by a client like the cloud; processor time, memory and punctuality as the system and the edge itself count them.
+
+use std::path::Path;
+use std::time::Duration;
+
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, Latest, Publisher, Subscription};
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::*;
+use zenav_protocol::topics;
+
+use crate::process::{Process, free_endpoint};
+
+/// The robot, by its shipped name.
+const ROBOT: &str = "tiago";
+/// It turns on the spot, rad/s: the whole room passes its lidar, and nothing is in its way.
+const TURN: f64 = 0.5;
+/// Wall time for the edge to come up.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Time at the beginning that is not measured: processes start.
+const SETTLING: Duration = Duration::from_secs(3);
+/// Time between two commands by hand, each with a heartbeat.
+const BY_HAND: Duration = Duration::from_millis(100);
+/// Ticks of the processor's clock a second, as Linux tells them to every program.
+const CLOCK_TICKS: f64 = 100.0;
+
+/// Why nothing was measured.
+#[derive(Debug, thiserror::Error)]
+pub enum FootprintError {
+    /// The bus.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The edge does not answer.
+    #[error(transparent)]
+    Ask(#[from] AskError),
+    /// A file.
+    #[error("{0}: {1}")]
+    File(String, std::io::Error),
+    /// What the system tells of a process cannot be read; only Linux tells it this way.
+    #[error("/proc tells nothing of the edge")]
+    Proc,
+    /// The edge did not come up, or does not tell.
+    #[error("the edge {0}")]
+    Silent(&'static str),
+}
+
+/// What was measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Footprint {
+    /// Size of the binary, bytes.
+    pub size: u64,
+    /// Processor time over wall time: share of one core.
+    pub core: f64,
+    /// Most memory that was resident, bytes.
+    pub memory: u64,
+    /// Of the control loop.
+    pub pacing: Pacing,
+    /// Control ticks a second.
+    pub ticks_hz: f64,
+    /// Scans a second, and beams of each.
+    pub scans: (f64, usize),
+    /// Cores that other processes kept busy meanwhile, the served world's among them.
+    pub others: f64,
+}
+
+/// Runs `edge` (the robot's binary) for some seconds in a world that `zenav` serves.
+///
+/// # Errors
+/// [`FootprintError`].
+pub async fn measure(zenav: &Path, edge: &Path, time: Duration) -> Result<Footprint, FootprintError> {
+    let file = |name: &Path| {
+        let name = name.display().to_string();
+        move |error| FootprintError::File(name, error)
+    };
+    let size = std::fs::metadata(edge).map_err(file(edge))?.len();
+    let folder = tempfile::tempdir().map_err(file(&std::env::temp_dir()))?;
+    let (router, own) = (free_endpoint(), free_endpoint());
+    let world = ["sim", "serve", "--world", "kitchen", "--listen", &router];
+    let _world = Process::start(zenav, &world, folder.path());
+    let opening = Bus::open(BusConfig::service("footprint", &router));
+    let bus = timeout(PATIENCE, opening)
+        .await
+        .map_err(|_| FootprintError::Silent("has no world to be in"))??;
+    let arguments = [
+        "--attach",
+        "--robot",
+        ROBOT,
+        "--id",
+        ROBOT,
+        "--connect",
+        &router,
+        "--listen",
+        &own,
+    ];
+    let process = Process::start(edge, &arguments, folder.path());
+    let mut client = Client::new(&bus).await?;
+    client.drive(SETTLING).await;
+    let before = (client.pacing().await?.ticks, cpu_secs(process.id())?, busy_secs()?);
+    let begun = Instant::now();
+    let (scans, beams) = client.drive(time).await;
+    let secs = begun.elapsed().as_secs_f64();
+    let (used, busy) = (cpu_secs(process.id())? - before.1, busy_secs()? - before.2);
+    let pacing = client.pacing().await?;
+    Ok(Footprint {
+        size,
+        core: used / secs,
+        memory: peak_memory(process.id())?,
+        pacing,
+        ticks_hz: pacing.ticks.saturating_sub(before.0) as f64 / secs,
+        scans: (f64::from(scans) / secs, beams),
+        others: (busy - used) / secs,
+    })
+}
+
+/// Somebody who drives the robot by hand, and hears of it what mapping and mission do.
+struct Client {
+    bus: Bus,
+    epoch: u64,
+    scans: Subscription<Scan>,
+    events: Subscription<Event>,
+    states: Latest<EdgeState>,
+    poses: Latest<PoseEstimate>,
+    heartbeats: Publisher<Heartbeat>,
+    teleop: Publisher<Teleop>,
+    beats: u64,
+}
+
+/// Holder of the lease.
+const HOLDER: &str = "footprint";
+
+impl Client {
+    async fn new(bus: &Bus) -> Result<Self, FootprintError> {
+        let robot = &[ROBOT];
+        let mut states = bus.latest(&topics::STATE, robot)?;
+        if timeout(PATIENCE, states.changed()).await != Ok(true) {
+            return Err(FootprintError::Silent("does not come up"));
+        }
+        let request = LeaseRequest {
+            holder: HOLDER.to_owned(),
+            role: LeaseRole::Operator,
+            action: LeaseAction::Acquire,
+            request_id: HOLDER.to_owned(),
+        };
+        let lease: LeaseReply = bus.ask(&topics::LEASE, robot, &request, PATIENCE).await?;
+        Ok(Self {
+            bus: bus.clone(),
+            epoch: lease.epoch,
+            scans: bus.subscribe(&topics::SCAN, robot, 64)?,
+            events: bus.subscribe(&topics::EVENT, robot, 64)?,
+            states,
+            poses: bus.latest(&topics::POSE, robot)?,
+            heartbeats: bus.publisher(&topics::HEARTBEAT, robot)?,
+            teleop: bus.publisher(&topics::TELEOP, robot)?,
+            beats: 0,
+        })
+    }
+
+    /// Keeps the robot turning; returns how many scans came, and the beams of the last.
+    async fn drive(&mut self, time: Duration) -> (u32, usize) {
+        let end = Instant::now() + time;
+        let mut beat = interval(BY_HAND);
+        beat.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let (mut scans, mut beams) = (0, 0);
+        while beat.tick().await < end {
+            self.command();
+            while let Some(scan) = self.scans.try_next() {
+                (scans, beams) = (scans + 1, scan.message.ranges.len());
+            }
+            while self.events.try_next().is_some() {}
+            let _ = self.poses.take();
+        }
+        (scans, beams)
+    }
+
+    fn command(&mut self) {
+        self.beats += 1;
+        self.heartbeats.put(&Heartbeat {
+            holder: HOLDER.to_owned(),
+            epoch: self.epoch,
+            counter: self.beats,
+        });
+        if let Some(state) = self.states.borrow() {
+            self.teleop.put(&Teleop {
+                epoch: self.epoch,
+                twist: Twist2::new(0.0, TURN),
+                echo: state.stamp,
+            });
+        }
+    }
+
+    async fn pacing(&self) -> Result<Pacing, FootprintError> {
+        let info: InfoReply = self
+            .bus
+            .ask(&topics::EDGE_INFO, &[ROBOT], &InfoRequest {}, PATIENCE)
+            .await?;
+        info.pacing
+            .ok_or(FootprintError::Silent("does not tell how late its ticks are"))
+    }
+}
+
+fn read(path: &str) -> Result<String, FootprintError> {
+    std::fs::read_to_string(path).map_err(|error| FootprintError::File(path.to_owned(), error))
+}
+
+/// Processor time of a process in user and system mode, s.
+fn cpu_secs(process: u32) -> Result<f64, FootprintError> {
+    let stat = read(&format!("/proc/{process}/stat"))?;
+    // The name in brackets may hold anything; user and system time are the 12th and 13th field after it.
+    let (_, fields) = stat.rsplit_once(')').ok_or(FootprintError::Proc)?;
+    let fields: Vec<_> = fields.split_whitespace().skip(11).take(2).collect();
+    let ticks: Option<u64> = fields.iter().map(|field| field.parse::<u64>().ok()).sum();
+    Ok(ticks.ok_or(FootprintError::Proc)? as f64 / CLOCK_TICKS)
+}
+
+/// Time that all processors were busy since the machine's start, s.
+fn busy_secs() -> Result<f64, FootprintError> {
+    let stat = read("/proc/stat")?;
+    // user, nice, system, idle, iowait, irq, softirq
+    let fields: Option<Vec<u64>> = stat.lines().next().map(|line| {
+        line.split_whitespace()
+            .skip(1)
+            .take(7)
+            .map_while(|field| field.parse().ok())
+            .collect()
+    });
+    match fields.as_deref() {
+        Some([user, nice, system, _, _, irq, soft]) => Ok((user + nice + system + irq + soft) as f64 / CLOCK_TICKS),
+        _ => Err(FootprintError::Proc),
+    }
+}
+
+/// Most memory that was ever resident, bytes.
+fn peak_memory(process: u32) -> Result<u64, FootprintError> {
+    let status = read(&format!("/proc/{process}/status"))?;
+    let kib = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))
+        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+    kib.map(|kib| kib * 1024).ok_or(FootprintError::Proc)
+}
