@@ -229,7 +229,7 @@ mod tests {
                 speed_cap: cap(tick),
             };
             let wheels = limiter.limit(tracker.step(&view, &model.controller), 0.02, Braking::Normal);
-            limiter.set(wheels);
+            limiter.set(wheels, 0.02);
             let (wanted, share) = (limiter.twist(), 0.02 / (model.drive.motor_lag + 0.02));
             velocity = Twist2::new(
                 velocity.v + share * (wanted.v - velocity.v),

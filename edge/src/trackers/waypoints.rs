@@ -161,7 +161,7 @@ mod tests {
             };
             let wanted = tracker.step(&view, &model.controller);
             let wheels = limiter.limit(wanted, 0.02, crate::limiter::Braking::Normal);
-            limiter.set(wheels);
+            limiter.set(wheels, 0.02);
             pose = pose.advance(limiter.twist(), 0.02);
         }
         assert!(tracker.progress(&pose).finished);

@@ -316,6 +316,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                     robot,
                     boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
                     model: Some(model.clone()),
+                    pacing: None,
                 });
             }
             Some(request) = maps.next() => request.reply(&MapReply {

@@ -136,12 +136,12 @@ impl Client {
         if timeout(PATIENCE, states.changed()).await != Ok(true) {
             return Err(FootprintError::Silent("does not come up"));
         }
-        let request = LeaseRequest {
-            holder: HOLDER.to_owned(),
-            role: LeaseRole::Operator,
-            action: LeaseAction::Acquire,
-            request_id: HOLDER.to_owned(),
-        };
+        let request = LeaseRequest::new(
+            HOLDER.to_owned(),
+            LeaseRole::Operator,
+            LeaseAction::Acquire,
+            HOLDER.to_owned(),
+        );
         let lease: LeaseReply = bus.ask(&topics::LEASE, robot, &request, PATIENCE).await?;
         Ok(Self {
             bus: bus.clone(),

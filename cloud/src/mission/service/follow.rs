@@ -185,6 +185,7 @@ fn info(post: &Post) -> InfoReply {
         robot: post.config.robot.to_string(),
         boot: None,
         model: None,
+        pacing: None,
     }
 }
 
