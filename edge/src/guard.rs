@@ -2,10 +2,9 @@
 //!
 //! The wanted twist is scaled down, curvature kept, until the robot can rest before it touches anything that stands, before
 //! anything that moves could touch it, and within what was seen; what has gone out of sight it does not swing at (see
-//! [`crate::stopping`]). Where that would pin a robot that
-//! only grazes something within the margin, a time to collision of at least a second with the last centimetre allows it to
-//! go on slowly; motion that does not reduce the clearance is always free. A stale scan, a command that is not finite, and
-//! contact stop it.
+//! [`crate::stopping`]). Where that would pin a robot that only grazes something within the margin, a time to collision of at
+//! least a second with the last centimetre allows it to go on slowly; motion that does not reduce the clearance is always free.
+//! A stale scan, a command that is not finite, and contact stop it.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};

@@ -16,11 +16,11 @@ use super::worlds::{Dice, HALF, random};
 pub const GENTLE: f64 = 0.01;
 /// How long each world is driven in, s.
 const DURATION: f64 = 12.0;
+/// Whoever switches a robot on sees to it that nobody can come up within this time from where it cannot look, s: it has never
+/// seen that place, and no guard could tell such a world from one in which the same turn is benign.
+const SWITCHED_ON_CLEAR: f64 = 1.5;
 /// Distance that a benign way keeps from what stands, m.
 const BENIGN_CLEARANCE: f64 = 0.12;
-/// Whoever switches a robot on sees to it that nobody is this near where it cannot look, m: it has never seen that place, and no
-/// guard could tell such a world from one in which the same turn is benign.
-const SWITCHED_ON_CLEAR: f64 = 1.5;
 /// And from where movers go, m: none comes near within the robot's time to stop.
 const BENIGN_BERTH: f64 = 1.8;
 
@@ -205,10 +205,11 @@ fn place(dice: &mut Dice, sim: &Simulation, model: &RobotModel, room: f64) -> Op
 fn somebody_stands_behind(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
     let laser_from_map = (start * model.lidar.mount).inverse();
     let half = 0.5 * model.lidar.field_of_view;
+    let near = model.footprint.circumscribed_radius() + SWITCHED_ON_CLEAR * model.drive.top_speed();
     sim.movers().any(|mover| {
         let local = laser_from_map.transform_point(mover);
         let is_seen = local.y.atan2(local.x).abs() <= half;
-        !is_seen && local.coords.norm() < model.footprint.circumscribed_radius() + SWITCHED_ON_CLEAR
+        !is_seen && local.coords.norm() < near
     })
 }
 
