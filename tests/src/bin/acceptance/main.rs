@@ -1,0 +1,121 @@
+//! The long runs that the test suite leaves out.
+//!
+//! `cargo build --release -p zenav-tests --bins && target/release/acceptance kitchen 20 --speed 4`
+
+#![expect(clippy::print_stdout, reason = "a command that prints its findings")]
+
+mod demo;
+mod drives;
+mod footprint;
+mod guard;
+mod orchestrators;
+mod pose;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+/// Whether what was found is as it should be.
+type Verdict = Result<bool, Box<dyn std::error::Error>>;
+
+/// Long runs: each prints what it finds, and exits with 0 if that is as it should be.
+#[derive(Debug, Parser)]
+enum Run {
+    /// Missions in the kitchen
+    Kitchen(Seeds),
+    /// Missions in a house that nobody has mapped
+    Online(Seeds),
+    /// Every tracker on the same ways
+    Track {
+        /// More maps to drive in
+        maps: Vec<String>,
+    },
+    /// The fastest drives beside the most economical ones
+    Economy {
+        /// More maps to drive in
+        maps: Vec<String>,
+    },
+    /// Pose estimates beside the truth
+    Pose {
+        runs: u64,
+        #[arg(default_value_t = 1)]
+        first_seed: u64,
+    },
+    /// Random worlds with movers and bad commands
+    Guard {
+        worlds: u64,
+        #[arg(default_value_t = 1)]
+        first_seed: u64,
+    },
+    /// One of these worlds, tick by tick
+    Replay { seed: u64 },
+    /// An orchestrator that is killed again and again
+    Kills {
+        kills: usize,
+        #[arg(default_value_t = 1)]
+        seed: u64,
+    },
+    /// Two orchestrators, the leader of which is killed and then held for 20 s, so many times
+    Handover {
+        deaths: usize,
+        #[arg(default_value_t = 0)]
+        pauses: usize,
+        #[arg(default_value_t = 1)]
+        seed: u64,
+    },
+    /// One orchestrator with many robots, on one core
+    Fleet {
+        robots: usize,
+        #[arg(default_value_t = 60.0)]
+        secs: f64,
+    },
+    /// Size, processor time, memory and punctuality of the robot's own binary
+    Footprint {
+        #[arg(default_value_t = 60)]
+        secs: u64,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct Seeds {
+    seeds: u64,
+    /// Arguments of `zenav demo`
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    more: Vec<String>,
+}
+
+fn main() -> ExitCode {
+    let verdict = match Run::parse() {
+        Run::Kitchen(Seeds { seeds, more }) => demo::demo("kitchen", seeds, &more),
+        Run::Online(Seeds { seeds, more }) => demo::demo("online", seeds, &more),
+        Run::Track { maps } => drives::track(&maps),
+        Run::Economy { maps } => drives::economy(&maps),
+        Run::Pose { runs, first_seed } => pose::pose(runs, first_seed),
+        Run::Guard { worlds, first_seed } => guard::guard(worlds, first_seed),
+        Run::Replay { seed } => guard::replay(seed),
+        Run::Kills { kills, seed } => orchestrators::kills(kills, seed),
+        Run::Handover { deaths, pauses, seed } => orchestrators::handover(deaths, pauses, seed),
+        Run::Fleet { robots, secs } => orchestrators::fleet(robots, secs),
+        Run::Footprint { secs } => footprint::footprint(secs),
+    };
+    match verdict {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The binary that this one was built with.
+fn zenav() -> PathBuf {
+    beside("zenav-under-test")
+}
+
+/// A binary in the same folder.
+fn beside(name: &str) -> PathBuf {
+    let own = std::env::current_exe().unwrap_or_default();
+    own.with_file_name(format!("{name}{}", std::env::consts::EXE_SUFFIX))
+}

@@ -1,0 +1,77 @@
+//! What becomes of goals when orchestrators die or freeze, and how many robots does one serve?
+
+use tokio::runtime::Runtime;
+use zenav_tests::proving::handover::Blow;
+use zenav_tests::proving::tracking::percentile;
+use zenav_tests::proving::witness::Findings;
+use zenav_tests::proving::{fleet, handover, kills};
+
+use crate::{Verdict, zenav};
+
+/// Kills the orchestrator again and again while goals come in.
+pub fn kills(kills: usize, seed: u64) -> Verdict {
+    tell(kills::run(&zenav().to_string_lossy(), kills, seed))
+}
+
+/// How long a frozen leader is held, s.
+const FROZEN: f64 = 20.0;
+
+/// Kills the leader of two orchestrators again and again, then freezes it, while goals come in.
+pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
+    let mut blows = vec![Blow::Death; deaths];
+    blows.resize(deaths + pauses, Blow::Pause(FROZEN));
+    tell(handover::run(&zenav().to_string_lossy(), &blows, seed))
+}
+
+/// Largest median and 99th percentile of the lateness of a mission's step, s.
+const JITTER: (f64, f64) = (0.005, 0.05);
+
+/// Runs the missions of one robot, then of many, with one orchestrator on one core.
+pub fn fleet(robots: usize, secs: f64) -> Verdict {
+    let run = async {
+        let alone = fleet::run(&zenav().to_string_lossy(), 1, 10.0).await?;
+        let many = fleet::run(&zenav().to_string_lossy(), robots, secs).await?;
+        Ok::<_, String>((alone, many))
+    };
+    let (alone, mut many) = Runtime::new()?.block_on(run)?;
+    let each = (many.memory - alone.memory) / (robots.saturating_sub(1).max(1) as f64);
+    let mut jitter = |share| percentile(&mut many.jitter, share);
+    let (p50, p99, most) = (jitter(0.5), jitter(0.99), jitter(1.0));
+    println!(
+        "{robots} robots: {:.0} % of a core; a step is off by {:.1} ms (p50), {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; \
+         {} goals driven, {} faults",
+        100.0 * many.load,
+        1e3 * p50,
+        1e3 * p99,
+        1e3 * most,
+        many.memory,
+        many.goals,
+        many.faults
+    );
+    Ok(many.faults == 0 && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
+}
+
+/// Prints what was found when orchestrators died or froze.
+fn tell(run: impl Future<Output = Result<Findings, String>>) -> Verdict {
+    let mut findings = Runtime::new()?.block_on(run)?;
+    println!(
+        "{} kills, {} pauses: {} goals acknowledged, ends {:?}, {} motions, {} faults",
+        findings.kills,
+        findings.pauses,
+        findings.goals,
+        findings.ends,
+        findings.motions,
+        findings.faults.len()
+    );
+    if !findings.takeovers.is_empty() {
+        let mut secs = |share| percentile(&mut findings.takeovers, share);
+        println!(
+            "another orchestrator led after {:.2} s (p50), {:.2} s (p95), {:.2} s (longest)",
+            secs(0.5),
+            secs(0.95),
+            secs(1.0)
+        );
+    }
+    findings.faults.iter().for_each(|fault| println!("FAULT {fault}"));
+    Ok(findings.faults.is_empty() && findings.goals > 0)
+}

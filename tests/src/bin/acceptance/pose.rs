@@ -1,0 +1,81 @@
+//! Is the pose estimate as good as its covariance says?
+
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+use zenav_tests::proving::pose;
+use zenav_tests::proving::tracking::percentile;
+
+use crate::Verdict;
+
+/// Share of steps that must lie within the 95 % band.
+const CONSISTENT: f64 = 0.9;
+/// Share of steps at which the error is within three standard deviations.
+const WITHIN: f64 = 0.99;
+/// How long each drive takes, s.
+const DRIVE_SECS: f64 = 300.0;
+
+/// Estimates poses in many drives, and prints how often the mean error was as the covariance says.
+pub fn pose(runs: u64, first: u64) -> Verdict {
+    let clock = || Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).unwrap_or_default();
+    let mut good = true;
+    println!("seeds {first} to {}", first + runs.saturating_sub(1));
+    println!(
+        "{:20} {:16} {:>16} {:>10} {:>8}",
+        "conditions", "quantity", "band", "in band, %", "mean"
+    );
+    for conditions in pose::CONDITIONS {
+        let mut sums = pose::Sums::default();
+        for seed in first..first.saturating_add(runs) {
+            pose::drive(&mut sums, &conditions, seed, DRIVE_SECS, &clock)?;
+        }
+        let count = runs as f64;
+        let mut line = |name: &str, means: &[f64], freedom: f64, of: f64| {
+            let band = pose::band(freedom, of);
+            let (share, mean) = pose::share(means, band);
+            good &= share >= CONSISTENT;
+            let band = format!("[{:.2}, {:.2}]", band.0, band.1);
+            println!(
+                "{:20} {name:16} {band:>16} {:10.1} {mean:8.2}",
+                conditions.name,
+                100.0 * share
+            );
+        };
+        let nees: Vec<f64> = sums.nees.iter().map(|sum| sum / count).collect();
+        line("NEES", &nees, 3.0, count);
+        for (name, freedom, sums) in [
+            ("NIS compass", 1.0, &sums.nis[0]),
+            ("NIS GPS", 2.0, &sums.nis[1]),
+            ("NIS correction", 3.0, &sums.nis[2]),
+        ] {
+            let (means, readings) = pose::means(sums, runs);
+            if !means.is_empty() {
+                line(name, &means, freedom, readings);
+            }
+        }
+        good &= f64::from(sums.within.0) >= WITHIN * f64::from(sums.within.1);
+        println!(
+            "{:20} position error within three standard deviations in {:.2} % of steps, at most {:.3} m where up to {:.3} m were allowed for",
+            conditions.name,
+            100.0 * f64::from(sums.within.0) / f64::from(sums.within.1.max(1)),
+            sums.worst,
+            sums.allowed,
+        );
+        println!(
+            "{:20} a step takes {:.1} us, p99 {:.1} us; {} fused, {} outliers, {} too late",
+            conditions.name,
+            1e6 * percentile(&mut sums.took, 0.5),
+            1e6 * percentile(&mut sums.took, 0.99),
+            sums.tally.fused,
+            sums.tally.outliers,
+            sums.tally.too_late,
+        );
+    }
+    let mut took = pose::latest(&clock)?;
+    println!(
+        "a step with a correction that is as late as may be takes {:.0} us, p99 {:.0} us",
+        1e6 * percentile(&mut took, 0.5),
+        1e6 * percentile(&mut took, 0.99)
+    );
+    Ok(good)
+}
