@@ -102,36 +102,6 @@ impl Process {
         rustix::process::kill_process(id, signal).map_err(|error| error.to_string())
     }
 
-    /// Processor time that it has used, s.
-    ///
-    /// # Errors
-    /// On a system without `/proc`.
-    pub fn cpu_secs(&self) -> Result<f64, String> {
-        let text = self.proc("stat")?;
-        // After the name, which may hold anything: user and system time are the 14th and 15th field of all.
-        let fields: Vec<&str> = text.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-        let ticks = |index: usize| fields.get(index).and_then(|field| field.parse::<f64>().ok());
-        let sum = ticks(11).zip(ticks(12)).map(|(user, system)| user + system);
-        sum.map(|ticks| ticks / 100.0)
-            .ok_or_else(|| format!("no times in {text}"))
-    }
-
-    /// Memory that it has in use, MiB.
-    ///
-    /// # Errors
-    /// On a system without `/proc`.
-    pub fn memory_mib(&self) -> Result<f64, String> {
-        let text = self.proc("status")?;
-        let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-        let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-        kib.map(|kib| kib / 1024.0).ok_or_else(|| format!("no VmRSS in {text}"))
-    }
-
-    fn proc(&self, file: &str) -> Result<String, String> {
-        let path = format!("/proc/{}/{file}", self.child.id());
-        std::fs::read_to_string(&path).map_err(|error| format!("{path}: {error}"))
-    }
-
     /// Whether it still runs.
     #[must_use]
     pub fn is_running(&mut self) -> bool {

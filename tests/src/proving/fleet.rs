@@ -20,6 +20,7 @@ use zenav_protocol::topics;
 
 use super::ground;
 use crate::deployment::Deployment;
+use crate::usage::{cpu_secs, memory};
 
 /// The clock's tick, of which a mission's step is a multiple.
 const TICK: Duration = Duration::from_millis(10);
@@ -30,6 +31,8 @@ const STATE_EVERY: u32 = 10;
 const SAMPLES: f64 = 0.05;
 /// Time between two heartbeats of a mission that is never late, s.
 const BEAT: f64 = 0.1;
+/// Bytes of a MiB.
+const MIB: f64 = 1024.0 * 1024.0;
 /// Wall time for all robots to be led.
 const READY: Duration = Duration::from_secs(60);
 /// Life of a lease.
@@ -276,6 +279,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
     let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
     let orchestrator = deployment.start_missions_on_one_core(&sections);
+    let used = || cpu_secs(orchestrator.id()).map_err(|error| error.to_string());
     let start = Instant::now();
     let now = || Stamp::from_secs(1.0 + start.elapsed().as_secs_f64());
     let mut findings = Findings {
@@ -363,7 +367,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                                     puppet.tell_map(now());
                                     submit(&bus, puppet);
                                 }
-                                measured = Some((Instant::now(), orchestrator.cpu_secs()?));
+                                measured = Some((Instant::now(), used()?));
                             }
                             None if start.elapsed() > READY => {
                                 return Err(format!("{led} of {robots} robots are led after {READY:?}"));
@@ -373,8 +377,8 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                                 findings.faults += robots - led;
                                 let took = since.elapsed().as_secs_f64();
                                 if took >= secs {
-                                    findings.load = (orchestrator.cpu_secs()? - before) / took;
-                                    findings.memory = orchestrator.memory_mib()?;
+                                    findings.load = (used()? - before) / took;
+                                    findings.memory = memory(orchestrator.id()).map_err(|error| error.to_string())? as f64 / MIB;
                                     break;
                                 }
                             }

@@ -11,6 +11,7 @@ use zenav_protocol::messages::*;
 use zenav_protocol::topics;
 
 use crate::process::{Process, free_endpoint};
+use crate::usage::{Unknown, busy_secs, cpu_secs, peak_memory};
 
 /// The robot, by its shipped name.
 const ROBOT: &str = "tiago";
@@ -22,8 +23,6 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const SETTLING: Duration = Duration::from_secs(3);
 /// Time between two commands by hand, each with a heartbeat.
 const BY_HAND: Duration = Duration::from_millis(100);
-/// Ticks of the processor's clock a second, as Linux tells them to every program.
-const CLOCK_TICKS: f64 = 100.0;
 
 /// Why nothing was measured.
 #[derive(Debug, thiserror::Error)]
@@ -38,8 +37,8 @@ pub enum FootprintError {
     #[error("{0}: {1}")]
     File(String, std::io::Error),
     /// What the system tells of a process cannot be read; only Linux tells it this way.
-    #[error("/proc tells nothing of the edge")]
-    Proc,
+    #[error(transparent)]
+    Proc(#[from] Unknown),
     /// The edge did not come up, or does not tell.
     #[error("the edge {0}")]
     Silent(&'static str),
@@ -192,45 +191,4 @@ impl Client {
         info.pacing
             .ok_or(FootprintError::Silent("does not tell how late its ticks are"))
     }
-}
-
-fn read(path: &str) -> Result<String, FootprintError> {
-    std::fs::read_to_string(path).map_err(|error| FootprintError::File(path.to_owned(), error))
-}
-
-/// Processor time of a process in user and system mode, s.
-fn cpu_secs(process: u32) -> Result<f64, FootprintError> {
-    let stat = read(&format!("/proc/{process}/stat"))?;
-    // The name in brackets may hold anything; user and system time are the 12th and 13th field after it.
-    let (_, fields) = stat.rsplit_once(')').ok_or(FootprintError::Proc)?;
-    let fields: Vec<_> = fields.split_whitespace().skip(11).take(2).collect();
-    let ticks: Option<u64> = fields.iter().map(|field| field.parse::<u64>().ok()).sum();
-    Ok(ticks.ok_or(FootprintError::Proc)? as f64 / CLOCK_TICKS)
-}
-
-/// Time that all processors were busy since the machine's start, s.
-fn busy_secs() -> Result<f64, FootprintError> {
-    let stat = read("/proc/stat")?;
-    // user, nice, system, idle, iowait, irq, softirq
-    let fields: Option<Vec<u64>> = stat.lines().next().map(|line| {
-        line.split_whitespace()
-            .skip(1)
-            .take(7)
-            .map_while(|field| field.parse().ok())
-            .collect()
-    });
-    match fields.as_deref() {
-        Some([user, nice, system, _, _, irq, soft]) => Ok((user + nice + system + irq + soft) as f64 / CLOCK_TICKS),
-        _ => Err(FootprintError::Proc),
-    }
-}
-
-/// Most memory that was ever resident, bytes.
-fn peak_memory(process: u32) -> Result<u64, FootprintError> {
-    let status = read(&format!("/proc/{process}/status"))?;
-    let kib = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))
-        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
-    kib.map(|kib| kib * 1024).ok_or(FootprintError::Proc)
 }

@@ -1,0 +1,69 @@
+//! What do processes use of the machine? From Linux's `/proc`.
+
+use thiserror::Error;
+
+/// Clock ticks a second in `/proc` (`USER_HZ`, the same on every Linux architecture in use).
+const CLOCK_TICKS: f64 = 100.0;
+
+/// A file of `/proc` that does not say what it should.
+#[derive(Debug, Error)]
+#[error("{0}: it tells nothing of the use of the machine")]
+pub struct Unknown(String);
+
+fn read(path: &str) -> Result<String, Unknown> {
+    std::fs::read_to_string(path).map_err(|error| Unknown(format!("{path}: {error}")))
+}
+
+/// Processor time of a process in user and system mode, s.
+///
+/// # Errors
+/// Without such a process, or without `/proc`.
+pub fn cpu_secs(process: u32) -> Result<f64, Unknown> {
+    let path = format!("/proc/{process}/stat");
+    let stat = read(&path)?;
+    // The name in brackets may hold anything; user and system time are the 12th and 13th field after it.
+    let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks: Option<u64> = fields.skip(11).take(2).map(|field| field.parse::<u64>().ok()).sum();
+    ticks.map(|ticks| ticks as f64 / CLOCK_TICKS).ok_or(Unknown(path))
+}
+
+/// Time that all processors were busy since the machine's start, s.
+///
+/// # Errors
+/// Without `/proc`.
+pub fn busy_secs() -> Result<f64, Unknown> {
+    let stat = read("/proc/stat")?;
+    // user, nice, system, idle, iowait, irq, softirq
+    let line = stat.lines().next().unwrap_or_default().split_whitespace();
+    let fields: Vec<u64> = line.skip(1).take(7).map_while(|field| field.parse().ok()).collect();
+    match fields.as_slice() {
+        [user, nice, system, _, _, irq, soft] => Ok((user + nice + system + irq + soft) as f64 / CLOCK_TICKS),
+        _ => Err(Unknown("/proc/stat".to_owned())),
+    }
+}
+
+/// Memory that is resident now, bytes.
+///
+/// # Errors
+/// Without such a process, or without `/proc`.
+pub fn memory(process: u32) -> Result<u64, Unknown> {
+    status(process, "VmRSS:")
+}
+
+/// Most memory that was ever resident, bytes.
+///
+/// # Errors
+/// Without such a process, or without `/proc`.
+pub fn peak_memory(process: u32) -> Result<u64, Unknown> {
+    status(process, "VmHWM:")
+}
+
+fn status(process: u32, field: &str) -> Result<u64, Unknown> {
+    let path = format!("/proc/{process}/status");
+    let status = read(&path)?;
+    let kib = status
+        .lines()
+        .find_map(|line| line.strip_prefix(field))
+        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+    kib.map(|kib| kib * 1024).ok_or(Unknown(path))
+}
