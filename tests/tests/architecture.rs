@@ -171,12 +171,14 @@ fn cores_are_pure() {
             if path.components().any(|part| part.as_os_str() == "tests") || name == "tests.rs" {
                 continue;
             }
+            // A service that has outgrown a file is a folder.
+            let shell = network.contains(&name.as_str()) || path.components().any(|part| part.as_os_str() == "service");
             let code = text.split("#[cfg(test)]").next().unwrap_or_default();
             let find = |word: &str| {
                 code.lines()
                     .find(|line| line.split("//").next().unwrap_or_default().contains(word))
             };
-            for word in impure.iter().filter(|_| !network.contains(&name.as_str())) {
+            for word in impure.iter().filter(|_| !shell) {
                 assert_eq!(find(word), None, "{}: a core uses `{word}`", path.display());
             }
             for word in ["std::fs", "File::"].iter().filter(|_| !disk.contains(&name.as_str())) {
