@@ -9,7 +9,7 @@ use nalgebra::Point2;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use zenav_cloud::smoothing::unsmoothed;
 use zenav_protocol::SCHEMA_VERSION;
-use zenav_protocol::bus::{Bus, BusError, Publisher};
+use zenav_protocol::bus::{Bus, BusError, Publisher, Server};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::lease::LeaseBook;
@@ -23,10 +23,10 @@ use crate::deployment::Deployment;
 use crate::usage::{cpu_secs, memory};
 
 /// The clock's tick, of which a mission's step is a multiple.
-const TICK: Duration = Duration::from_millis(10);
+const TICK: Duration = Duration::from_millis(5);
 /// Ticks from one pose to the next, and from one state to the next.
-const POSE_EVERY: u32 = 2;
-const STATE_EVERY: u32 = 10;
+const POSE_EVERY: u32 = 4;
+const STATE_EVERY: u32 = 20;
 /// Sample period of trajectories, s.
 const SAMPLES: f64 = 0.05;
 /// Time between two heartbeats of a mission that is never late, s.
@@ -37,6 +37,8 @@ const MIB: f64 = 1024.0 * 1024.0;
 const READY: Duration = Duration::from_secs(60);
 /// Life of a lease.
 const LEASE: Duration = Duration::from_secs(1);
+/// Robots begin one after the other, by this much.
+const STAGGER: Duration = Duration::from_millis(70);
 /// Every robot's map: 12.8 m square, free.
 const MAP: GridSpec = GridSpec {
     origin: Point2::new(-6.4, -6.4),
@@ -52,7 +54,8 @@ const PLACES: [(f64, f64); 4] = [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0
 pub struct Findings {
     /// Robots.
     pub robots: usize,
-    /// How far each time between two heartbeats of a robot's mission was from what it should be, s.
+    /// How far each time between two heartbeats of a robot's mission was from what it should be, s. They are sent by its steps, and more while
+    /// one waits for the disk.
     pub jitter: Vec<f64>,
     /// Share of the core.
     pub load: f64,
@@ -60,8 +63,8 @@ pub struct Findings {
     pub memory: f64,
     /// Goals driven.
     pub goals: usize,
-    /// Leases that lapsed, plans that were refused, goals that did not succeed.
-    pub faults: usize,
+    /// Ticks of robots without a lease, plans that were refused, goals that did not succeed.
+    pub faults: [usize; 3],
 }
 
 /// A robot that drives every plan perfectly.
@@ -270,8 +273,9 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
     let mut infos = bus.serve(&topics::EDGE_INFO, &["*"]).map_err(text)?;
     let mut maps = bus.serve(&topics::MAP, &["*"]).map_err(text)?;
-    let mut plans = bus.serve(&topics::PLAN_SERVICE, &["puppet"]).map_err(text)?;
-    let mut smooths = bus.serve(&topics::SMOOTH_SERVICE, &["puppet"]).map_err(text)?;
+    let plans = bus.serve(&topics::PLAN_SERVICE, &["puppet"]).map_err(text)?;
+    let smooths = bus.serve(&topics::SMOOTH_SERVICE, &["puppet"]).map_err(text)?;
+    let _workers = [tokio::spawn(plan(plans)), tokio::spawn(smooth(smooths, model.clone()))];
     let alive = |service: &str| bus.declare_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "puppet"]));
     let _alive = [alive("plan").map_err(text)?, alive("smooth").map_err(text)?];
     let clock = bus.publisher(&topics::SIM_CLOCK, &[]).map_err(text)?;
@@ -300,7 +304,37 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                             findings.jitter.push((last.elapsed().as_secs_f64() - BEAT).abs());
                         }
                     }
-                    Some(request) = leases.next() => {
+                    _ = ticks.tick() => {
+                        count += 1;
+                        clock.put(&SimClock { stamp: now() });
+                        for puppet in puppets.values_mut() {
+                            puppet.tick(now(), count);
+                        }
+                        let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
+                        match measured {
+                            None if led == robots => {
+                                for puppet in puppets.values_mut() {
+                                    puppet.tell_map(now());
+                                    submit(&bus, puppet, Duration::ZERO);
+                                }
+                                measured = Some((Instant::now(), used()?));
+                            }
+                            None if start.elapsed() > READY => {
+                                return Err(format!("{led} of {robots} robots are led after {READY:?}"));
+                            }
+                            None => {}
+                            Some((since, before)) => {
+                                findings.faults[0] += robots - led;
+                                let took = since.elapsed().as_secs_f64();
+                                if took >= secs {
+                                    findings.load = (used()? - before) / took;
+                                    findings.memory = memory(orchestrator.id()).map_err(|error| error.to_string())? as f64 / MIB;
+                                    break;
+                                }
+                            }
+                        }
+                    }
+            Some(request) = leases.next() => {
                         let Some(puppet) = request.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
                         match puppet.book.request(now(), &request.body) {
                             Ok(granted) => request.reply(&LeaseReply {
@@ -328,86 +362,65 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
                         trajectory: Vec::new(),
                     }),
-                    Some(request) = plans.next() => {
-                        let path = vec![request.body.start.position(), request.body.goal.position()];
-                        let length = (path[1] - path[0]).norm();
-                        let map = request.body.map.clone();
-                        request.reply(&PlanReply {
-                            map,
-                            outcome: PlanOutcome::Found { path, length },
-                            search_ms: 0.0,
-                            expansions: 0,
-                            origin: PlanOrigin::Searched,
-                        });
-                    }
-                    Some(request) = smooths.next() => { let reply = smooth(&request.body, &model); request.reply(&reply) }
                     Some(plan) = written.next() => {
                         let Some(puppet) = plan.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                        findings.faults += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
+                        findings.faults[1] += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
                     }
                     Some(goal) = ended.next() => {
                         let Some(puppet) = goal.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
                         if goal.message.state.is_end() && goal.message.id == format!("{}-{}", puppet.name, puppet.goals) {
                             let good = goal.message.state == GoalPhase::Succeeded;
                             findings.goals += usize::from(good && measured.is_some());
-                            findings.faults += usize::from(!good);
-                            submit(&bus, puppet);
+                            findings.faults[2] += usize::from(!good);
+                            submit(&bus, puppet, Duration::ZERO);
                         }
                     }
-                    _ = ticks.tick() => {
-                        count += 1;
-                        clock.put(&SimClock { stamp: now() });
-                        for puppet in puppets.values_mut() {
-                            puppet.tick(now(), count);
                         }
-                        let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
-                        match measured {
-                            None if led == robots => {
-                                for puppet in puppets.values_mut() {
-                                    puppet.tell_map(now());
-                                    submit(&bus, puppet);
-                                }
-                                measured = Some((Instant::now(), used()?));
-                            }
-                            None if start.elapsed() > READY => {
-                                return Err(format!("{led} of {robots} robots are led after {READY:?}"));
-                            }
-                            None => {}
-                            Some((since, before)) => {
-                                findings.faults += robots - led;
-                                let took = since.elapsed().as_secs_f64();
-                                if took >= secs {
-                                    findings.load = (used()? - before) / took;
-                                    findings.memory = memory(orchestrator.id()).map_err(|error| error.to_string())? as f64 / MIB;
-                                    break;
-                                }
-                            }
-                        }
-                    }
-                }
     }
     bus.close().await;
     Ok(findings)
 }
 
-fn submit(bus: &Bus, puppet: &mut Puppet) {
+fn submit(bus: &Bus, puppet: &mut Puppet, after: Duration) {
     let (bus, name, goal) = (bus.clone(), puppet.name.clone(), puppet.next_goal());
     tokio::spawn(async move {
+        tokio::time::sleep(after).await;
         if let Err(error) = bus.ask(&topics::GOAL, &[&name], &goal, Duration::from_secs(10)).await {
             eprintln!("{name}: {error}");
         }
     });
 }
 
-fn smooth(request: &SmoothRequest, model: &RobotModel) -> SmoothReply {
-    let (start, velocity) = (request.start, request.start_velocity);
-    let motion = unsmoothed(&request.path, start, velocity, request.goal_yaw, model);
-    SmoothReply {
-        map: request.map.clone(),
-        trajectory: motion.trajectory(SAMPLES),
-        statistics: PlanStatistics {
-            status: "unsmoothed".to_owned(),
-            ..PlanStatistics::default()
-        },
+/// Plans straight to the goal.
+async fn plan(mut requests: Server<PlanRequest, PlanReply>) {
+    while let Some(request) = requests.next().await {
+        let path = vec![request.body.start.position(), request.body.goal.position()];
+        let length = (path[1] - path[0]).norm();
+        let map = request.body.map.clone();
+        request.reply(&PlanReply {
+            map,
+            outcome: PlanOutcome::Found { path, length },
+            search_ms: 0.0,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        });
+    }
+}
+
+/// Drives along the path as it is, a corner at a time.
+async fn smooth(mut requests: Server<SmoothRequest, SmoothReply>, model: RobotModel) {
+    while let Some(request) = requests.next().await {
+        let wanted = &request.body;
+        let (start, velocity) = (wanted.start, wanted.start_velocity);
+        let motion = unsmoothed(&wanted.path, start, velocity, wanted.goal_yaw, &model);
+        let reply = SmoothReply {
+            map: wanted.map.clone(),
+            trajectory: motion.trajectory(SAMPLES),
+            statistics: PlanStatistics {
+                status: "unsmoothed".to_owned(),
+                ..PlanStatistics::default()
+            },
+        };
+        request.reply(&reply);
     }
 }

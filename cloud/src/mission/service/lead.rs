@@ -26,6 +26,8 @@ const MAX_ANSWERS: usize = 512;
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
 const MAX_GOAL_PUBLISHERS: usize = 64;
+/// Time between two signs of life while something is stored.
+const BEAT: Duration = Duration::from_millis(100);
 /// Time for other missions to say that they are there.
 const ROLL_CALL: Duration = Duration::from_millis(300);
 /// Time between two looks at whether this process was held up.
@@ -111,6 +113,31 @@ async fn another_leads(post: &Post) -> bool {
     })
 }
 
+/// The signs of life: the mission's own, and more while it waits for its disk or its standbys.
+struct Pulse {
+    publisher: Publisher<Heartbeat>,
+    /// The newest.
+    beats: Option<Heartbeat>,
+    /// How many were sent besides the mission's own: each is to be newer than the one before.
+    more: u64,
+}
+
+impl Pulse {
+    fn beat(&mut self, mut heartbeat: Heartbeat) {
+        heartbeat.counter += self.more;
+        self.publisher.put(&heartbeat);
+        self.beats = Some(heartbeat);
+    }
+
+    fn beat_again(&mut self) {
+        if let Some(heartbeat) = &mut self.beats {
+            self.more += 1;
+            heartbeat.counter += 1;
+            self.publisher.put(heartbeat);
+        }
+    }
+}
+
 /// Everything between the mission and the bus.
 struct Shell {
     bus: Bus,
@@ -123,7 +150,7 @@ struct Shell {
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
-    heartbeat: Publisher<Heartbeat>,
+    pulse: Pulse,
     plan: Publisher<Plan>,
     status: Publisher<MissionStatus>,
     goals: Vec<(String, Publisher<GoalState>)>,
@@ -144,7 +171,11 @@ impl Shell {
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
-            heartbeat: bus.publisher(&topics::HEARTBEAT, &name)?,
+            pulse: Pulse {
+                publisher: bus.publisher(&topics::HEARTBEAT, &name)?,
+                beats: None,
+                more: 0,
+            },
             plan: bus.publisher(&topics::PLAN, &name)?,
             status: bus.publisher(&topics::MISSION, &name)?,
             goals: Vec::new(),
@@ -196,8 +227,11 @@ impl Shell {
             if let Effect::Heartbeat(heartbeat) = effect
                 && !held_up(&self.standbys)
             {
-                self.heartbeat.put(heartbeat);
+                self.pulse.beat(heartbeat.clone());
             }
+        }
+        if mission.epoch().is_none() {
+            self.pulse.beats = None;
         }
         for effect in effects {
             if held_up(&self.standbys) {
@@ -227,10 +261,24 @@ impl Shell {
         Ok(())
     }
 
+    /// Stores here and with the standbys; a slow disk or link does not cost the lease.
     async fn store(&mut self, records: Vec<Record>) -> Result<(), End> {
-        let store = self.standbys.store();
-        let writes = blocking(move || store.write(&records)).await??;
-        self.standbys.hand_over(writes).await
+        let Self { standbys, pulse, .. } = self;
+        let begun = Instant::now();
+        let storing = async {
+            let store = standbys.store();
+            let writes = blocking(move || store.write(&records)).await??;
+            standbys.hand_over(writes).await
+        };
+        tokio::pin!(storing);
+        loop {
+            tokio::select! {
+                stored = &mut storing => return stored,
+                () = tokio::time::sleep(BEAT) => if begun.elapsed() < HELD_UP {
+                    pulse.beat_again();
+                },
+            }
+        }
     }
 
     /// Whoever still waits for an answer is sent to the leader.

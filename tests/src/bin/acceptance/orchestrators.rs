@@ -39,16 +39,18 @@ pub fn fleet(robots: usize, secs: f64) -> Verdict {
     let (p50, p99, most) = (jitter(0.5), jitter(0.99), jitter(1.0));
     println!(
         "{robots} robots: {:.0} % of a core; a step is off by {:.1} ms (p50), {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; \
-         {} goals driven, {} faults",
+         {} goals driven; {} ticks without a lease, {} plans refused, {} goals failed",
         100.0 * many.load,
         1e3 * p50,
         1e3 * p99,
         1e3 * most,
         many.memory,
         many.goals,
-        many.faults
+        many.faults[0],
+        many.faults[1],
+        many.faults[2]
     );
-    Ok(many.faults == 0 && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
+    Ok(many.faults == [0; 3] && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
 }
 
 /// Prints what was found when orchestrators died or froze.
