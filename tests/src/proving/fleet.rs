@@ -37,6 +37,8 @@ const MIB: f64 = 1024.0 * 1024.0;
 const READY: Duration = Duration::from_secs(60);
 /// Life of a lease.
 const LEASE: Duration = Duration::from_secs(1);
+/// Time for all to have their maps and first goals before it is measured.
+const SETTLING: Duration = Duration::from_secs(10);
 /// Robots begin one after the other, by this much.
 const STAGGER: Duration = Duration::from_millis(70);
 /// Every robot's map: 12.8 m square, free.
@@ -292,7 +294,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     };
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let (mut count, mut measured): (u32, Option<(Instant, f64)>) = (0, None);
+    let (mut count, mut settling, mut measured): (u32, Option<Instant>, Option<(Instant, f64)>) = (0, None, None);
     loop {
         tokio::select! {
                     biased;
@@ -312,14 +314,18 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         }
                         let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
                         match measured {
-                            None if led == robots => {
-                                for puppet in puppets.values_mut() {
-                                    puppet.tell_map(now());
-                                    submit(&bus, puppet, Duration::ZERO);
-                                }
-                                measured = Some((Instant::now(), used()?));
-                            }
-                            None if start.elapsed() > READY => {
+                    None if settling.is_some_and(|since: Instant| since.elapsed() > SETTLING) => {
+                        measured = Some((Instant::now(), used()?));
+                    }
+                    None if settling.is_some() => {}
+                    None if led == robots => {
+                        for (turn, puppet) in (0_u32..).zip(puppets.values_mut()) {
+                            puppet.tell_map(now());
+                            submit(&bus, puppet, turn * STAGGER);
+                        }
+                        settling = Some(Instant::now());
+                    }
+                    None if start.elapsed() > READY => {
                                 return Err(format!("{led} of {robots} robots are led after {READY:?}"));
                             }
                             None => {}

@@ -24,7 +24,7 @@ pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
 }
 
 /// Largest median and 99th percentile of the lateness of a mission's step, s.
-const JITTER: (f64, f64) = (0.005, 0.05);
+const JITTER: (f64, f64) = (0.01, 0.1);
 
 /// Runs the missions of one robot, then of many, with one orchestrator on one core.
 pub fn fleet(robots: usize, secs: f64) -> Verdict {
