@@ -102,6 +102,9 @@ pub fn drive(seed: u64) -> Result<Outcome, GroundError> {
     drive_watched(seed, |_| {})
 }
 
+/// Worlds that are drawn for a seed until one has a start and, for a drive that is to succeed, a way.
+const MOST_DRAWS: u32 = 1000;
+
 /// Drives in the world of a seed; `watch` sees every tick.
 ///
 /// # Errors
@@ -122,7 +125,7 @@ pub fn drive_watched(seed: u64, mut watch: impl FnMut(&Ground)) -> Result<Outcom
     model.lidar.latency = [0.0, 0.02, 0.05][dice.below(3)];
     let movers = dice.chance(0.5);
     let mover_speed = if movers { 0.95 * model.drive.top_speed() } else { 0.0 };
-    for _ in 0..50 {
+    for _ in 0..MOST_DRAWS {
         let world = random(&mut dice, mover_speed)?;
         let empty = Simulation::new(&world, Vec::new(), seed)?;
         let Some(start) = place(&mut dice, &empty, &model, 0.25) else {

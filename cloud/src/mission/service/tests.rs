@@ -23,14 +23,20 @@ fn to(id: &str) -> GoalRequest {
     }
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_goal_is_answered_kept_over_a_restart_and_told_to_whoever_listens() {
+/// A router, and where it listens.
+async fn router() -> (Router, String) {
     let config = RouterConfig {
         listen: vec!["tcp/127.0.0.1:0".into()],
         ..RouterConfig::default()
     };
     let router = Router::open(&config).await.unwrap();
     let endpoint = router.endpoints().await.remove(0);
+    (router, endpoint)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_is_answered_kept_over_a_restart_and_told_to_whoever_listens() {
+    let (router, endpoint) = router().await;
     let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
     let folder = tempfile::tempdir().unwrap();
     let config = MissionConfig::new(
@@ -189,12 +195,7 @@ async fn until(status: &mut Latest<MissionStatus>, what: &str, fits: impl Fn(&Mi
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_that_has_caught_up_leads() {
-    let config = RouterConfig {
-        listen: vec!["tcp/127.0.0.1:0".into()],
-        ..RouterConfig::default()
-    };
-    let router = Router::open(&config).await.unwrap();
-    let endpoint = router.endpoints().await.remove(0);
+    let (router, endpoint) = router().await;
     let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
     let folder = tempfile::tempdir().unwrap();
     let shutdown = Shutdown::new();
