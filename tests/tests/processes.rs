@@ -414,7 +414,7 @@ async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_dri
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn when_the_leading_orchestrator_dies_or_freezes_the_other_goes_on_and_a_woken_one_does_not() {
-    let blows = [Blow::Death, Blow::Pause(6.0)];
+    let blows = [Blow::Death, Blow::Alone(1.0), Blow::Pause(6.0)];
     let findings = zenav_tests::proving::handover::run(ZENAV, &blows, 1).await.unwrap();
     assert!(findings.faults.is_empty(), "{findings:#?}");
     assert!(findings.goals > 0 && findings.takeovers.len() == 2, "{findings:#?}");

@@ -20,6 +20,8 @@ const SPEED: f64 = 1.0;
 const LONGEST_PEACE: f64 = 5.0;
 /// Wall time in which another mission leads, s.
 pub const TAKEOVER: f64 = 2.0;
+/// Wall time in which a leader whose standby is held says that it works alone.
+const ALONE: Duration = Duration::from_secs(3);
 /// Wall time for two missions to be ready: one leads, the other has caught up.
 const READY: Duration = Duration::from_secs(30);
 /// For how long a leader that goes on is watched before the next blow.
@@ -32,6 +34,8 @@ pub enum Blow {
     Death,
     /// Held for so many seconds of wall time.
     Pause(f64),
+    /// Not it but its standby is held for so many seconds.
+    Alone(f64),
 }
 
 /// Two orchestrators, by their holders' names.
@@ -54,6 +58,12 @@ impl<'d> Pair<'d> {
         found
             .map(|(_, process)| process)
             .ok_or_else(|| format!("{holder} leads, whom nobody started"))
+    }
+
+    /// The one that does not lead.
+    fn other(&mut self, holder: &str) -> Option<&mut Process> {
+        let found = self.missions.iter_mut().find(|(name, _)| *name != holder);
+        found.map(|(_, process)| process)
     }
 
     fn restart(&mut self, holder: &str) {
@@ -150,10 +160,29 @@ pub async fn run(binary: &str, blows: &[Blow], seed: u64) -> Result<Findings, St
         };
         let peace = scene.random.random_range(0.0..LONGEST_PEACE);
         scene.run_for(Duration::from_secs_f64(peace)).await?;
+        if let Blow::Alone(secs) = blow {
+            let Some(standby) = pair.other(&leader.holder) else {
+                continue;
+            };
+            standby.pause()?;
+            let alone = |status: &MissionStatus| status.leads && status.standbys.is_empty();
+            if scene
+                .until(ALONE, alone)
+                .await?
+                .is_none_or(|status| status.holder != leader.holder)
+            {
+                let fault = format!("{} does not go on alone within {ALONE:?}", leader.holder);
+                scene.witness.findings.faults.push(fault);
+            }
+            scene.run_for(Duration::from_secs_f64(*secs)).await?;
+            standby.resume()?;
+            scene.witness.findings.pauses += 1;
+            continue;
+        }
         let struck = pair.named(&leader.holder)?;
         match blow {
             Blow::Death => struck.kill(),
-            Blow::Pause(_) => struck.pause()?,
+            Blow::Pause(_) | Blow::Alone(_) => struck.pause()?,
         }
         let since = Instant::now();
         let next = |status: &MissionStatus| status.leads && status.holder != leader.holder;
@@ -174,7 +203,7 @@ pub async fn run(binary: &str, blows: &[Blow], seed: u64) -> Result<Findings, St
                 scene.witness.findings.kills += 1;
                 pair.restart(&leader.holder);
             }
-            Blow::Pause(secs) => {
+            Blow::Pause(secs) | Blow::Alone(secs) => {
                 scene.witness.findings.pauses += 1;
                 let rest = Duration::from_secs_f64(*secs).saturating_sub(since.elapsed());
                 scene.run_for(rest).await?;

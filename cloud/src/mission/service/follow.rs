@@ -115,6 +115,8 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
             }
             () = sleep_until(next_join) => {
                 next_join = Instant::now() + unheard;
+                // What was handed over before may have a gap after it: a new session begins with everything.
+                place = Place::anew();
                 join(post, epoch, &place).await?;
             }
         }

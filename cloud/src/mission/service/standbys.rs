@@ -393,8 +393,10 @@ impl Feed {
         };
         let chunks = [self.robot.as_str(), &self.standby];
         let reply = self.bus.ask(&topics::JOURNAL, &chunks, &entry, patience).await?;
-        if reply.position < entry.position {
-            return Err(AskError::Refused(Refusal::rejected("it holds less than it was handed")));
+        if reply.position != entry.position {
+            return Err(AskError::Refused(Refusal::rejected(
+                "it does not hold what it was handed",
+            )));
         }
         Ok(())
     }

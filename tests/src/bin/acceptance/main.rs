@@ -56,7 +56,7 @@ enum Run {
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// Two orchestrators, the leader of which is killed and then held for 20 s, so many times
+    /// Two orchestrators, the leader of which is killed, then held for 20 s, and its standby for 5 s, so many times
     Handover {
         deaths: usize,
         #[arg(default_value_t = 0)]

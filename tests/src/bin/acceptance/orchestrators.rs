@@ -16,10 +16,15 @@ pub fn kills(kills: usize, seed: u64) -> Verdict {
 /// How long a frozen leader is held, s.
 const FROZEN: f64 = 20.0;
 
+/// How long a standby is held, s.
+const ALONE: f64 = 5.0;
+
 /// Kills the leader of two orchestrators again and again, then freezes it, while goals come in.
 pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
     let mut blows = vec![Blow::Death; deaths];
-    blows.resize(deaths + pauses, Blow::Pause(FROZEN));
+    for _ in 0..pauses {
+        blows.extend([Blow::Pause(FROZEN), Blow::Alone(ALONE)]);
+    }
     tell(handover::run(&zenav().to_string_lossy(), &blows, seed))
 }
 
