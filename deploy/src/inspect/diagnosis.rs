@@ -208,11 +208,15 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
     };
     let seen = format!("{holder} (epoch {}), link {:?}, {beats}", state.lease.epoch, state.link);
     if !state.lease.live {
+        let mut seen = format!("{seen}, lapsed");
+        if let Some(leader) = &state.lease.leader {
+            seen.push_str(&format!("; only {} may lead next", leader.caught_up.join(" or ")));
+        }
         Check::fail(
             name,
             "lease",
-            format!("{seen}, lapsed"),
-            "is the mission running, and linked to this router?",
+            seen,
+            "is a mission with that store running, and linked to this router? if its disk is lost: `zenav lease forget`",
         )
     } else if state.lease.role == Some(LeaseRole::Operator) {
         Check::warn(

@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 use super::GoalRequest;
 use crate::time::Stamp;
 
-/// A standby's wish to be handed what the leader writes, and the sign that it still is there.
+/// A standby's wish to be handed all that the leader holds, and what it writes from then on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JoinRequest {
     /// Name of its store.
     pub store: String,
-    /// Names the time that it follows: as long as it misses nothing it keeps it, and takes nothing that was sent for another.
+    /// Names what is to be handed over, anew for every wish: the standby takes nothing that is sent for another.
     pub session: String,
     /// Goals that it took before any mission of the robot led; they become the leader's.
     #[serde(default)]

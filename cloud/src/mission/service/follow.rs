@@ -5,13 +5,11 @@ use std::hash::{BuildHasher as _, Hasher as _};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout_at};
-use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::BusError;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::super::exchange::{Request, Response};
 use super::super::records::Standing;
 use super::super::store::StoreError;
 use super::{MissionError, Post, Turn, blocking};
@@ -67,11 +65,7 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
             () = post.shutdown.wait() => return Ok(Turn::Over),
             request = post.desk.next() => {
                 let Some(request) = request else { return Err(BusError::Closed.into()) };
-                let answer = match request.request() {
-                    Request::Info(_) => Ok(Response::Info(Box::new(info(post)))),
-                    _ => Err(Refusal::NotLeader),
-                };
-                request.answer(answer);
+                post.turn_away(request);
             }
             entry = post.journal.next() => {
                 let Some(entry) = entry else { return Err(BusError::Closed.into()) };
@@ -202,17 +196,6 @@ fn may_lead(lease: &LeaseState, store: &str) -> bool {
             let open = !lease.live || operator && !lease.leader_live;
             open && leader.caught_up.iter().any(|known| known == store)
         }
-    }
-}
-
-fn info(post: &Post) -> InfoReply {
-    InfoReply {
-        component: "mission".to_owned(),
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        schema: SCHEMA_VERSION,
-        robot: post.config.robot.to_string(),
-        store: Some(post.store.name().to_owned()),
-        ..InfoReply::default()
     }
 }
 

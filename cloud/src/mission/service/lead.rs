@@ -101,13 +101,19 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
 
 /// Whether a mission with a store that no robot ever let lead leaves the lead to another one that is there. Without the robot's word one of
 /// several new ones leads, the first by its store's name.
-async fn another_leads(post: &Post) -> bool {
-    let robot = [post.config.robot.as_str()];
-    let all = post
-        .bus
-        .ask_all(&topics::CLOUD_INFO, &robot, &InfoRequest {}, ROLL_CALL);
-    let others = all.await.unwrap_or_default().into_iter();
-    others.filter_map(|answer| answer.result.ok()).any(|other| {
+async fn another_leads(post: &mut Post) -> bool {
+    let (bus, robot) = (post.bus.clone(), post.config.robot.to_string());
+    let chunks = [robot.as_str()];
+    let all = bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ROLL_CALL);
+    tokio::pin!(all);
+    // Others that are new call at the same time, and are to hear of this one.
+    let others = loop {
+        tokio::select! {
+            others = &mut all => break others.unwrap_or_default(),
+            Some(request) = post.desk.next() => post.turn_away(request),
+        }
+    };
+    others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
         let store = other.store.as_deref().filter(|store| *store != post.store.name());
         store.is_some_and(|store| other.leads || store < post.store.name())
     })

@@ -21,13 +21,15 @@ mod workers;
 use std::sync::Arc;
 
 use thiserror::Error;
+use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
 use zenav_protocol::messages::*;
 use zenav_protocol::topics;
 
 use super::config::MissionConfig;
+use super::exchange::{Request, Response};
 use super::store::{Store, StoreError};
-use desk::Desk;
+use desk::{Desk, Waiting};
 
 /// Why a mission ended by itself.
 #[derive(Debug, Error)]
@@ -79,6 +81,24 @@ struct Post {
     /// How far the time of the leader that was followed last is ahead of this clock, ns.
     ahead: Option<i64>,
     shutdown: Shutdown,
+}
+
+impl Post {
+    /// Answers whom a mission that does not lead has nothing else to tell than who it is.
+    fn turn_away(&self, request: Waiting) {
+        let answer = match request.request() {
+            Request::Info(_) => Ok(Response::Info(Box::new(InfoReply {
+                component: "mission".to_owned(),
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                schema: SCHEMA_VERSION,
+                robot: self.config.robot.to_string(),
+                store: Some(self.store.name().to_owned()),
+                ..InfoReply::default()
+            }))),
+            _ => Err(Refusal::NotLeader),
+        };
+        request.answer(answer);
+    }
 }
 
 /// Runs one robot's mission until `shutdown`, or until it can go on no longer.

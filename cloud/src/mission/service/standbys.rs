@@ -32,7 +32,8 @@ const PIECE_BYTES: usize = 64 * 1024;
 const KEEP_ALIVE: Duration = Duration::from_millis(400);
 /// Time between two tries to have the robot note who has caught up, while nothing waits for it.
 const RETRY: Duration = Duration::from_millis(500);
-/// One that was left behind is not waited for again for this long, then twice as long, and so on up to the second.
+/// One that was left behind is not waited for again for this long, then twice as long, and so on up to the second; once it has done well for
+/// the second, all is forgiven.
 const DISTRUST: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 /// Batches on their way to one standby.
 const MAX_BATCHES: usize = 1024;
@@ -249,9 +250,10 @@ impl Standbys {
             self.feeders.remove(name);
             self.members.remove(name);
             self.settled = false;
-            let time = self.distrust.get(name).map_or(DISTRUST.0, |(_, time)| 2 * *time);
-            let time = time.min(DISTRUST.1);
-            self.distrust.insert(name.clone(), (Instant::now() + time, time));
+            let now = Instant::now();
+            let again = self.distrust.get(name).filter(|(until, _)| now < *until + DISTRUST.1);
+            let time = again.map_or(DISTRUST.0, |(_, time)| (2 * *time).min(DISTRUST.1));
+            self.distrust.insert(name.clone(), (now + time, time));
         }
     }
 

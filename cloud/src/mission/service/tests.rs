@@ -260,3 +260,50 @@ async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_tha
     robot.await.unwrap();
     router.close().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn while_no_robot_is_there_one_of_two_new_missions_takes_goals_and_the_other_hands_its_own_over_later() {
+    let (router, endpoint) = router().await;
+    let folder = tempfile::tempdir().unwrap();
+    let members = tokio::join!(
+        Member::start(&endpoint, folder.path().join("a.redb")),
+        Member::start(&endpoint, folder.path().join("b.redb"))
+    );
+    let client = Bus::open(BusConfig::service("client", &endpoint)).await.unwrap();
+    let chunks = ["tiago"];
+    client
+        .ask(&topics::GOAL, &chunks, &to("early"), DEADLINE)
+        .await
+        .unwrap();
+    let answers = client
+        .ask_all(
+            &topics::GOALS,
+            &chunks,
+            &GoalsRequest::default(),
+            Duration::from_secs(1),
+        )
+        .await
+        .unwrap();
+    let taken = answers.iter().filter(|answer| answer.result.is_ok()).count();
+    assert_eq!((taken, answers.len()), (1, 2), "{answers:?}");
+
+    // The robot comes, and one of them has caught up with the other: no goal is lost, whoever leads.
+    let shutdown = Shutdown::new();
+    let bus = Bus::open(BusConfig::service("edge", &endpoint)).await.unwrap();
+    let robot = tokio::spawn(arbiter(bus, shutdown.clone()));
+    let mut status = client.latest(&topics::MISSION, &chunks).unwrap();
+    until(&mut status, "one leads, the other has caught up", |status| {
+        status.leads && !status.standbys.is_empty()
+    })
+    .await;
+    let goals = client
+        .ask(&topics::GOALS, &chunks, &GoalsRequest::default(), DEADLINE)
+        .await
+        .unwrap();
+    assert_eq!(goals.goals.len(), 1);
+    members.0.kill().await;
+    members.1.kill().await;
+    shutdown.trigger();
+    robot.await.unwrap();
+    router.close().await;
+}
