@@ -37,7 +37,7 @@ impl Mission {
                 schema: SCHEMA_VERSION,
                 robot: self.ctx.config.robot.to_string(),
                 store: self.store.clone(),
-                leads: self.ctx.lease.leads(),
+                leads: self.ctx.lease.claims(),
                 ..InfoReply::default()
             }))),
         }

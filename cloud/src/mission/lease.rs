@@ -95,7 +95,13 @@ impl LeaseKeeper {
     /// Whether this mission keeps the robot's goals; where no other can, also without the robot's word.
     #[must_use]
     pub fn leads(&self) -> bool {
-        !self.deposed && (self.confirmed || self.heard_out && !self.shared)
+        self.claims() && (self.confirmed || self.heard_out)
+    }
+
+    /// Whether it will lead unless the robot says otherwise: a new mission leaves the lead to one that does.
+    #[must_use]
+    pub fn claims(&self) -> bool {
+        !self.deposed && (self.confirmed || !self.shared)
     }
 
     /// Whether another mission leads for sure.

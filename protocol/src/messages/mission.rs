@@ -88,7 +88,7 @@ pub struct InfoReply {
     /// Name of the store, from a mission that keeps goals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub store: Option<String>,
-    /// Whether it leads: keeps the robot's goals.
+    /// Whether it keeps the robot's goals, or will unless the robot says otherwise.
     #[serde(default)]
     pub leads: bool,
     /// The robot's footprint, limits and sensors, from an edge.

@@ -104,19 +104,28 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
 async fn another_leads(post: &mut Post) -> bool {
     let (bus, robot) = (post.bus.clone(), post.config.robot.to_string());
     let chunks = [robot.as_str()];
-    let all = bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ROLL_CALL);
-    tokio::pin!(all);
-    // Others that are new call at the same time, and are to hear of this one.
-    let others = loop {
-        tokio::select! {
-            others = &mut all => break others.unwrap_or_default(),
-            Some(request) = post.desk.next() => post.turn_away(request),
+    // Twice: one that began at the same time may not have been there for the first call.
+    for _ in 0..2 {
+        let all = bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ROLL_CALL);
+        let (all, end) = (async { all.await.unwrap_or_default() }, tokio::time::sleep(ROLL_CALL));
+        let called = async { tokio::join!(all, end).0 };
+        tokio::pin!(called);
+        // Others that are new call, too, and are to hear of this one.
+        let others = loop {
+            tokio::select! {
+                others = &mut called => break others,
+                Some(request) = post.desk.next() => post.turn_away(request),
+            }
+        };
+        let yields = others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
+            let store = other.store.as_deref().filter(|store| *store != post.store.name());
+            store.is_some_and(|store| other.leads || store < post.store.name())
+        });
+        if yields {
+            return true;
         }
-    };
-    others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
-        let store = other.store.as_deref().filter(|store| *store != post.store.name());
-        store.is_some_and(|store| other.leads || store < post.store.name())
-    })
+    }
+    false
 }
 
 /// The signs of life: the mission's own, and more while it waits for its disk or its standbys.
