@@ -7,29 +7,20 @@
 //! is for the guard to assume; where it was last seen beside the blind sector is remembered for a while.
 
 use std::collections::VecDeque;
-use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::{Isometry2, Point2, Vector2};
+use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
 
-use crate::surroundings::{View, rigid};
+use crate::aim::Aim;
 use crate::traces::{Trace, Traces};
+use crate::view::{Cast, View, rigid};
 
 /// Returns farther off than this do not matter yet, m.
 const RANGE: f64 = 3.5;
 /// Sweeps looked back at, and the time between two of them at least, s.
 const LOOKS: (usize, f64) = (3, 0.32);
-/// An intruder lies this much nearer than the earlier beams went, beyond the noise of ranges, m.
-const DEPTH: f64 = 0.03;
-/// The same in standard deviations of a range.
-const DEPTH_SIGMAS: f64 = 4.0;
-/// And for each metre of range: heading errors and the beams' spacing.
-const DEPTH_PER_METRE: f64 = 0.01;
-/// Earlier beams on either side that must all have gone farther.
-const NEIGHBOURS: usize = 2;
 /// An intruder is at least this wide, m, and so many times as wide as the beams lie apart where it is: an earlier sweep may
 /// have missed what is thinner.
 const WIDTH: (f64, f64) = (0.04, 2.5);
@@ -59,8 +50,9 @@ const SURFACE: f64 = 0.1;
 pub struct Intruders {
     lidar: LidarModel,
     view: View,
-    /// Directions of the beams in the frame of the lidar.
-    beams: Vec<Vector2<f64>>,
+    aim: Aim,
+    /// How far the beams of the newest sweep went past what stands there, m.
+    past: Vec<f32>,
     /// As fast as anything may move, m/s.
     fastest: f64,
     /// What is farther from the lidar than this is not followed into the blind sector, m.
@@ -70,6 +62,8 @@ pub struct Intruders {
     points: Vec<Point2<f64>>,
     /// Which beams of the newest sweep met what has gone away.
     receded: Vec<bool>,
+    /// Which beams of the newest sweep met something where an earlier look went past.
+    intruding: Vec<bool>,
     /// Where something has moved lately.
     moved: Traces,
     /// Where something was lost in the blind sector.
@@ -79,8 +73,10 @@ pub struct Intruders {
 #[derive(Clone, Debug)]
 struct Look {
     stamp: Stamp,
-    laser_from_odom: Isometry2<f64>,
+    odom_from_laser: Isometry2<f64>,
     ranges: Vec<f32>,
+    /// How far the beams went past what stood there, m.
+    past: Vec<f32>,
 }
 
 /// A run of neighbouring returns of an earlier look that beams go through now.
@@ -98,59 +94,59 @@ impl Intruders {
     /// None yet.
     #[must_use]
     pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        let direction = |beam: usize| {
-            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
-            Vector2::new(angle.cos(), angle.sin())
-        };
+        let view = View::new(lidar);
         Self {
             lidar: lidar.clone(),
-            view: View::new(lidar),
-            beams: (0..lidar.beams).map(direction).collect(),
+            view,
+            aim: Aim::new(lidar, !view.has_blind_sector()),
+            past: Vec::new(),
             fastest,
             near: 2.0 * footprint.circumscribed_radius() + NEAR_SECS * fastest,
             looks: VecDeque::new(),
             points: Vec::new(),
             receded: Vec::new(),
+            intruding: Vec::new(),
             moved: Traces::new(MOVED_PLACES),
             lost: Traces::new(LOST_PLACES),
         }
     }
 
-    /// Takes a sweep with the lidar's number of beams, and the robot's odometry at its stamp.
-    pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) {
-        let odom_from_laser = odom_from_base * self.lidar.mount;
+    /// Takes a sweep.
+    pub(crate) fn insert(&mut self, cast: &Cast<'_>) {
         self.points.clear();
-        self.find_receded(sweep, odom_from_laser);
-        self.moved
-            .retain(|trace| sweep.stamp.secs_since(trace.stamp) <= STILL.1);
-        let to_odom = rigid(odom_from_laser);
+        self.aim.past(cast.ranges, &mut self.past);
+        self.find_receded(cast);
+        self.find_intruding(cast);
+        self.moved.retain(|trace| cast.stamp.secs_since(trace.stamp) <= STILL.1);
+        let laser = cast.laser();
         let (low, high) = self.moved.bounds(STILL.0);
         let (mut begun, mut still) = (0, Vec::new());
-        for (beam, range) in sweep.ranges.iter().enumerate() {
+        for (beam, (range, ray)) in cast.ranges.iter().zip(cast.rays).enumerate() {
             let range = f64::from(*range);
-            let Some(local) = self.beams.get(beam).filter(|_| self.is_near(range)) else {
-                self.end_run(&mut begun, odom_from_laser.position());
+            if !self.is_near(range) {
+                self.end_run(&mut begun, laser);
                 continue;
-            };
-            let point = to_odom * Point2::from(local * range);
-            if self.receded.get(beam).is_some_and(|receded| *receded) || self.intrudes(point) {
+            }
+            let point = laser + ray * range;
+            let is_one = |marked: &[bool]| marked.get(beam).is_some_and(|marked| *marked);
+            if is_one(&self.receded) || is_one(&self.intruding) {
                 self.points.push(point);
                 continue;
             }
-            self.end_run(&mut begun, odom_from_laser.position());
+            self.end_run(&mut begun, laser);
             if point >= low && point <= high && self.moved.any_within(STILL.0, point) {
                 still.push(point);
             }
         }
-        self.end_run(&mut begun, odom_from_laser.position());
+        self.end_run(&mut begun, laser);
         thin(&mut self.points);
         let evident = self.points.len();
         thin(&mut still);
         self.points.append(&mut still);
-        self.look(sweep, odom_from_laser);
-        self.lose(sweep.stamp, odom_from_laser);
+        self.look(cast);
+        self.lose(cast);
         for place in self.points.iter().take(evident) {
-            self.moved.note(*place, sweep.stamp);
+            self.moved.note(*place, cast.stamp);
         }
     }
 
@@ -160,22 +156,22 @@ impl Intruders {
     }
 
     /// Notes the beams that meet what stood nearer at an earlier look.
-    fn find_receded(&mut self, sweep: &Sweep, odom_from_laser: Pose2) {
+    fn find_receded(&mut self, cast: &Cast<'_>) {
         self.receded.clear();
-        let old = |look: &&Look| sweep.stamp.secs_since(look.stamp) >= GONE_AFTER;
+        let old = |look: &&Look| cast.stamp.secs_since(look.stamp) >= GONE_AFTER;
         let Some(look) = self.looks.iter().rev().find(old) else {
             return;
         };
-        self.receded.resize(sweep.ranges.len(), false);
-        let gone_for = sweep.stamp.secs_since(look.stamp);
-        let laser_from_look = rigid(odom_from_laser.inverse()) * look.laser_from_odom.inverse();
+        self.receded.resize(cast.ranges.len(), false);
+        let gone_for = cast.stamp.secs_since(look.stamp);
+        let laser_from_look = cast.odom_from_laser.inverse() * look.odom_from_laser;
+        self.aim.lay(&laser_from_look, &look.ranges);
         let (mut runs, mut run): (Vec<Gone>, Option<Gone>) = (Vec::new(), None);
-        for (beam, range) in look.ranges.iter().enumerate() {
-            let range = f64::from(*range);
-            let local = self.beams.get(beam).filter(|_| self.is_near(range));
-            let here = laser_from_look * Point2::from(local.copied().unwrap_or_default() * range);
-            let through = local.and_then(|_| self.seen_through(here.coords, &sweep.ranges));
-            if let Some(beam) = through {
+        let beams = self.aim.beams_past(&self.past).zip(&look.ranges);
+        for (from, (beam, range)) in beams.enumerate() {
+            let beam = beam.filter(|_| self.is_near(f64::from(*range)));
+            let through = beam.and_then(|beam| Some((beam, self.aim.point(from)?)));
+            if let Some((beam, here)) = through {
                 // At the seam of a full circle the beams begin anew.
                 if run.is_some_and(|gone| beam.abs_diff(gone.beams.1) > APART && beam.abs_diff(gone.beams.0) > APART) {
                     runs.extend(run.take());
@@ -194,46 +190,27 @@ impl Intruders {
         }
         runs.extend(run);
         for gone in runs {
-            self.mark(&gone, sweep, gone_for);
+            self.mark(&gone, cast.ranges, gone_for);
         }
     }
 
     /// Marks what is met behind a run of points that have gone.
-    fn mark(&mut self, gone: &Gone, sweep: &Sweep, gone_for: f64) {
+    fn mark(&mut self, gone: &Gone, ranges: &[f32], gone_for: f64) {
         let least = WIDTH.0.max(WIDTH.1 * self.lidar.angle_increment() * gone.depth);
         if (gone.ends[1] - gone.ends[0]).norm() < least {
             return;
         }
-        let farthest = gone.depth + self.fastest * gone_for + DEPTH + DEPTH_SIGMAS * self.lidar.noise;
+        let farthest = gone.depth + self.fastest * gone_for + self.aim.depth;
         let (first, last) = gone.beams;
-        for (marked, range) in self.receded.iter_mut().zip(&sweep.ranges).take(last + 1).skip(first) {
+        for (marked, range) in self.receded.iter_mut().zip(ranges).take(last + 1).skip(first) {
             *marked |= f64::from(*range) <= farthest;
         }
     }
 
-    /// The beam that goes through a place (laser frame) by far, with its neighbours.
-    fn seen_through(&self, local: Vector2<f64>, ranges: &[f32]) -> Option<usize> {
-        if self.view.is_blind(local) {
-            return None;
-        }
-        let distance = local.norm();
-        let beam = (bearing(local) - self.lidar.angle_min()) / self.lidar.angle_increment();
-        let beam = (beam + 0.5).max(0.0) as usize;
-        let beams = beam.saturating_sub(NEIGHBOURS)..=beam + NEIGHBOURS;
-        let depth = DEPTH + DEPTH_SIGMAS * self.lidar.noise + DEPTH_PER_METRE * distance;
-        // Written so that no return counts as far.
-        let all = beams.clone().all(|beam| {
-            ranges
-                .get(beam)
-                .is_none_or(|range| f64::from(*range) > distance + depth)
-        });
-        (all && ranges.len() > *beams.start()).then_some(beam)
-    }
-
     /// Notes what may go into the blind sector before the next sweep, and forgets what was lost long ago or has come out again.
-    fn lose(&mut self, now: Stamp, odom_from_laser: Pose2) {
+    fn lose(&mut self, cast: &Cast<'_>) {
         let (beside, near) = (BESIDE + self.fastest / self.lidar.rate_hz, self.near);
-        let laser_from_odom = rigid(odom_from_laser.inverse());
+        let (now, laser_from_odom) = (cast.stamp, cast.odom_from_laser.inverse());
         // What moves by a single sweep may be a mistake: it is not worth the wait for it to come out.
         let since = STILL.0 + self.fastest / self.lidar.rate_hz;
         let goes = |place: &&Point2<f64>| {
@@ -276,33 +253,37 @@ impl Intruders {
         self.points.truncate(*begun);
     }
 
-    /// Whether an earlier look went past this place.
-    fn intrudes(&self, point: Point2<f64>) -> bool {
-        self.looks.iter().any(|look| {
-            self.seen_through((look.laser_from_odom * point).coords, &look.ranges)
-                .is_some()
-        })
+    /// Notes the beams that met something where an earlier look went past.
+    fn find_intruding(&mut self, cast: &Cast<'_>) {
+        self.intruding.clear();
+        self.intruding.resize(cast.ranges.len(), false);
+        for look in &self.looks {
+            let look_from_laser = look.odom_from_laser.inverse() * cast.odom_from_laser;
+            self.aim.lay(&look_from_laser, cast.ranges);
+            for (intruding, beam) in self.intruding.iter_mut().zip(self.aim.beams_past(&look.past)) {
+                *intruding |= beam.is_some();
+            }
+        }
     }
 
-    fn look(&mut self, sweep: &Sweep, odom_from_laser: Pose2) {
+    fn look(&mut self, cast: &Cast<'_>) {
         let due = self
             .looks
             .back()
-            .is_none_or(|last| sweep.stamp.secs_since(last.stamp) >= LOOKS.1);
+            .is_none_or(|last| cast.stamp.secs_since(last.stamp) >= LOOKS.1);
         if !due {
             return;
         }
-        let mut ranges = if self.looks.len() == LOOKS.0 {
-            self.looks.pop_front().map(|look| look.ranges).unwrap_or_default()
-        } else {
-            Vec::new()
-        };
+        let oldest = (self.looks.len() == LOOKS.0).then(|| self.looks.pop_front()).flatten();
+        let (mut ranges, mut past) = oldest.map(|look| (look.ranges, look.past)).unwrap_or_default();
         ranges.clear();
-        ranges.extend_from_slice(&sweep.ranges);
+        ranges.extend_from_slice(cast.ranges);
+        past.clone_from(&self.past);
         self.looks.push_back(Look {
-            stamp: sweep.stamp,
-            laser_from_odom: rigid(odom_from_laser.inverse()),
+            stamp: cast.stamp,
+            odom_from_laser: cast.odom_from_laser,
             ranges,
+            past,
         });
     }
 
@@ -311,17 +292,6 @@ impl Intruders {
         let base_from_odom = rigid(odom_from_base.inverse());
         self.points.iter().map(move |point| base_from_odom * point)
     }
-}
-
-/// The direction of a vector, rad, to 1e-5: far finer than beams lie apart (Abramowitz and Stegun, 4.4.49).
-fn bearing(vector: Vector2<f64>) -> f64 {
-    let (x, y) = (vector.x.abs(), vector.y.abs());
-    let slope = x.min(y) / x.max(y).max(1e-12);
-    let s = slope * slope;
-    let angle = slope * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
-    let angle = if y > x { FRAC_PI_2 - angle } else { angle };
-    let angle = if vector.x < 0.0 { PI - angle } else { angle };
-    if vector.y < 0.0 { -angle } else { angle }
 }
 
 /// Leaves out points close to the one before.
@@ -340,6 +310,8 @@ fn thin(points: &mut Vec<Point2<f64>>) {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::view::Caster;
+    use zenav_protocol::readings::Sweep;
     use zenav_protocol::robot::{RobotModel, shipped};
 
     fn lidar() -> LidarModel {
@@ -366,15 +338,6 @@ mod tests {
     }
 
     #[test]
-    fn bearings_are_near_enough() {
-        for step in -3141..=3141 {
-            let angle = f64::from(step) * 1e-3;
-            let vector = Vector2::new(angle.cos(), angle.sin()) * 1.7;
-            assert!((bearing(vector) - angle).abs() < 2e-5, "{angle}");
-        }
-    }
-
-    #[test]
     fn what_has_gone_from_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
         let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
         let lidar = robot.lidar;
@@ -388,7 +351,7 @@ mod tests {
                 stamp: Stamp::from_secs(secs),
                 ranges: (0..lidar.beams).map(range).collect(),
             };
-            intruders.insert(&sweep, Pose2::IDENTITY);
+            intruders.insert(&Caster::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
         }
         let points: Vec<_> = intruders.in_base(Pose2::IDENTITY).collect();
         assert!(
@@ -402,12 +365,14 @@ mod tests {
         let lidar = lidar();
         let mut still = Intruders::new(&lidar, &Footprint::Radius(0.265), 0.6);
         let mut moving = Intruders::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        let mut caster = Caster::new(&lidar);
         for step in 0..20 {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
             let base = Pose2::new(0.05 * f64::from(step), 0.0, 0.0);
-            still.insert(&sweep(&lidar, secs, base, Some(2.0)), base);
-            moving.insert(&sweep(&lidar, secs, base, Some(2.4 - 0.03 * f64::from(step))), base);
+            for (intruders, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
+                intruders.insert(&caster.cast(&sweep(&lidar, secs, base, Some(post)), base).unwrap());
+            }
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
         assert!(moving.in_base(Pose2::IDENTITY).count() >= 2);

@@ -20,6 +20,7 @@
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
 pub mod acceptance;
+mod aim;
 pub mod authority;
 pub mod behaviours;
 pub mod body;
@@ -54,6 +55,7 @@ pub mod teleop;
 pub mod traces;
 pub mod trackers;
 pub mod trodden;
+mod view;
 pub mod wall_follower;
 
 pub use body::{Body, BodyError};

@@ -7,7 +7,8 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::Footprint;
 
-use crate::surroundings::{Surroundings, rigid};
+use crate::surroundings::Surroundings;
+use crate::view::rigid;
 
 /// Directions that are tried.
 const DIRECTIONS: u32 = 16;

@@ -16,8 +16,9 @@ use zenav_protocol::time::Stamp;
 
 use crate::contact::Sweeper;
 use crate::limiter::wheel_surface_speed;
-use crate::surroundings::{Surroundings, rigid};
+use crate::surroundings::Surroundings;
 use crate::trodden::Floor;
+use crate::view::rigid;
 
 /// Least time to collision with the last centimetre while creeping inside the margin, s.
 const CREEP_TIME: f64 = 1.0;

@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Isometry2, Point2, Vector2};
+use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
@@ -12,6 +12,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::intruders::Intruders;
 use crate::trodden::Trodden;
+use crate::view::{Caster, View, rigid};
 
 /// Remembered points farther off than this are let go, m.
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
@@ -24,8 +25,8 @@ const SPACING: f64 = 0.02;
 #[derive(Clone, Debug)]
 pub struct Surroundings {
     lidar: LidarModel,
-    /// Directions of the beams in the base frame.
-    beams: Vec<Vector2<f64>>,
+    view: View,
+    caster: Caster,
     stamp: Option<Stamp>,
     seen: Vec<Point2<f64>>,
     /// What was seen in what is the blind sector now, until it is seen again or left behind.
@@ -34,79 +35,14 @@ pub struct Surroundings {
     trodden: Trodden,
 }
 
-/// A pose made ready for many points: sine and cosine are taken once.
-pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
-    Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
-}
-
-/// The directions that a lidar looks in, in its own frame.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct View {
-    /// Of the first and of the last beam.
-    first: Vector2<f64>,
-    last: Vector2<f64>,
-    /// Angle that is never seen, rad; a gap of a beam is none.
-    gap: f64,
-}
-
-impl View {
-    pub(crate) fn new(lidar: &LidarModel) -> Self {
-        let first = lidar.angle_min();
-        let span = lidar.angle_increment() * (lidar.beams.max(1) - 1) as f64;
-        let direction = |angle: f64| Vector2::new(angle.cos(), angle.sin());
-        let gap = std::f64::consts::TAU - span;
-        Self {
-            first: direction(first),
-            last: direction(first + span),
-            gap: if gap > 0.1 { gap } else { 0.0 },
-        }
-    }
-
-    /// Whether some directions are never seen.
-    pub(crate) fn has_blind_sector(&self) -> bool {
-        self.gap > 0.0
-    }
-
-    /// Whether nothing in this direction is ever seen.
-    pub(crate) fn is_blind(&self, local: Vector2<f64>) -> bool {
-        let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
-        if self.gap <= std::f64::consts::PI {
-            self.gap > 0.0 && after_last && before_first
-        } else {
-            after_last || before_first
-        }
-    }
-
-    /// Distance of a place from the sector that is never seen, m: zero within it, infinite where there is none.
-    pub(crate) fn off_the_blind(&self, local: Vector2<f64>) -> f64 {
-        if !self.has_blind_sector() {
-            return f64::INFINITY;
-        }
-        if self.is_blind(local) {
-            return 0.0;
-        }
-        let off = |edge: &Vector2<f64>| {
-            if edge.dot(&local) > 0.0 {
-                edge.perp(&local).abs()
-            } else {
-                local.norm()
-            }
-        };
-        off(&self.first).min(off(&self.last))
-    }
-}
-
 impl Surroundings {
     /// Nothing seen yet. Nothing moves faster than `fastest`, m/s.
     #[must_use]
     pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        let direction = |beam: usize| {
-            let angle = lidar.mount.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
-            Vector2::new(angle.cos(), angle.sin())
-        };
         Self {
-            beams: (0..lidar.beams).map(direction).collect(),
             lidar: lidar.clone(),
+            view: View::new(lidar),
+            caster: Caster::new(lidar),
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
@@ -118,56 +54,39 @@ impl Surroundings {
     /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
     /// number of beams, or not newer than the last, is not.
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
-        if sweep.ranges.len() != self.beams.len() || self.stamp.is_some_and(|last| sweep.stamp <= last) {
+        if self.stamp.is_some_and(|last| sweep.stamp <= last) {
             return false;
         }
-        self.remember(odom_from_base);
-        let mount = self.lidar.mount;
+        let Some(cast) = self.caster.cast(sweep, odom_from_base) else {
+            return false;
+        };
+        if self.view.has_blind_sector() {
+            remember(
+                &mut self.remembered,
+                &self.seen,
+                self.view,
+                cast.odom_from_laser.inverse(),
+            );
+        }
         self.seen.clear();
-        let to_odom = rigid(odom_from_base);
-        for (range, beam) in sweep.ranges.iter().zip(&self.beams) {
+        let laser = cast.laser();
+        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
             let range = f64::from(*range);
             // Written so that NaN is no return.
             if range >= self.lidar.range_min && range <= self.lidar.range_max {
-                self.seen
-                    .push(to_odom * Point2::new(mount.x + range * beam.x, mount.y + range * beam.y));
+                self.seen.push(laser + ray * range);
             }
         }
-        self.intruders.insert(sweep, odom_from_base);
-        self.trodden.insert(sweep, odom_from_base);
+        self.intruders.insert(&cast);
+        self.trodden.insert(&cast);
         self.stamp = Some(sweep.stamp);
         true
-    }
-
-    /// Keeps of all known points those that the lidar cannot see from here.
-    fn remember(&mut self, odom_from_base: Pose2) {
-        let view = View::new(&self.lidar);
-        if !view.has_blind_sector() {
-            return;
-        }
-        let laser_from_odom = rigid((odom_from_base * self.lidar.mount).inverse());
-        let blind = |point: &Point2<f64>| {
-            let local = (laser_from_odom * point).coords;
-            view.is_blind(local) && local.norm() < MEMORY_RANGE
-        };
-        self.remembered.retain(blind);
-        let mut last = Point2::new(f64::INFINITY, 0.0);
-        for point in self.seen.iter().filter(|point| blind(point)) {
-            if (point - last).norm_squared() < SPACING * SPACING {
-                continue;
-            }
-            last = *point;
-            if self.remembered.len() == MEMORY_POINTS {
-                self.remembered.pop_front();
-            }
-            self.remembered.push_back(*point);
-        }
     }
 
     /// Something was felt at a place (base frame): where nobody looks it counts as something that moves.
     pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
         let local = self.lidar.mount.inverse().transform_point(place).coords;
-        if View::new(&self.lidar).is_blind(local) {
+        if self.view.is_blind(local) {
             self.intruders.lose_at(odom_from_base.transform_point(place), now);
         }
     }
@@ -209,6 +128,26 @@ impl Surroundings {
     #[must_use]
     pub fn trodden(&self) -> &Trodden {
         &self.trodden
+    }
+}
+
+/// Keeps of all known points those that the lidar cannot see from here.
+fn remember(remembered: &mut VecDeque<Point2<f64>>, seen: &[Point2<f64>], view: View, laser_from_odom: Isometry2<f64>) {
+    let blind = |point: &Point2<f64>| {
+        let local = (laser_from_odom * point).coords;
+        view.is_blind(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+    };
+    remembered.retain(blind);
+    let mut last = Point2::new(f64::INFINITY, 0.0);
+    for point in seen.iter().filter(|point| blind(point)) {
+        if (point - last).norm_squared() < SPACING * SPACING {
+            continue;
+        }
+        last = *point;
+        if remembered.len() == MEMORY_POINTS {
+            remembered.pop_front();
+        }
+        remembered.push_back(*point);
     }
 }
 

@@ -4,11 +4,10 @@
 //! drive backwards into the unknown. Where it starts, the disc that it needs to turn is taken for free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
-use zenav_protocol::geometry::Pose2;
-use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
 
-use crate::surroundings::{MEMORY_RANGE, View, rigid};
+use crate::surroundings::MEMORY_RANGE;
+use crate::view::{Cast, View, rigid};
 
 /// After a return a cell is free again when this many sweeps have looked through it: thin legs are hit now and then only.
 const DOUBT: u8 = 10;
@@ -17,9 +16,8 @@ const CELL: f64 = 0.05;
 /// Cells a side, a power of two: more than twice the memory's range.
 const SIDE: i32 = 1 << SIDE_BITS;
 const SIDE_BITS: u32 = 7;
-/// Beams are followed in steps of this, m.
-const STEP: f64 = 0.04;
-/// And up to this before what they met, m.
+const CELLS: usize = (SIDE * SIDE) as usize;
+/// Beams are followed up to this before what they met, m.
 const SHORT: f64 = 0.02;
 /// What is free at the start beyond the robot itself, m.
 const AT_START: f64 = 0.16;
@@ -32,7 +30,8 @@ pub struct Trodden {
     laser_from_base: Isometry2<f64>,
     /// Radius of what is taken for free at the start, m.
     reach: f64,
-    cells: Vec<Cell>,
+    /// None before the first sweep.
+    cells: Option<Box<[Cell; CELLS]>>,
     /// Counts the sweeps.
     sweep: u16,
 }
@@ -53,13 +52,20 @@ pub enum Floor {
 /// A place of the ring.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
-    /// Which round of the ring it stands for, a side; `None` for none yet.
-    at: Option<(i16, i16)>,
+    /// Which round of the ring it stands for, 16 bits a side.
+    at: u32,
     /// The sweep that looked through it last.
     looked: u16,
     /// Zero: free.
     doubt: u8,
 }
+
+/// Stands for no place yet, or for one that is 200 km away.
+const NOWHERE: Cell = Cell {
+    at: 0x8000_8000,
+    looked: 0,
+    doubt: DOUBT,
+};
 
 impl Trodden {
     /// Nothing known but what the robot needs to turn where it starts.
@@ -75,7 +81,7 @@ impl Trodden {
             view: View::new(lidar),
             laser_from_base: rigid(lidar.mount.inverse()),
             reach,
-            cells: Vec::new(),
+            cells: None,
             sweep: 0,
         }
     }
@@ -86,26 +92,19 @@ impl Trodden {
         self.view.has_blind_sector()
     }
 
-    /// Takes a sweep with the lidar's number of beams, and the robot's odometry at its stamp.
-    pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) {
+    /// Takes a sweep.
+    pub(crate) fn insert(&mut self, cast: &Cast<'_>) {
         if !self.has_blind_sector() {
             return;
         }
         self.sweep = self.sweep.wrapping_add(1);
-        if self.cells.is_empty() {
-            let nowhere = Cell {
-                at: None,
-                looked: 0,
-                doubt: DOUBT,
-            };
-            self.cells = vec![nowhere; (SIDE * SIDE) as usize];
-            self.tread(odom_from_base.position(), self.reach);
-        }
-        let laser = odom_from_base * self.lidar.mount;
-        let increment = self.lidar.angle_increment();
-        let stride = ((CELL / MEMORY_RANGE / increment) as usize).max(1);
-        let at = |beam: usize| sweep.ranges.get(beam).copied().unwrap_or(0.0);
-        for beam in (0..sweep.ranges.len()).step_by(stride) {
+        let (laser, sweep) = (cast.laser(), self.sweep);
+        let base = cast.odom_from_laser * self.laser_from_base * Point2::origin();
+        let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach));
+        let stride = ((CELL / MEMORY_RANGE / self.lidar.angle_increment()) as usize).max(1);
+        let at = |beam: usize| cast.ranges.get(beam).copied().unwrap_or(0.0);
+        let walked = cast.rays.iter().enumerate().step_by(stride);
+        for (nth, (beam, ray)) in walked.enumerate() {
             let mut range = f64::from(at(beam));
             if range.is_infinite() {
                 // A lost beam between two that met something is not a free one.
@@ -114,59 +113,31 @@ impl Trodden {
             if range < self.lidar.range_min {
                 continue;
             }
-            let angle = laser.yaw + self.lidar.angle_min() + beam as f64 * increment;
-            let (mut x, mut y) = (fixed(laser.x), fixed(laser.y));
-            let (dx, dy) = (fixed(angle.cos() * STEP), fixed(angle.sin() * STEP));
-            for _ in 0..((range - SHORT).min(MEMORY_RANGE) / STEP) as u32 {
-                self.look_through(locate(x, y));
+            // From column to column, or from row to row.
+            let step = CELL / ray.x.abs().max(ray.y.abs());
+            let (dx, dy) = (fixed(ray.x * step), fixed(ray.y * step));
+            let steps = |range: f64| (range / step) as u32;
+            // Beams lie closer together the nearer they are: of two, one begins where the other alone would leave cells out.
+            let begin = steps(MEMORY_RANGE).checked_shr(nth.trailing_zeros() + 1).unwrap_or(0);
+            let mut x = fixed(laser.x) + i64::from(begin) * dx;
+            let mut y = fixed(laser.y) + i64::from(begin) * dy;
+            for _ in begin..steps((range - SHORT).min(MEMORY_RANGE)) {
+                look_through(cells, locate(x, y), sweep);
                 (x, y) = (x + dx, y + dy);
             }
         }
-        for (beam, range) in sweep.ranges.iter().enumerate() {
+        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
             let range = f64::from(*range);
             if range >= self.lidar.range_min && range <= MEMORY_RANGE {
-                let angle = laser.yaw + self.lidar.angle_min() + beam as f64 * increment;
-                self.hit(laser.position() + Vector2::new(angle.cos(), angle.sin()) * range);
-            }
-        }
-    }
-
-    fn tread(&mut self, center: Point2<f64>, radius: f64) {
-        let steps = (radius / STEP).ceil() as i32;
-        for i in -steps..=steps {
-            for j in -steps..=steps {
-                let off = Vector2::new(f64::from(i), f64::from(j)) * STEP;
-                if off.norm() <= radius {
-                    self.look_through(place(center + off));
+                let (at, index) = place(laser + ray * range);
+                if let Some(cell) = cells.get_mut(index) {
+                    *cell = Cell {
+                        at,
+                        looked: sweep,
+                        doubt: DOUBT,
+                    };
                 }
             }
-        }
-    }
-
-    fn look_through(&mut self, (at, index): Place) {
-        let sweep = self.sweep;
-        if let Some(cell) = self.cells.get_mut(index) {
-            if cell.at != at {
-                *cell = Cell {
-                    at,
-                    looked: sweep,
-                    doubt: 0,
-                };
-            } else if cell.looked != sweep {
-                cell.looked = sweep;
-                cell.doubt = cell.doubt.saturating_sub(1);
-            }
-        }
-    }
-
-    fn hit(&mut self, met: Point2<f64>) {
-        let (at, index) = place(met);
-        if let Some(cell) = self.cells.get_mut(index) {
-            *cell = Cell {
-                at,
-                looked: self.sweep,
-                doubt: DOUBT,
-            };
         }
     }
 
@@ -177,7 +148,8 @@ impl Trodden {
             return Floor::InSight;
         }
         let (at, index) = self::place(odom_from_base * place);
-        match self.cells.get(index).filter(|cell| cell.at == at) {
+        let cell = self.cells.as_ref().and_then(|cells| cells.get(index));
+        match cell.filter(|cell| cell.at == at) {
             None => Floor::Unknown,
             Some(cell) if cell.doubt > 0 => Floor::Met,
             Some(_) => Floor::Free,
@@ -203,8 +175,35 @@ impl Trodden {
     }
 }
 
+/// The floor that a robot needs to turn where it starts.
+fn at_start(base: Point2<f64>, radius: f64) -> Box<[Cell; CELLS]> {
+    let mut cells = Box::new([NOWHERE; CELLS]);
+    let steps = (radius / CELL).ceil() as i32;
+    for i in -steps..=steps {
+        for j in -steps..=steps {
+            let off = Vector2::new(f64::from(i), f64::from(j)) * CELL;
+            if off.norm() <= radius {
+                look_through(&mut cells, place(base + off), 0);
+            }
+        }
+    }
+    cells
+}
+
+/// Nothing stands there, by a sweep.
+fn look_through(cells: &mut [Cell; CELLS], (at, index): Place, sweep: u16) {
+    let Some(cell) = cells.get_mut(index) else { return };
+    // Without a branch: which of them it would be is as good as random.
+    let doubt = cell.doubt.saturating_sub(u8::from(cell.looked != sweep));
+    *cell = Cell {
+        at,
+        looked: sweep,
+        doubt: if cell.at == at { doubt } else { 0 },
+    };
+}
+
 /// The round of the ring that a place lies in, and its index in the ring.
-type Place = (Option<(i16, i16)>, usize);
+type Place = (u32, usize);
 
 /// A coordinate in cells, with 16 bits below the point: a walk by these needs no rounding of floats.
 fn fixed(coordinate: f64) -> i64 {
@@ -214,7 +213,8 @@ fn fixed(coordinate: f64) -> i64 {
 fn locate(x: i64, y: i64) -> Place {
     let (x, y) = ((x >> 16) as i32, (y >> 16) as i32);
     let index = ((y & (SIDE - 1)) << SIDE_BITS) | (x & (SIDE - 1));
-    (Some(((x >> SIDE_BITS) as i16, (y >> SIDE_BITS) as i16)), index as usize)
+    let (east, north) = ((x >> SIDE_BITS) as u16, (y >> SIDE_BITS) as u16);
+    (u32::from(east) << 16 | u32::from(north), index as usize)
 }
 
 fn place(point: Point2<f64>) -> Place {
@@ -225,7 +225,10 @@ fn place(point: Point2<f64>) -> Place {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::view::Caster;
     use std::f64::consts::PI;
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::readings::Sweep;
     use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
 
@@ -241,7 +244,7 @@ mod tests {
             stamp: Stamp(1),
             ranges: vec![2.0; lidar.beams],
         };
-        trodden.insert(&sweep, Pose2::IDENTITY);
+        trodden.insert(&Caster::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
         let floor = |base: Pose2, x: f64| trodden.floor(&rigid(base), Point2::new(x, 0.0));
         assert_eq!(floor(Pose2::IDENTITY, -0.6), Floor::Unknown);
         assert_eq!(floor(Pose2::IDENTITY, -0.3), Floor::Free, "the start");
