@@ -407,6 +407,30 @@ mod tests {
     }
 
     #[test]
+    fn encoders_that_lose_a_reading_tell_the_one_before_and_miss_no_turn() {
+        let model = EncoderModel {
+            noise: 0.0,
+            resolution: 0.0,
+            rate_hz: None,
+            dropout: 0.4,
+            latency: 0.0,
+        };
+        let mut encoders = Encoders::new(model, rng());
+        let (mut lost, mut last) = (0, 0.0);
+        for tick in 1..=1000 {
+            encoders.turn([0.1, 0.1]);
+            let [told, _] = encoders.read(Stamp(tick * 20_000_000));
+            if told == last {
+                lost += 1;
+            } else {
+                assert!((told - 0.1 * tick as f64).abs() < 1e-9, "{told} at tick {tick}");
+            }
+            last = told;
+        }
+        assert!((350..450).contains(&lost), "{lost}");
+    }
+
+    #[test]
     fn streams_of_robots_and_sensors_differ() {
         let id = |name: &str| Id::new(name).unwrap();
         let first = |robot: &str, sensor, seed| gauss(&mut stream(seed, &id(robot), sensor), 1.0);

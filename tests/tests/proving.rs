@@ -52,7 +52,7 @@ fn the_time_law_keeps_to_its_path_more_closely_than_any_other_tracker() {
     let p95 = |law: TrackerKind| {
         let mut errors = Vec::new();
         for way in &ways {
-            let drive = tracking::drive(&world, &model, law, way, 1).unwrap();
+            let drive = tracking::drive(&world, &model, law, way, tracking::Localised::Alone, 1).unwrap();
             assert!(drive.secs.is_some() && drive.contacts == 0, "{law:?}: {drive:?}");
             errors.extend(drive.errors);
         }

@@ -9,7 +9,7 @@ use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
 use zenav_edge::Inbox;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
+use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
 use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
 use zenav_sim::World;
 
@@ -18,6 +18,8 @@ use super::worlds::Dice;
 
 /// Side of a cell of a world's map, m.
 const RESOLUTION: f64 = 0.05;
+/// Largest errors of a pose that is measured off board, m and rad.
+const MEASURED: (f64, f64) = (0.02, 0.01);
 /// Ways are at least this long, m.
 const LEAST_LENGTH: f64 = 2.0;
 
@@ -154,11 +156,27 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, pr
     found
 }
 
+/// What the robot knows of its pose on the way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Localised {
+    /// What its own sensors tell.
+    Alone,
+    /// And once a second, from off board, where it was.
+    OffBoard,
+}
+
 /// Drives a way by a law.
 ///
 /// # Errors
 /// [`GroundError`] when the robot cannot stand at the way's start.
-pub fn drive(world: &World, model: &RobotModel, law: TrackerKind, way: &Way, seed: u64) -> Result<Drive, GroundError> {
+pub fn drive(
+    world: &World,
+    model: &RobotModel,
+    law: TrackerKind,
+    way: &Way,
+    localised: Localised,
+    seed: u64,
+) -> Result<Drive, GroundError> {
     let mut model = model.clone();
     model.controller.tracker = law;
     let mut ground = Ground::new(world, &model, way.start, seed, LeaseRole::Mission)?;
@@ -168,8 +186,14 @@ pub fn drive(world: &World, model: &RobotModel, law: TrackerKind, way: &Way, see
     let planned = way.trajectory.last().map_or(0.0, |point| point.t);
     let mut errors = Vec::new();
     let mut secs = None;
+    let (mut dice, mut ticks) = (Dice::new(seed, 3), 0_u64);
     while ground.sim.now().secs_since(begun) < 2.0 * planned + 5.0 {
-        ground.tick(Inbox::default(), |_| {});
+        let mut inbox = Inbox::default();
+        ticks += 1;
+        if localised == Localised::OffBoard && ticks.is_multiple_of(50) {
+            inbox.corrections.push(correction(&ground, &mut dice));
+        }
+        ground.tick(inbox, |_| {});
         errors.push(off_path(&way.trajectory, ground.truth().map_from_base.position()));
         if ground.finished() {
             secs = Some(ground.sim.now().secs_since(begun));
@@ -185,6 +209,24 @@ pub fn drive(world: &World, model: &RobotModel, law: TrackerKind, way: &Way, see
         contacts: truth.collisions,
         interventions: ground.interventions().count(),
     })
+}
+
+/// Where the robot is, give or take.
+fn correction(ground: &Ground, dice: &mut Dice) -> Correction {
+    let truth = ground.truth().map_from_base;
+    let mut about = |value: f64, error: f64| value + dice.between(-error, error);
+    let variance = |error: f64| error * error / 3.0;
+    let (xy, yaw) = (variance(MEASURED.0), variance(MEASURED.1));
+    Correction {
+        stamp: ground.sim.now(),
+        boot_id: "boot".to_owned(),
+        map_from_base: Pose2::new(
+            about(truth.x, MEASURED.0),
+            about(truth.y, MEASURED.0),
+            about(truth.yaw, MEASURED.1),
+        ),
+        covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
+    }
 }
 
 /// Distance of a place from a path, m.
