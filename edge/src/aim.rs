@@ -120,14 +120,68 @@ fn angle(x: f32, y: f32) -> f32 {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use nalgebra::Vector2;
+    use proptest::prelude::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn bearings_are_near_enough() {
         for step in -3141..=3141 {
             let at = step as f32 * 1e-3;
             assert!((angle(1.7 * at.cos(), 1.7 * at.sin()) - at).abs() < 2e-5, "{at}");
+        }
+    }
+
+    proptest! {
+        /// Beside the same reckoned a point at a time, in double precision; but for what lies on the edge between two beams, or as far
+        /// off as by far.
+        #[test]
+        fn a_beam_went_past_what_lies_before_it_and_its_neighbours(
+            name in prop::sample::select(vec!["tiago", "neato"]),
+            shift in (-1.0..1.0, -1.0..1.0, -3.0..3.0),
+            ranges in prop::collection::vec((0.2_f32..6.0, 0.2_f32..6.0, 0_u8..20), 40),
+        ) {
+            let mut lidar = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap().lidar;
+            lidar.beams = ranges.len();
+            let (here, there): (Vec<f32>, Vec<f32>) = ranges
+                .iter()
+                .map(|(here, there, odd)| match odd {
+                    0 => (*here, f32::NAN),
+                    1 => (*here, f32::INFINITY),
+                    _ => (*here, *there),
+                })
+                .unzip();
+            let there_from_here = Isometry2::new(Vector2::new(shift.0, shift.1), shift.2);
+            let mut aim = Aim::new(&lidar, name == "neato");
+            let mut past = Vec::new();
+            aim.past(&there, &mut past);
+            aim.lay(&there_from_here, &here);
+            for (nth, beam) in aim.beams_past(&past).enumerate() {
+                let angle = lidar.angle_min() + nth as f64 * lidar.angle_increment();
+                let point = Vector2::new(angle.cos(), angle.sin()) * f64::from(here[nth]);
+                let point = there_from_here * Point2::from(point);
+                prop_assert!((aim.point(nth).unwrap() - point).norm() < 1e-5);
+                let bearing = (point.y.atan2(point.x) - lidar.angle_min()) / lidar.angle_increment() + 0.5;
+                let distance = point.coords.norm();
+                let by_far = distance + DEPTH + DEPTH_SIGMAS * lidar.noise + DEPTH_PER_METRE * distance;
+                let last = (lidar.beams - 1) as f64;
+                let at = if name == "neato" { bearing.floor().min(last) } else { bearing.floor() };
+                if (bearing - bearing.round()).abs() < 1e-3 {
+                    continue;
+                }
+                let beams: Vec<f64> = (0..lidar.beams)
+                    .filter(|beam| (*beam as f64 - at).abs() <= NEIGHBOURS as f64)
+                    .map(|beam| f64::from(there[beam]))
+                    .collect();
+                if beams.iter().any(|range| (range - by_far).abs() < 1e-4) {
+                    continue;
+                }
+                let expected = (at >= 0.0 && at <= last && beams.iter().all(|range| *range > by_far)).then_some(at as usize);
+                prop_assert_eq!(beam, expected);
+            }
         }
     }
 }
