@@ -148,8 +148,12 @@ impl Witness {
             self.listen();
             sleep(Duration::from_millis(50)).await;
         }
+        let all = GoalsRequest {
+            limit: Some(acknowledged.len()),
+            ..GoalsRequest::default()
+        };
         let listed: GoalsReply = bus
-            .ask(&topics::GOALS, &[ROBOT], &GoalsRequest::default(), ACKNOWLEDGED)
+            .ask(&topics::GOALS, &[ROBOT], &all, ACKNOWLEDGED)
             .await
             .map_err(|error| error.to_string())?;
         self.listen();
