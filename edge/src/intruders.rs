@@ -39,7 +39,7 @@ const BESIDE: f64 = 0.3;
 /// What was farther from the robot than anything goes in this time, s, is not followed into the blind sector.
 const NEAR_SECS: f64 = 0.75;
 /// What was lost in the blind sector is reckoned with for this long, s.
-const LOST_SECS: f64 = 5.0;
+const LOST_SECS: f64 = 10.0;
 /// Places kept where something was lost.
 const LOST_PLACES: usize = 32;
 /// What comes out of the blind sector this much farther off than it could have gone is the same thing all the same, m.

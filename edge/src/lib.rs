@@ -13,6 +13,7 @@
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
 //! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
+//! | [`motors`] | how do both wheels slow down together? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`punctuality`], [`exchange`] | when does the pilot step, how late, and how does it meet the network? |
@@ -38,6 +39,7 @@ pub mod journal;
 pub mod limiter;
 pub mod link;
 pub mod mailbox;
+pub mod motors;
 pub mod nearest_free;
 pub mod params;
 pub mod pilot;

@@ -19,6 +19,7 @@ use crate::journal::Journal;
 use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
 use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
+use crate::motors::Motors;
 use crate::punctuality::Punctuality;
 use crate::stopping::touched;
 use crate::surroundings::Surroundings;
@@ -52,6 +53,7 @@ pub struct Pilot {
     pub(crate) wall_following: zenav_protocol::wall_following::WallFollowing,
     follower: WallFollower,
     limiter: Limiter,
+    motors: Motors,
     stick: Stick,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
@@ -83,6 +85,7 @@ impl Pilot {
             wall_following: model.wall_following.clone(),
             follower: WallFollower::new(model),
             limiter: Limiter::new(&model.drive),
+            motors: Motors::new(&model.drive),
             stick: Stick::new(config.dead_man),
             telemetry: Telemetry::default(),
             newest: None,
@@ -421,7 +424,7 @@ impl Pilot {
         }
         let wheels = drive.wheels(verdict.twist);
         self.limiter.set(wheels, dt);
-        wheels
+        self.motors.lead(wheels, dt)
     }
 
     /// Ends of the plan: reached, expired, lost.

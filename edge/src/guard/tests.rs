@@ -230,7 +230,8 @@ fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
         soon.twist
     );
     assert_eq!(judge(1.0, Twist2::new(0.5, 0.0)).twist.v, 0.5, "it may drive off");
-    assert_eq!(judge(6.0, turn).twist.w, 2.0, "not for ever");
+    assert!(judge(8.0, turn).twist.w * 0.21 < 0.01, "it may still stand there");
+    assert_eq!(judge(11.0, turn).twist.w, 2.0, "not for ever");
 }
 
 #[test]

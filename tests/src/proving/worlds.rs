@@ -2,14 +2,21 @@
 
 use std::fmt::Write as _;
 
+use nalgebra::Point2;
 use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::robot::Footprint;
 use zenav_sim::World;
 
 use super::ground::GroundError;
 
 /// Half the side of the square, m.
 pub const HALF: f64 = 4.0;
+/// Paths that are drawn for a mover; where none is free it walks at random.
+const PATHS: u32 = 50;
+/// Spacing of what is looked at on a path, m.
+const STEP: f64 = 0.05;
 
 /// Draws from ranges.
 pub struct Dice(Pcg64Mcg);
@@ -106,28 +113,50 @@ pub fn random(dice: &mut Dice, mover_speed: f64) -> Result<World, GroundError> {
         };
     }
     if mover_speed > 0.0 {
+        let standing = world(&text)?;
         for _ in 0..1 + dice.below(4) {
             let speed = mover_speed * dice.between(0.1, 1.0);
             let radius = dice.between(0.08, 0.35);
             let _ = write!(text, "[[mover]]\nradius = {radius}\nspeed = {speed}\n");
-            let _ = if dice.chance(0.3) {
-                write!(
+            let path = (0..PATHS).find_map(|_| {
+                let corners: Vec<_> = (0..2 + dice.below(3))
+                    .map(|_| Point2::new(at(dice), at(dice)))
+                    .collect();
+                is_free(&standing, radius, &corners).then_some(corners)
+            });
+            let _ = match path.filter(|_| dice.chance(0.7)) {
+                Some(corners) => {
+                    let corners: Vec<_> = corners.iter().map(|at| format!("[{}, {}]", at.x, at.y)).collect();
+                    writeln!(text, "path = [{}]", corners.join(", "))
+                }
+                None => write!(
                     text,
                     "start = [{}, {}]\nwalk = [[{}, {}], [{HALF}, {HALF}]]\n",
                     at(dice),
                     at(dice),
                     -HALF,
                     -HALF
-                )
-            } else {
-                let corners: Vec<_> = (0..2 + dice.below(3))
-                    .map(|_| format!("[{}, {}]", at(dice), at(dice)))
-                    .collect();
-                writeln!(text, "path = [{}]", corners.join(", "))
+                ),
             };
         }
     }
-    Ok(World::from_toml(&text, "random", &|_| {
+    world(&text)
+}
+
+fn world(text: &str) -> Result<World, GroundError> {
+    Ok(World::from_toml(text, "random", &|_| {
         Err("a random world has no map".to_owned())
     })?)
+}
+
+/// Whether a disc can go round a path: nothing goes through walls.
+fn is_free(standing: &World, radius: f64, corners: &[Point2<f64>]) -> bool {
+    let legs = corners.iter().zip(corners.iter().cycle().skip(1));
+    legs.into_iter().all(|(from, to)| {
+        let steps = ((to - from).norm() / STEP).ceil().max(1.0);
+        (0..=steps as u32).all(|step| {
+            let at = from + (to - from) * (f64::from(step) / steps);
+            standing.clearance(&Footprint::Radius(radius), Pose2::new(at.x, at.y, 0.0)) > 0.0
+        })
+    })
 }
