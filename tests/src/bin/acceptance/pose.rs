@@ -13,7 +13,7 @@ const CONSISTENT: f64 = 0.9;
 /// Share of steps at which the error is within three standard deviations.
 const WITHIN: f64 = 0.99;
 /// How long each drive takes, s.
-const DRIVE_SECS: f64 = 300.0;
+const DRIVE_SECS: f64 = 600.0;
 
 /// Estimates poses in many drives, and prints how often the mean error was as the covariance says.
 pub fn pose(runs: u64, first: u64) -> Verdict {
