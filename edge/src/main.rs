@@ -8,7 +8,7 @@ use zenav_edge::{Body, EdgeConfig, RemoteBody, ServiceConfig};
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachRequest, exit_code};
+use zenav_protocol::messages::{AttachRequest, LostPolicy, exit_code};
 use zenav_protocol::robot::{RobotModel, SHIPPED, shipped};
 
 /// The robot's side of zenav.
@@ -33,6 +33,9 @@ struct Arguments {
     /// Where the robot stands: X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
+    /// What it does with a plan when nobody commands it any more: finish_horizon, stop or wall_follow.
+    #[arg(long, default_value = "finish_horizon", value_parser = lost_policy)]
+    on_lost: LostPolicy,
     /// Drive the robot of this name in the world that `zenav sim serve` serves.
     #[arg(long)]
     attach: bool,
@@ -54,6 +57,10 @@ struct SimulationArguments {
     /// Seed of the simulation's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+fn lost_policy(text: &str) -> Result<LostPolicy, String> {
+    serde_json::from_value(text.into()).map_err(|error| error.to_string())
 }
 
 fn pose(text: &str) -> Result<Pose2, String> {
@@ -148,6 +155,7 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         };
         let mut edge = EdgeConfig::new(id, model, start);
         edge.tick = tick.unwrap_or(edge.tick);
+        edge.on_lost = arguments.on_lost;
         let config = ServiceConfig {
             edge,
             state_dir: arguments.state_dir,

@@ -119,13 +119,17 @@ impl Source {
 }
 
 /// Finds included files beside the including one, or among the shipped.
-fn include(from: &str, path: &str) -> Result<(String, Vec<u8>), String> {
+///
+/// # Errors
+/// Why there is none.
+pub(crate) fn include(from: &str, path: &str) -> Result<(String, Vec<u8>), String> {
     let file = Path::new(from).parent().unwrap_or_else(|| Path::new("")).join(path);
     if let (false, Some(text)) = (file.is_file(), path.strip_suffix(".xml").and_then(missions::shipped)) {
         return Ok((path.to_owned(), text.as_bytes().to_vec()));
     }
     let name = file.display().to_string();
-    let text = files::text(&file).map_err(|failure| failure.to_string())?;
+    let limit = Limits::default().bytes as u64;
+    let text = files::text_within(&file, limit).map_err(|failure| failure.to_string())?;
     Ok((name, text.into_bytes()))
 }
 
