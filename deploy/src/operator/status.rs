@@ -90,13 +90,13 @@ pub(super) fn unstopped(commanded: bool, heard: Option<(Duration, &EdgeState)>) 
         return "what it does is not known".to_owned();
     };
     let then = match (state.mode, commanded, state.wall_follower) {
-        (Mode::Stopped, _, _) => "and stays so until resumed",
-        (_, _, Some(_)) => "and follows walls on its own when it hears from nobody",
+        (Mode::Stopped, _, _) => "it stays so until resumed",
+        (_, _, Some(_)) => "it follows walls on its own once nobody commands it",
         (_, true, None) => "it brakes without commands, but is not kept from obeying somebody else",
-        (_, false, None) => "and goes on as others command it",
+        (_, false, None) => "it goes on as others command it",
     };
     let ago = age.as_secs_f64();
-    format!("{ago:.1} s ago it was in mode {:?}, {then}", state.mode)
+    format!("heard last {ago:.1} s ago in mode {:?}, {then}", state.mode)
 }
 
 /// As much of a line as fits into `columns`.
