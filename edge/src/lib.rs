@@ -14,6 +14,7 @@
 //! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`motors`] | how do both wheels slow down together? |
+//! | [`homing`] | how does it come back to where it started? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`punctuality`], [`exchange`] | when does the pilot step, how late, and how does it meet the network? |
@@ -34,6 +35,7 @@ pub mod estimator;
 pub mod exchange;
 pub mod guard;
 pub mod history;
+pub mod homing;
 pub mod intruders;
 pub mod journal;
 pub mod limiter;
