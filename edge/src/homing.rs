@@ -90,7 +90,7 @@ mod tests {
             homing.note(Point2::new(4.95, 1.0) + nalgebra::Vector2::new(angle.sin(), -angle.cos()));
         }
         assert!(homing.trail.len() <= 30, "{:?}", homing.trail);
-        for step in 0..10_000 {
+        for step in 0..4_200 {
             homing.note(Point2::new(0.0, 1.0 + 0.3 * f64::from(step)));
         }
         assert!(homing.trail.len() <= MOST && homing.trail[0] == Point2::origin());

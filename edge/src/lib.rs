@@ -11,10 +11,9 @@
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
+//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`], [`homing`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`motors`] | how do both wheels slow down together? |
-//! | [`homing`] | how does it come back to where it started? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
 //! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
 //! | [`control`], [`punctuality`], [`exchange`] | when does the pilot step, how late, and how does it meet the network? |
