@@ -33,7 +33,7 @@ struct Arguments {
     /// Where the robot stands: X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
-    /// What it does with a plan when nobody commands it any more: finish_horizon, stop or wall_follow.
+    /// What it does with a plan when nobody commands it any more: finish_horizon, stop, wall_follow or return_home.
     #[arg(long, default_value = "finish_horizon", value_parser = lost_policy)]
     on_lost: LostPolicy,
     /// Drive the robot of this name in the world that `zenav sim serve` serves.

@@ -34,6 +34,8 @@ pub enum Mode {
     Behaviour,
     /// Follows walls on its own, without a cloud.
     WallFollow,
+    /// Drives back to where it started, without a cloud.
+    ReturnHome,
     /// Stopped by hand until resumed.
     Stopped,
 }
@@ -428,6 +430,8 @@ pub enum LostPolicy {
     Stop,
     /// As `finish_horizon`; once the link is lost and no plan is left, follow walls.
     WallFollow,
+    /// As `finish_horizon`; once the link is lost and no plan is left, drive back to the start the way that it came.
+    ReturnHome,
 }
 
 /// The mode.
