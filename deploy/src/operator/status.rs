@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{EdgeState, GuardZone, LeaseReply, Mode};
+use zenav_protocol::messages::{EdgeState, GuardZone, LeaseReply, LostPolicy, Mode};
 
 /// A state older than this is told: the robot drops what echoes it.
 pub(super) const OLD: Duration = Duration::from_millis(300);
@@ -78,22 +78,28 @@ impl View<'_> {
             (None, Some(holder)) if lease.live => holder.clone(),
             _ => match (self.state.mode, self.state.wall_follower) {
                 (Mode::WallFollow, Some(follower)) => format!("itself: {}", follower.name()),
+                (Mode::ReturnHome, _) => "itself: return home".to_owned(),
                 _ => "nobody".to_owned(),
             },
         }
     }
 }
 
-/// What is known of a robot that could not be told to stop: `commanded` by who leaves, and as it was heard last.
-pub(super) fn unstopped(commanded: bool, heard: Option<(Duration, &EdgeState)>) -> String {
+/// What is known of a robot that could not be told to stop: `commanded` by who leaves, what it does when it hears from nobody, and as
+/// it was heard last.
+pub(super) fn unstopped(commanded: bool, alone: Option<LostPolicy>, heard: Option<(Duration, &EdgeState)>) -> String {
     let Some((age, state)) = heard else {
         return "what it does is not known".to_owned();
     };
-    let then = match (state.mode, commanded, state.wall_follower) {
+    let then = match (state.mode, commanded, alone) {
         (Mode::Stopped, _, _) => "it stays so until resumed",
-        (_, _, Some(_)) => "it follows walls on its own once nobody commands it",
-        (_, true, None) => "it brakes without commands, but is not kept from obeying somebody else",
-        (_, false, None) => "it goes on as others command it",
+        (_, _, Some(LostPolicy::WallFollow)) => "it follows walls on its own once nobody commands it",
+        (_, _, Some(LostPolicy::ReturnHome)) => "it drives back to its start on its own once nobody commands it",
+        (_, true, Some(LostPolicy::FinishHorizon | LostPolicy::Stop)) => {
+            "it brakes without commands, but is not kept from obeying somebody else"
+        }
+        (_, true, None) => "it brakes without commands; what it does then is not known",
+        (_, false, _) => "it goes on as others command it",
     };
     let ago = age.as_secs_f64();
     format!("heard last {ago:.1} s ago in mode {:?}, {then}", state.mode)
@@ -113,7 +119,7 @@ fn signed(value: f64) -> String {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::messages::{LeaseState, Link, WallFollowerState};
+    use zenav_protocol::messages::{LeaseState, Link};
     use zenav_protocol::time::Stamp;
 
     use super::*;
@@ -205,20 +211,23 @@ mod tests {
 
     #[test]
     fn of_a_robot_that_was_not_stopped_only_what_is_true_is_told() {
+        use LostPolicy::{FinishHorizon, ReturnHome, WallFollow};
         let state = state(5, Some("me"), true);
-        assert!(unstopped(true, heard(&state)).contains("brakes without commands"));
-        assert!(unstopped(false, heard(&state)).contains("as others command"));
-        let follower = EdgeState {
-            wall_follower: Some(WallFollowerState::Turn),
-            ..state.clone()
-        };
-        let told = unstopped(true, heard(&follower));
-        assert!(told.contains("follows walls") && !told.contains("brakes"), "{told}");
+        let told = |commanded, alone| unstopped(commanded, alone, heard(&state));
+        assert!(told(true, Some(FinishHorizon)).contains("brakes without commands"));
+        assert!(told(false, Some(FinishHorizon)).contains("as others command"));
+        for (alone, does) in [
+            (Some(WallFollow), "follows walls"),
+            (Some(ReturnHome), "drives back"),
+            (None, "not known"),
+        ] {
+            assert!(told(true, alone).contains(does), "{alone:?}");
+        }
         let stopped = EdgeState {
             mode: Mode::Stopped,
-            ..follower.clone()
+            ..state.clone()
         };
-        assert!(unstopped(true, heard(&stopped)).contains("until resumed"));
-        assert!(unstopped(true, None).contains("not known"));
+        assert!(unstopped(true, Some(WallFollow), heard(&stopped)).contains("until resumed"));
+        assert!(unstopped(true, None, None).contains("not known"));
     }
 }

@@ -13,7 +13,9 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{Bus, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{EdgeState, InfoRequest, Odometry, ResumeRequest, Teleop, exit_code};
+use zenav_protocol::messages::{
+    EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, ResumeRequest, Teleop, exit_code,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -75,6 +77,7 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let top = Twist2::new(args.speed.unwrap_or(top.v), args.turn.unwrap_or(top.w));
         let screen = RawTerminal::open()?;
         let mut session = Session::new(&bus, &robot, top)?;
+        session.alone = alone(&bus, &robot).await;
         let driven = session.run(keys()).await;
         let stopped = session.leave(&last).await;
         drop(screen);
@@ -95,6 +98,14 @@ async fn top_speeds(bus: &Bus, robot: &str, within: Duration) -> Twist2 {
             CAREFUL
         }
     }
+}
+
+/// What the robot does when it hears from nobody, by its own word.
+async fn alone(bus: &Bus, robot: &str) -> Option<LostPolicy> {
+    let mode = bus
+        .ask(&topics::MODE, &[robot], &ModeRequest::default(), ASK_WITHIN)
+        .await;
+    mode.ok().map(|mode| mode.on_lost)
 }
 
 /// The terminal without line editing, until dropped: also on the way out of a panic.
@@ -155,6 +166,8 @@ struct Session {
     held: Option<Held>,
     seen: Option<(Instant, EdgeState)>,
     echo: Option<Stamp>,
+    /// What the robot does when it hears from nobody.
+    alone: Option<LostPolicy>,
     /// What was told last.
     note: String,
     start: Instant,
@@ -173,6 +186,7 @@ impl Session {
             held: None,
             seen: None,
             echo: None,
+            alone: None,
             note: String::new(),
             start: Instant::now(),
         })
@@ -321,7 +335,7 @@ impl Session {
         stop::everywhere(&self.bus, link, &self.robot).await.map_err(|error| {
             let heard = self.seen.as_ref().map(|(at, state)| (at.elapsed(), state));
             let robot = &self.robot;
-            let known = status::unstopped(self.held.is_some(), heard);
+            let known = status::unstopped(self.held.is_some(), self.alone, heard);
             let text = format!(
                 "{robot} did not confirm its stop ({error}): {known}. `zenav stop --robot {robot} --connect ENDPOINT` with the robot's own endpoint needs no router"
             );
