@@ -130,11 +130,8 @@ impl Pilot {
         for heartbeat in &inbox.heartbeats {
             self.authority.heartbeat(now, heartbeat);
         }
-        for teleop in &inbox.teleops {
-            if self.authority.teleop(now, teleop) {
-                self.stick.take(now, teleop);
-            }
-        }
+        self.stick
+            .hear(now, &inbox.teleops, &mut self.authority, &mut self.journal);
         self.authority.watch(now, &mut self.journal);
         self.take_plans(now, inbox.plans);
 
