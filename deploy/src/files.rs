@@ -87,11 +87,19 @@ fn map_world(name: &str, map: OccupancyGrid) -> World {
     World::from_map(name, map, start.unwrap_or_default())
 }
 
-/// A world by file or shipped name; a ROS map's `.yaml` is one too.
+/// A world by file or shipped name; a ROS map's `.yaml` is one too. What in it is hardly meant is warned of.
 ///
 /// # Errors
 /// Exit code 3 when there is none, 2 when it is bad, with line and key.
 pub fn world(name: &str) -> Result<World, Failure> {
+    let world = read_world(name)?;
+    for doubt in world.doubts() {
+        tracing::warn!("{name}: {doubt}");
+    }
+    Ok(world)
+}
+
+fn read_world(name: &str) -> Result<World, Failure> {
     let path = Path::new(name);
     if !path.is_file() {
         if world::shipped(name).is_some() {

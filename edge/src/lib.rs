@@ -65,7 +65,7 @@ pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
 pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
-pub use remote_body::{AttachError, RemoteBody};
+pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};
 #[cfg(feature = "sim")]
 pub use sim_body::{Referee, SimBody};

@@ -115,6 +115,9 @@ impl Pilot {
             }
             Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
         };
+        if readings.bump.pressed || dt >= LONGEST_TICK {
+            self.motors.may_rest();
+        }
         self.missed_ticks = inbox.missed_ticks;
         if let Some(late) = inbox.late {
             self.punctuality.note(late);
