@@ -308,10 +308,9 @@ impl Session {
             .ok()
             .filter(|(columns, _)| *columns > 0)
             .map_or(80, |(columns, _)| usize::from(columns));
-        let line = status::cut(&self.status(), width);
-        // To the line's start, and the rest of the line cleared.
-        eprint!("\r{line}\x1b[K");
-        let _ = std::io::stderr().flush();
+        // To the line's start, and the rest of the line cleared; in one piece, or it flickers.
+        let line = format!("\r{}\x1b[K", status::cut(&self.status(), width));
+        let _ = std::io::stderr().write_all(line.as_bytes());
     }
 
     fn status(&self) -> String {
