@@ -46,6 +46,16 @@ impl LinkArgs {
     pub fn patience(&self) -> Duration {
         Duration::try_from_secs_f64(self.timeout).unwrap_or(Duration::MAX)
     }
+
+    /// For what must reach a robot without a router: when nobody named another endpoint, also that of this machine's robot itself.
+    #[must_use]
+    pub fn with_robot(&self) -> Self {
+        let mut link = self.clone();
+        if link.connect == [DEFAULT_ENDPOINT] {
+            link.connect.push(ROBOT_ENDPOINT.to_owned());
+        }
+        link
+    }
 }
 
 /// Where to connect to, and which robot is meant.

@@ -1,5 +1,6 @@
 //! Which file is meant? Worlds, robots and maps by path or by the name of a shipped one.
 
+use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -25,17 +26,26 @@ pub const BARE_RESOLUTION: f64 = 0.05;
 /// # Errors
 /// Exit code 3 when it is missing, 2 when it is too large or not text.
 pub fn text(path: &Path) -> Result<String, Failure> {
+    text_within(path, MAX_TEXT)
+}
+
+/// The same of at most `limit` bytes.
+///
+/// # Errors
+/// As [`text`].
+pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
     let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
-    let size = std::fs::metadata(path)
-        .map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?
-        .len();
-    if size > MAX_TEXT {
-        return Err(named(
-            exit_code::USAGE,
-            &format!("{size} bytes: expected at most {MAX_TEXT}"),
-        ));
+    let missing = |error: std::io::Error| named(exit_code::NOT_FOUND, &error.to_string());
+    // A pipe or a device may never end.
+    if !std::fs::metadata(path).map_err(missing)?.is_file() {
+        return Err(named(exit_code::USAGE, "expected a file"));
     }
-    let bytes = std::fs::read(path).map_err(|error| named(exit_code::NOT_FOUND, &error.to_string()))?;
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(missing)?;
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(missing)?;
+    if bytes.len() as u64 > limit {
+        return Err(named(exit_code::USAGE, &format!("expected at most {limit} bytes")));
+    }
     String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
 }
 
@@ -77,11 +87,19 @@ fn map_world(name: &str, map: OccupancyGrid) -> World {
     World::from_map(name, map, start.unwrap_or_default())
 }
 
-/// A world by file or shipped name; a ROS map's `.yaml` is one too.
+/// A world by file or shipped name; a ROS map's `.yaml` is one too. What in it is hardly meant is warned of.
 ///
 /// # Errors
 /// Exit code 3 when there is none, 2 when it is bad, with line and key.
 pub fn world(name: &str) -> Result<World, Failure> {
+    let world = read_world(name)?;
+    for doubt in world.doubts() {
+        tracing::warn!("{name}: {doubt}");
+    }
+    Ok(world)
+}
+
+fn read_world(name: &str) -> Result<World, Failure> {
     let path = Path::new(name);
     if !path.is_file() {
         if world::shipped(name).is_some() {

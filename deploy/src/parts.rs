@@ -10,11 +10,11 @@ use std::time::Duration;
 use clap::ValueEnum;
 use tokio::task::JoinSet;
 use zenav_cloud::{dispatch, mapping, mission, planning, smoothing};
-use zenav_edge::{Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
+use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachRequest, GoalPoint};
+use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -61,18 +61,30 @@ impl Parts {
         F: FnOnce(Bus, Shutdown) -> R + Send + 'static,
         R: Future<Output = Result<(), Failure>> + Send + 'static,
     {
+        let opening = async { Ok((Bus::open(bus).await?, ())) };
+        self.spawn_once(name, opening, |bus, (), shutdown| part(bus, shutdown));
+    }
+
+    /// Runs a part on the bus, and with what else, that `opening` gives once it is there, until the shutdown.
+    fn spawn_once<T, O, F, R>(&mut self, name: String, opening: O, part: F)
+    where
+        T: Send + 'static,
+        O: Future<Output = Result<(Bus, T), Failure>> + Send + 'static,
+        F: FnOnce(Bus, T, Shutdown) -> R + Send + 'static,
+        R: Future<Output = Result<(), Failure>> + Send + 'static,
+    {
         let shutdown = self.shutdown.clone();
         self.tasks.spawn(async move {
-            // Without a router a part waits for one: its end must not.
+            // Without a router or a world a part waits for one: its end must not.
             let opened = tokio::select! {
-                opened = Bus::open(bus) => opened,
+                opened = opening => opened,
                 () = shutdown.wait() => return (name, Ok(())),
             };
-            let bus = match opened {
-                Ok(bus) => bus,
-                Err(error) => return (name, Err(error.into())),
+            let (bus, with) = match opened {
+                Ok(opened) => opened,
+                Err(error) => return (name, Err(error)),
             };
-            let result = part(bus.clone(), shutdown).await;
+            let result = part(bus.clone(), with, shutdown).await;
             bus.close().await;
             (name, result)
         });
@@ -142,15 +154,17 @@ impl Parts {
     ) {
         let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
         let bus = edge_bus(deployment, &id, &section);
-        self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
-            let request = AttachRequest {
-                robot: id.to_string(),
-                model: model.clone(),
-                start,
-            };
-            let (body, reply) = RemoteBody::attach(&bus, &request)
-                .await
-                .map_err(|error| Failure::new(error.exit_code(), error.to_string()))?;
+        let name = format!("edge {id}");
+        let attaching = {
+            let (id, model) = (id.clone(), model.clone());
+            async move {
+                let Attached { bus, body, reply } = RemoteBody::attach(&bus, &id, &model, start)
+                    .await
+                    .map_err(|error| Failure::new(error.exit_code(), error.to_string()))?;
+                Ok((bus, (body, reply)))
+            }
+        };
+        self.spawn_once(name, attaching, move |bus, (body, reply), shutdown| {
             let mut edge = edge_config(&id, &section, model, reply.start);
             edge.tick = reply.tick_secs;
             let service = ServiceConfig {
@@ -159,7 +173,7 @@ impl Parts {
                 speed: reply.speed,
                 gives_the_time: false,
             };
-            run_edge(bus, service, Box::new(body), shutdown).await
+            run_edge(bus, service, Box::new(body), shutdown)
         });
     }
 

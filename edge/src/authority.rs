@@ -10,6 +10,7 @@ use crate::config::EdgeConfig;
 use crate::journal::Journal;
 use crate::link;
 use crate::mailbox::Persisted;
+use crate::teleop::Dropped;
 
 /// Longest name of a holder or request.
 const LONGEST_NAME: usize = 128;
@@ -120,14 +121,25 @@ impl Authority {
             .renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
     }
 
-    /// Whether a twist by hand comes from the operator who holds the lease; if so, it renews the lease.
-    pub fn teleop(&mut self, now: Stamp, teleop: &Teleop) -> bool {
-        let admitted = self.book.admits(now, teleop.epoch) && self.book.role() == Some(LeaseRole::Operator);
-        if admitted && let Some(holder) = self.book.state(now).holder {
-            // The echoed stamps grow, so they count the operator's signs of life.
-            self.book.renew(now, &holder, teleop.epoch, teleop.echo.0);
+    /// Whether twists by hand under this epoch may act now.
+    ///
+    /// # Errors
+    /// [`Dropped`] unless it is the current one, and an operator's with a live lease.
+    pub fn admit_teleop(&self, now: Stamp, epoch: u64) -> Result<(), Dropped> {
+        let current = self.book.epoch();
+        if epoch != current {
+            return Err(Dropped::WrongEpoch { got: epoch, current });
         }
-        admitted
+        if self.is_live_as(now, LeaseRole::Operator) {
+            Ok(())
+        } else {
+            Err(Dropped::NoOperator)
+        }
+    }
+
+    /// The operator has sent a command that counts: as good as a heartbeat.
+    pub fn operator_commands(&mut self, now: Stamp) {
+        self.book.heard(now);
     }
 
     /// Stops and latches.

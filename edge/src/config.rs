@@ -32,7 +32,7 @@ pub struct EdgeConfig {
     pub on_lost: LostPolicy,
     /// Longest validity that a plan may claim, s.
     pub max_validity: f64,
-    /// A teleop command acts for this long, and one that echoes an older edge stamp is dropped, s.
+    /// A teleop command acts until the edge stamp that it echoes is this old, s.
     pub dead_man: f64,
     /// A scan older than this stops the robot, s.
     pub scan_timeout: f64,

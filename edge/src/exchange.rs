@@ -1,7 +1,7 @@
 //! How do the control thread and the network meet? In two boxes behind short locks: neither ever waits for the other.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::mem::{discriminant, take};
+use std::mem::take;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{Notify, oneshot};
@@ -190,9 +190,7 @@ impl Exchange {
                     }
                     outward.events.push_back(publication);
                 } else {
-                    outward
-                        .latest
-                        .retain(|known| discriminant(known) != discriminant(&publication));
+                    outward.latest.retain(|known| !known.is_replaced_by(&publication));
                     outward.latest.push(publication);
                 }
             }

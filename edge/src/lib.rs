@@ -11,7 +11,7 @@
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`] | what moves it without a plan? |
+//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`], [`homing`] | what moves it without a plan? |
 //! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
 //! | [`motors`] | how do both wheels slow down together? |
 //! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
@@ -34,6 +34,7 @@ pub mod estimator;
 pub mod exchange;
 pub mod guard;
 pub mod history;
+pub mod homing;
 pub mod intruders;
 pub mod journal;
 pub mod limiter;
@@ -64,7 +65,7 @@ pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
 pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
-pub use remote_body::{AttachError, RemoteBody};
+pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};
 #[cfg(feature = "sim")]
 pub use sim_body::{Referee, SimBody};

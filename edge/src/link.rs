@@ -6,7 +6,7 @@
 //! | live, a mission's | expired or none | at rest |
 //! | expired | valid | `finish_horizon`: follow to the expiry; `stop`: brake now |
 //! | expired | expired or none | at rest |
-//! | expired, the link lost | expired or none | `wall_follow`: follow walls |
+//! | expired, the link lost | expired or none | `wall_follow`: follow walls; `return_home`: back to the start |
 //! | live, an operator's | any | teleop only |
 
 use std::time::Duration;
@@ -22,6 +22,8 @@ pub enum Motive {
     Teleop,
     /// The wall follower.
     WallFollow,
+    /// The way back to the start.
+    ReturnHome,
     /// Nothing: at rest, or on the way there within the normal limits.
     Rest,
     /// Nothing: brake as hard as possible.
@@ -37,6 +39,7 @@ pub fn motive(lease_live: bool, role: Option<LeaseRole>, plan_valid: bool, polic
         (false, _) if plan_valid && policy == LostPolicy::Stop => Motive::Brake,
         (false, _) if plan_valid => Motive::Plan,
         (false, _) if policy == LostPolicy::WallFollow && link == Link::Lost => Motive::WallFollow,
+        (false, _) if policy == LostPolicy::ReturnHome && link == Link::Lost => Motive::ReturnHome,
         _ => Motive::Rest,
     }
 }
@@ -58,9 +61,9 @@ mod tests {
     #[test]
     fn the_motion_table_is_as_written() {
         use LeaseRole::{Mission, Operator};
-        use LostPolicy::{FinishHorizon, Stop, WallFollow};
+        use LostPolicy::{FinishHorizon, ReturnHome, Stop, WallFollow};
         let motive = |live, role, plan_valid, policy| motive(live, role, plan_valid, policy, Link::Stale);
-        for policy in [FinishHorizon, Stop, WallFollow] {
+        for policy in [FinishHorizon, Stop, WallFollow, ReturnHome] {
             assert_eq!(motive(true, Some(Mission), true, policy), Motive::Plan);
             assert_eq!(motive(true, Some(Mission), false, policy), Motive::Rest);
             assert_eq!(motive(false, Some(Mission), false, policy), Motive::Rest);
@@ -70,9 +73,11 @@ mod tests {
         assert_eq!(motive(false, Some(Mission), true, FinishHorizon), Motive::Plan);
         assert_eq!(motive(false, Some(Mission), true, Stop), Motive::Brake);
         assert_eq!(motive(false, Some(Mission), true, WallFollow), Motive::Plan);
-        let lost = |live, plan_valid| super::motive(live, Some(Mission), plan_valid, WallFollow, Link::Lost);
-        assert_eq!(lost(false, false), Motive::WallFollow);
-        assert_eq!((lost(false, true), lost(true, false)), (Motive::Plan, Motive::Rest));
+        for (policy, motive) in [(WallFollow, Motive::WallFollow), (ReturnHome, Motive::ReturnHome)] {
+            let lost = |live, plan_valid| super::motive(live, Some(Mission), plan_valid, policy, Link::Lost);
+            assert_eq!(lost(false, false), motive);
+            assert_eq!((lost(false, true), lost(true, false)), (Motive::Plan, Motive::Rest));
+        }
     }
 
     #[test]

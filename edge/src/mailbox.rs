@@ -1,5 +1,7 @@
 //! What goes into one control tick, and what comes out? Already typed, already decoded: no bus in here.
 
+use std::mem::discriminant;
+
 use zenav_protocol::messages::*;
 
 /// Names an ask, so that its answer finds the way back.
@@ -98,6 +100,17 @@ pub enum Publication {
     Event(Event),
     /// Shapes to draw.
     Marker(Marker),
+}
+
+impl Publication {
+    /// Whether nobody needs it any more who gets a newer one: markers of two names are two things.
+    #[must_use]
+    pub fn is_replaced_by(&self, newer: &Self) -> bool {
+        match (self, newer) {
+            (Self::Marker(old), Self::Marker(new)) => old.name == new.name,
+            _ => discriminant(self) == discriminant(newer),
+        }
+    }
 }
 
 /// What one control tick gave.

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use zenav_edge::{Body, EdgeConfig, RemoteBody, ServiceConfig};
+use zenav_edge::{Attached, Body, EdgeConfig, RemoteBody, ServiceConfig};
 use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachRequest, exit_code};
+use zenav_protocol::messages::{LostPolicy, exit_code};
 use zenav_protocol::robot::{RobotModel, SHIPPED, shipped};
 
 /// The robot's side of zenav.
@@ -33,6 +33,9 @@ struct Arguments {
     /// Where the robot stands: X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
+    /// What it does with a plan when nobody commands it any more: finish_horizon, stop, wall_follow or return_home.
+    #[arg(long, default_value = "finish_horizon", value_parser = lost_policy)]
+    on_lost: LostPolicy,
     /// Drive the robot of this name in the world that `zenav sim serve` serves.
     #[arg(long)]
     attach: bool,
@@ -54,6 +57,10 @@ struct SimulationArguments {
     /// Seed of the simulation's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+fn lost_policy(text: &str) -> Result<LostPolicy, String> {
+    serde_json::from_value(text.into()).map_err(|error| error.to_string())
 }
 
 fn pose(text: &str) -> Result<Pose2, String> {
@@ -132,22 +139,27 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         .build()
         .map_err(|error| Failure::new(exit_code::FAILED, error))?;
     runtime.block_on(async {
-        let bus = Bus::open(bus)
-            .await
-            .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?;
-        tracing::info!(endpoints = ?bus.endpoints().await, "listening");
         let gives_the_time = here.is_some();
+        let (bus, started) = match here {
+            Some(here) => {
+                let opened = Bus::open(bus).await;
+                (
+                    opened.map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?,
+                    here,
+                )
+            }
+            None => attached(&bus, &id, &model, arguments.start).await?,
+        };
+        tracing::info!(endpoints = ?bus.endpoints().await, "listening");
         let Started {
             body,
             start,
             tick,
             speed,
-        } = match here {
-            Some(here) => here,
-            None => attached(&bus, id.as_str(), &model, arguments.start).await?,
-        };
+        } = started;
         let mut edge = EdgeConfig::new(id, model, start);
         edge.tick = tick.unwrap_or(edge.tick);
+        edge.on_lost = arguments.on_lost;
         let config = ServiceConfig {
             edge,
             state_dir: arguments.state_dir,
@@ -189,22 +201,23 @@ struct Started {
     speed: f64,
 }
 
-async fn attached(bus: &Bus, robot: &str, model: &RobotModel, start: Option<Pose2>) -> Result<Started, Failure> {
-    let request = AttachRequest {
-        robot: robot.to_owned(),
-        model: model.clone(),
-        start,
-    };
-    let (body, reply) = RemoteBody::attach(bus, &request)
+async fn attached(
+    bus: &BusConfig,
+    robot: &Id,
+    model: &RobotModel,
+    start: Option<Pose2>,
+) -> Result<(Bus, Started), Failure> {
+    let Attached { bus, body, reply } = RemoteBody::attach(bus, robot, model, start)
         .await
         .map_err(|error| Failure::new(error.exit_code(), error))?;
     tracing::info!(world = reply.world, "attached");
-    Ok(Started {
+    let started = Started {
         body: Box::new(body),
         start: reply.start,
         tick: Some(reply.tick_secs),
         speed: reply.speed,
-    })
+    };
+    Ok((bus, started))
 }
 
 #[cfg(feature = "sim")]

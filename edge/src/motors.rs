@@ -28,6 +28,11 @@ impl Motors {
         }
     }
 
+    /// The wheels may have been stopped by something else: the next command is not to push on.
+    pub fn may_rest(&mut self) {
+        self.speed = [0.0; 2];
+    }
+
     /// The commands (left, right; rad/s) for the next `dt` seconds that lead to a target: as fast as can be, and both wheels alike.
     pub fn lead(&mut self, target: [f64; 2], dt: f64) -> [f64; 2] {
         let answer = if self.lag > 0.0 {
@@ -119,6 +124,17 @@ mod tests {
                 assert!(off_the_curve(twist, told) > 0.02, "{}", off_the_curve(twist, told));
             }
         }
+    }
+
+    #[test]
+    fn what_something_stopped_does_not_push_on() {
+        let mut motors = Motors::new(&jackal());
+        for _ in 0..50 {
+            motors.lead([10.0, 10.0], TICK);
+        }
+        assert!(motors.lead([0.0; 2], TICK)[0] > 5.0);
+        motors.may_rest();
+        assert_eq!(motors.lead([0.0; 2], TICK), [0.0; 2]);
     }
 
     proptest! {

@@ -1,38 +1,18 @@
-//! Which gains can be changed while the robot runs, and within which bounds?
+//! Which gains can be changed while the robot runs? All that its file has, within the same bounds.
 
 use std::collections::BTreeMap;
 
 use zenav_protocol::messages::{ParamReply, Refusal};
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::wall_following::WallFollowing;
-
-/// A gain's name, bounds and place.
-type Param = (&'static str, f64, f64, fn(&mut ControllerGains) -> &mut f64);
-
-const PARAMS: [Param; 14] = [
-    ("heading_gain", 0.0, 20.0, |gains| &mut gains.heading_gain),
-    ("distance_gain", 0.0, 20.0, |gains| &mut gains.distance_gain),
-    ("waypoint_threshold", 0.05, 2.0, |gains| &mut gains.waypoint_threshold),
-    ("along_gain", 0.0, 5.0, |gains| &mut gains.along_gain),
-    ("cross_gain", 0.0, 50.0, |gains| &mut gains.cross_gain),
-    ("yaw_gain", 0.0, 20.0, |gains| &mut gains.yaw_gain),
-    ("go_gain", 0.0, 10.0, |gains| &mut gains.go_gain),
-    ("turn_gain", 0.0, 10.0, |gains| &mut gains.turn_gain),
-    ("pid_p", 0.0, 100.0, |gains| &mut gains.pid_p),
-    ("pid_i", 0.0, 100.0, |gains| &mut gains.pid_i),
-    ("pid_d", 0.0, 100.0, |gains| &mut gains.pid_d),
-    ("lookahead_secs", 0.1, 5.0, |gains| &mut gains.lookahead_secs),
-    ("guard_margin", 0.01, 0.5, |gains| &mut gains.guard_margin),
-    ("blind_speed", 0.0, 5.0, |gains| &mut gains.blind_speed),
-];
+use zenav_protocol::written::Misfit;
 
 /// One gain, or all of them without a name; those of the wall follower too.
 ///
 /// # Errors
 /// [`Refusal::NotFound`] for an unknown name.
 pub fn read(gains: &ControllerGains, wall: &WallFollowing, name: Option<&str>) -> Result<ParamReply, Refusal> {
-    let mut gains = gains.clone();
-    let trackers = PARAMS.iter().map(|(known, _, _, place)| (*known, *place(&mut gains)));
+    let trackers = ControllerGains::names().filter_map(|known| Some((known, gains.get(known)?)));
     let walls = WallFollowing::names().filter_map(|known| Some((known, wall.get(known)?)));
     let params: BTreeMap<_, _> = trackers
         .chain(walls)
@@ -57,25 +37,20 @@ pub fn write(
     name: &str,
     value: f64,
 ) -> Result<(), Refusal> {
+    let refused = |misfit: Misfit| Refusal::rejected(misfit.to_string());
     if let Some(changed) = wall.with(name, value, reach) {
-        *wall = changed.map_err(Refusal::rejected)?;
-        return Ok(());
-    }
-    let Some((_, least, most, place)) = PARAMS.iter().find(|(known, ..)| *known == name) else {
+        *wall = changed.map_err(refused)?;
+    } else if let Some(changed) = gains.with(name, value) {
+        *gains = changed.map_err(refused)?;
+    } else {
         return Err(unknown(name));
-    };
-    if !(*least..=*most).contains(&value) {
-        return Err(Refusal::rejected(format!(
-            "`{name}` must lie between {least} and {most}"
-        )));
     }
-    *place(gains) = value;
     Ok(())
 }
 
 fn unknown(name: &str) -> Refusal {
     let name: String = name.chars().take(64).collect();
-    let known = PARAMS.iter().map(|(known, ..)| *known).chain(WallFollowing::names());
+    let known = ControllerGains::names().chain(WallFollowing::names());
     Refusal::NotFound {
         what: format!("parameter `{name}`; there are {}", known.collect::<Vec<_>>().join(", ")),
     }
@@ -108,6 +83,9 @@ mod tests {
         let read = |name| read(&gains, &wall, name).unwrap().params;
         assert_eq!(read(Some("heading_gain"))["heading_gain"], 3.0);
         assert_eq!(read(Some("wall_min_points"))["wall_min_points"], 7.0);
-        assert_eq!(read(None).len(), PARAMS.len() + WallFollowing::names().count());
+        assert_eq!(
+            read(None).len(),
+            ControllerGains::names().chain(WallFollowing::names()).count()
+        );
     }
 }

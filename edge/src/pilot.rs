@@ -15,6 +15,7 @@ use crate::config::EdgeConfig;
 use crate::course::{Course, Scene, Taken};
 use crate::estimator::Estimator;
 use crate::guard::Guard;
+use crate::homing::Homing;
 use crate::journal::Journal;
 use crate::limiter::{Braking, Limiter};
 use crate::link::Motive;
@@ -25,6 +26,7 @@ use crate::stopping::touched;
 use crate::surroundings::Surroundings;
 use crate::telemetry::{self, Telemetry};
 use crate::teleop::Stick;
+use crate::trackers::View;
 use crate::wall_follower::{Sight, WallFollower};
 
 /// A tick longer than this is not integrated by controllers and limiters, s.
@@ -52,6 +54,7 @@ pub struct Pilot {
     pub(crate) course: Option<Course>,
     pub(crate) wall_following: zenav_protocol::wall_following::WallFollowing,
     follower: WallFollower,
+    homing: Homing,
     limiter: Limiter,
     motors: Motors,
     stick: Stick,
@@ -84,6 +87,7 @@ impl Pilot {
             course: None,
             wall_following: model.wall_following.clone(),
             follower: WallFollower::new(model),
+            homing: Homing::default(),
             limiter: Limiter::new(&model.drive),
             motors: Motors::new(&model.drive),
             stick: Stick::new(config.dead_man),
@@ -111,6 +115,9 @@ impl Pilot {
             }
             Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
         };
+        if readings.bump.pressed || dt >= LONGEST_TICK {
+            self.motors.may_rest();
+        }
         self.missed_ticks = inbox.missed_ticks;
         if let Some(late) = inbox.late {
             self.punctuality.note(late);
@@ -123,11 +130,8 @@ impl Pilot {
         for heartbeat in &inbox.heartbeats {
             self.authority.heartbeat(now, heartbeat);
         }
-        for teleop in &inbox.teleops {
-            if self.authority.teleop(now, teleop) {
-                self.stick.take(now, teleop);
-            }
-        }
+        self.stick
+            .hear(now, &inbox.teleops, &mut self.authority, &mut self.journal);
         self.authority.watch(now, &mut self.journal);
         self.take_plans(now, inbox.plans);
 
@@ -144,6 +148,9 @@ impl Pilot {
                 self.estimator.odom_from_base(),
                 &mut self.journal,
             );
+        }
+        if self.mode != Mode::ReturnHome {
+            self.homing.note(self.estimator.map_from_base().position());
         }
         out.wheels = self.command(now, dt, wanted, braking, readings);
         self.notice(now);
@@ -370,6 +377,21 @@ impl Pilot {
                     stopped: self.guard.zone() == GuardZone::Stop,
                 };
                 (self.follower.step(&sight, &mut self.journal), Braking::Normal)
+            }
+            Motive::ReturnHome => {
+                let map_from_base = self.estimator.map_from_base();
+                if self.homing.is_home(&map_from_base) {
+                    self.mode = Mode::Idle;
+                    return (Twist2::ZERO, Braking::Normal);
+                }
+                self.mode = Mode::ReturnHome;
+                let view = View {
+                    dt,
+                    map_from_base,
+                    velocity: self.estimator.velocity(),
+                    speed_cap: f64::INFINITY,
+                };
+                (self.homing.step(&view, &self.config.model), Braking::Normal)
             }
             Motive::Teleop => {
                 self.mode = Mode::Teleop;

@@ -1,14 +1,18 @@
 //! How is a robot in another process a [`Body`]? Its readings and wheel speeds go over the bus: a world that is served for many robots
 //! (`zenav sim serve`), or a driver in any language.
 
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use thiserror::Error;
 use tokio::runtime::Handle;
 use tokio::sync::watch;
-use zenav_protocol::bus::{AskError, Bus, BusError, Subscription};
+use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, Subscription};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{AttachReply, AttachRequest, WheelSpeeds, exit_code};
 use zenav_protocol::readings::Readings;
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -18,15 +22,26 @@ use crate::body::{Body, BodyError};
 const QUEUE: usize = 32;
 /// Wall time without readings after which the body counts as silent.
 const SILENCE: Duration = Duration::from_millis(200);
-/// Wall time for a served world to answer.
-const ATTACH: Duration = Duration::from_secs(10);
+/// Wall time for a served world to answer; then it is asked over a new link.
+const ATTACH: Duration = Duration::from_secs(3);
 
 /// A body on the other side of the bus.
 pub struct RemoteBody {
     readings: Subscription<Readings>,
     wheels: watch::Sender<WheelSpeeds>,
     stamp: Stamp,
+    edge: u64,
     runtime: Handle,
+}
+
+/// A robot of a served world, and the link that it was got over.
+pub struct Attached {
+    /// The link.
+    pub bus: Bus,
+    /// The robot's body.
+    pub body: RemoteBody,
+    /// What the world said.
+    pub reply: AttachReply,
 }
 
 /// There is no such body.
@@ -55,29 +70,77 @@ impl AttachError {
 }
 
 impl RemoteBody {
-    /// Puts a robot into the world that is served on this bus, or takes hold of it again. In a Tokio runtime only.
+    /// Puts a robot into the world that is served on a bus, or takes hold of it again. Waits for as long as nobody serves one, and says
+    /// so. In a Tokio runtime only.
     ///
     /// # Errors
-    /// [`AttachError`].
-    pub async fn attach(bus: &Bus, request: &AttachRequest) -> Result<(Self, AttachReply), AttachError> {
+    /// [`AttachError`]: the world does not take the robot, or another edge drives it.
+    pub async fn attach(
+        config: &BusConfig,
+        robot: &Id,
+        model: &RobotModel,
+        start: Option<Pose2>,
+    ) -> Result<Attached, AttachError> {
+        let request = AttachRequest {
+            robot: robot.to_string(),
+            model: model.clone(),
+            start,
+            // Up to 2^53: what every reader of JSON can hold.
+            edge: RandomState::new().hash_one(std::process::id()) >> 11,
+        };
+        loop {
+            let bus = Bus::open(config.clone()).await?;
+            match Self::ask_for(&bus, &request).await {
+                Ok((body, reply)) => {
+                    if let Some(wanted) = start.filter(|wanted| wanted.distance(&reply.start) > 1e-3) {
+                        let here = reply.start;
+                        tracing::warn!(
+                            "robot `{robot}` was in the world already and stays at ({:.2}, {:.2}): its start ({:.2}, {:.2}) is left out",
+                            here.x,
+                            here.y,
+                            wanted.x,
+                            wanted.y
+                        );
+                    }
+                    return Ok(Attached { bus, body, reply });
+                }
+                // Zenoh takes a router that comes within 0.1 s of another's leaving for that one, and tells it nothing: a link that
+                // nothing comes over may be such a one.
+                Err(AttachError::Ask(AskError::Timeout { .. })) => {
+                    tracing::info!(
+                        connect = config.connect.join(", "),
+                        "waiting for a world: nobody serves one there"
+                    );
+                    bus.close().await;
+                }
+                Err(error) => {
+                    bus.close().await;
+                    return Err(error);
+                }
+            }
+        }
+    }
+
+    async fn ask_for(bus: &Bus, request: &AttachRequest) -> Result<(Self, AttachReply), AttachError> {
         let reply: AttachReply = bus.ask(&topics::ATTACH, &[], request, ATTACH).await?;
         let is_pace = |value: f64| value.is_finite() && value > 0.0;
         if !(is_pace(reply.tick_secs) && is_pace(reply.speed) && reply.start.is_finite()) {
             return Err(AttachError::Pace(reply.world, reply.tick_secs, reply.speed));
         }
-        Ok((Self::new(bus, &request.robot)?, reply))
+        Ok((Self::new(bus, &request.robot, request.edge)?, reply))
     }
 
-    /// The body that publishes this robot's readings. In a Tokio runtime only.
+    /// The body that publishes this robot's readings; `edge` is the number under which it is driven. In a Tokio runtime only.
     ///
     /// # Errors
     /// [`BusError`] when its topics cannot be declared.
-    pub fn new(bus: &Bus, robot: &str) -> Result<Self, BusError> {
+    pub fn new(bus: &Bus, robot: &str, edge: u64) -> Result<Self, BusError> {
         let readings = bus.subscribe(&topics::READINGS, &[robot], QUEUE)?;
         let publisher = bus.publisher(&topics::WHEELS, &[robot])?;
         let still = WheelSpeeds {
             stamp: Stamp::ZERO,
             wheels: [0.0; 2],
+            edge,
         };
         let (wheels, mut wanted) = watch::channel(still);
         tokio::spawn(async move {
@@ -90,6 +153,7 @@ impl RemoteBody {
             readings,
             wheels,
             stamp: Stamp::ZERO,
+            edge,
             runtime: Handle::current(),
         })
     }
@@ -131,8 +195,8 @@ impl Body for RemoteBody {
     }
 
     fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
-        let stamp = self.stamp;
-        self.wheels.send_replace(WheelSpeeds { stamp, wheels });
+        let Self { stamp, edge, .. } = *self;
+        self.wheels.send_replace(WheelSpeeds { stamp, wheels, edge });
         Ok(())
     }
 

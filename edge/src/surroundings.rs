@@ -18,6 +18,8 @@ use crate::view::{Caster, View, rigid};
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
 /// Remembered points at most.
 const MEMORY_POINTS: usize = 2048;
+/// After so long without a sweep somebody may have come up where the lidar does not look, s.
+const SILENCE: f64 = 0.5;
 /// Remembered points closer together than this say nothing more, m.
 const SPACING: f64 = 0.02;
 
@@ -61,6 +63,9 @@ impl Surroundings {
             return false;
         };
         if self.view.has_blind_sector() {
+            if self.stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
+                self.intruders.lose_at(odom_from_base.position(), sweep.stamp);
+            }
             remember(
                 &mut self.remembered,
                 &self.seen,

@@ -193,6 +193,15 @@ impl LeaseBook {
         }
     }
 
+    /// Renews by a command of the holder's that counted: whether it does was found out before.
+    pub fn heard(&mut self, now: Stamp) {
+        if self.is_live(now)
+            && let Some(grant) = &mut self.grant
+        {
+            grant.renewed = now;
+        }
+    }
+
     /// Whether a command of an epoch may act now.
     #[must_use]
     pub fn admits(&self, now: Stamp, epoch: u64) -> bool {
@@ -311,6 +320,17 @@ mod tests {
                 holder_changed: false
             })
         );
+    }
+
+    #[test]
+    fn a_command_renews_as_a_heartbeat_does_and_heartbeats_count_on() {
+        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        book.request(at(0.0), &request("a", LeaseRole::Operator, TAKE)).unwrap();
+        book.heard(at(0.8));
+        assert!(book.is_live(at(1.7)));
+        assert!(book.renew(at(1.7), "a", 1, 1));
+        book.heard(at(3.0));
+        assert!(!book.is_live(at(3.0)), "a command after the lapse renews nothing");
     }
 
     fn keeper(store: &str, action: LeaseAction) -> LeaseRequest {

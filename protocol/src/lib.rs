@@ -8,12 +8,14 @@
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key |
 //! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
+//! | [`gains`] | how a robot follows its plan: tracker, gains and their bounds |
 //! | [`energy`] | motors, and what it costs a battery to move a robot |
 //! | [`readings`] | what a body gives its pilot |
 //! | [`messages`] | everything that crosses the wire |
 //! | [`lease`] | who may command a robot |
 //! | [`topics`] | the key table |
 //! | [`wall_following`] | how a robot follows walls |
+//! | [`written`] | what users write in files: pairs, bounds, lines |
 //! | [`codec`] | JSON and CBOR by encoding |
 //! | `bus` | typed Zenoh (feature `bus`) |
 
@@ -21,6 +23,7 @@
 pub mod bus;
 pub mod codec;
 pub mod energy;
+pub mod gains;
 pub mod geometry;
 pub mod grid;
 pub mod id;
@@ -29,9 +32,11 @@ pub mod messages;
 pub mod polygon;
 pub mod readings;
 pub mod robot;
+mod robot_check;
 pub mod time;
 pub mod topics;
 pub mod wall_following;
+pub mod written;
 
 /// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
 pub const SCHEMA_VERSION: u32 = 1;

@@ -6,11 +6,13 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use crate::energy::MotorModel;
+pub use crate::gains::{ControllerGains, TrackerKind};
 use crate::geometry::Pose2;
+pub use crate::robot_check::RobotError;
 use crate::wall_following::WallFollowing;
+use crate::written::{Pair, pair};
 
 /// A robot: what its file says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,12 +51,41 @@ pub struct RobotModel {
 
 /// Outline on the floor, in the base frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[serde(rename_all = "snake_case", try_from = "FootprintTable")]
 pub enum Footprint {
     /// A disc around the base, m.
     Radius(f64),
     /// Corners of a convex polygon, counter-clockwise, m.
     Polygon(Vec<Point2<f64>>),
+}
+
+/// A footprint as it is written: one of its keys.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FootprintTable {
+    radius: Option<f64>,
+    polygon: Option<Vec<Pair>>,
+}
+
+impl TryFrom<FootprintTable> for Footprint {
+    type Error = &'static str;
+
+    fn try_from(table: FootprintTable) -> Result<Self, Self::Error> {
+        match table {
+            FootprintTable {
+                radius: Some(radius),
+                polygon: None,
+            } => Ok(Self::Radius(radius)),
+            FootprintTable {
+                radius: None,
+                polygon: Some(corners),
+            } => Ok(Self::Polygon(corners.into_iter().map(Point2::from).collect())),
+            FootprintTable { radius: Some(_), .. } => {
+                Err("`footprint` has both `radius` and `polygon`: expected either of them")
+            }
+            _ => Err("`footprint`: expected either `radius` or `polygon`"),
+        }
+    }
 }
 
 impl Footprint {
@@ -145,6 +176,7 @@ pub struct Drive {
 #[serde(deny_unknown_fields, default)]
 pub struct DriveErrors {
     /// How much larger the wheels (left, right) are than stated, as a share.
+    #[serde(deserialize_with = "pair")]
     pub wheel_radius: [f64; 2],
     /// How much farther apart the wheels touch the floor than stated, as a share.
     pub wheel_separation: f64,
@@ -338,7 +370,7 @@ pub struct GpsModel {
     /// Standard deviation of each coordinate, m.
     pub noise: f64,
     /// Constant error (x, y), m.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "pair")]
     pub bias: [f64; 2],
     /// Smallest step of a coordinate, m.
     #[serde(default)]
@@ -373,123 +405,6 @@ impl Default for BatteryModel {
     }
 }
 
-/// The law that follows a plan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TrackerKind {
-    /// The trajectory's own time law as feed-forward, feedback on the pose error.
-    #[default]
-    TimeLaw,
-    /// Wheel speeds in proportion to bearing and distance of the next waypoint.
-    WheelLaw,
-    /// Turns to the next waypoint, then drives at it.
-    HeadingFirst,
-    /// PID on the distance from the path.
-    Pid,
-    /// Regulated pure pursuit.
-    PurePursuit,
-}
-
-/// Gains of the trackers.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ControllerGains {
-    /// The law that follows a plan.
-    pub tracker: TrackerKind,
-    /// Waypoint law: wheel speed for the heading error, rad/s for each rad.
-    pub heading_gain: f64,
-    /// Waypoint law: wheel speed for the distance, rad/s for each m.
-    pub distance_gain: f64,
-    /// Waypoint law: a waypoint nearer than this is passed, m.
-    pub waypoint_threshold: f64,
-    /// Trajectory tracker: gain along the track, 1/s.
-    pub along_gain: f64,
-    /// Trajectory tracker: gain across the track, 1/m².
-    pub cross_gain: f64,
-    /// Trajectory tracker: gain of the heading, 1/m.
-    pub yaw_gain: f64,
-    /// Heading-first law (`Kv`): speed for the distance, 1/s.
-    pub go_gain: f64,
-    /// Heading-first law (`Kw`): yaw rate for the bearing, 1/s.
-    pub turn_gain: f64,
-    /// PID law: yaw rate for the distance from the path, rad/s for each m.
-    pub pid_p: f64,
-    /// PID law: for its integral, rad/s for each m s.
-    pub pid_i: f64,
-    /// PID law: for its rate, rad for each m.
-    pub pid_d: f64,
-    /// Pure pursuit: time to the point ahead, s.
-    pub lookahead_secs: f64,
-    /// Distance at which the guard stops, beyond the braking distance, m.
-    pub guard_margin: f64,
-    /// Fastest speed to where the lidar does not look, over floor that it saw before, m/s: more than zero only where nobody
-    /// comes up behind. Recoveries back up slowly all the same.
-    pub blind_speed: f64,
-}
-
-impl Default for ControllerGains {
-    fn default() -> Self {
-        Self {
-            tracker: TrackerKind::default(),
-            heading_gain: 4.0,
-            distance_gain: 2.0,
-            waypoint_threshold: 0.3,
-            along_gain: 1.5,
-            cross_gain: 8.0,
-            yaw_gain: 4.0,
-            go_gain: 1.0,
-            turn_gain: 2.0,
-            pid_p: 6.0,
-            pid_i: 0.5,
-            pid_d: 6.0,
-            lookahead_secs: 1.5,
-            guard_margin: 0.03,
-            blind_speed: 0.0,
-        }
-    }
-}
-
-/// Why a robot file was refused.
-#[derive(Debug, Error)]
-pub enum RobotError {
-    /// The TOML does not fit: the message names line and key.
-    #[error("{name}: {source}")]
-    Toml {
-        /// The file.
-        name: String,
-        /// What and where.
-        source: Box<toml::de::Error>,
-    },
-    /// A value that no robot has.
-    #[error("{name}: `{field}` is {value}: expected {expected}")]
-    Value {
-        /// The file.
-        name: String,
-        /// The key.
-        field: &'static str,
-        /// What it says.
-        value: f64,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// Settings of the wall follower that do not fit.
-    #[error("{name}: `wall_following`: {reason}")]
-    WallFollowing {
-        /// The file.
-        name: String,
-        /// Which, and what was expected.
-        reason: String,
-    },
-    /// The footprint's corners do not make a convex polygon around the base.
-    #[error(
-        "{name}: `footprint.polygon`: expected at least 3 corners of a convex polygon around the base, counter-clockwise"
-    )]
-    Polygon {
-        /// The file.
-        name: String,
-    },
-}
-
 /// Names and texts of the shipped robots.
 pub const SHIPPED: &[(&str, &str)] = &[
     ("tiago", include_str!("../robots/tiago.toml")),
@@ -508,155 +423,22 @@ impl RobotModel {
     /// Reads a robot file's text; `name` is for errors.
     ///
     /// # Errors
-    /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has.
+    /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has: file, line and key.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
         let model: Self = toml::from_str(text).map_err(|source| RobotError::Toml {
             name: name.to_owned(),
             source: Box::new(source),
         })?;
-        model.checked(name)
+        model.check().map_err(|wrong| wrong.of(name, Some(text)))?;
+        Ok(model)
     }
 
     /// Checks values, wherever they came from; `name` is for errors.
     ///
     /// # Errors
-    /// [`RobotError::Value`] and [`RobotError::Polygon`].
+    /// [`RobotError::Value`].
     pub fn checked(self, name: &str) -> Result<Self, RobotError> {
-        let fail = |field, value, expected| {
-            Err(RobotError::Value {
-                name: name.to_owned(),
-                field,
-                value,
-                expected,
-            })
-        };
-        let positive = [
-            ("footprint", self.footprint.inscribed_radius()),
-            ("drive.wheel_radius", self.drive.wheel_radius),
-            ("drive.wheel_separation", self.drive.wheel_separation),
-            ("drive.max_wheel_speed", self.drive.max_wheel_speed),
-            ("drive.max_wheel_acceleration", self.drive.max_wheel_acceleration),
-            ("drive.hard_braking", self.drive.hard_braking),
-            ("drive.max_lateral_acceleration", self.drive.max_lateral_acceleration),
-            ("drive.max_yaw_rate", self.drive.max_yaw_rate),
-            ("drive.max_speed", self.drive.max_speed),
-            ("drive.max_jerk", self.drive.max_jerk.unwrap_or(1.0)),
-            ("lidar.rate_hz", self.lidar.rate_hz),
-            ("lidar.range_max", self.lidar.range_max),
-            ("lidar.field_of_view", self.lidar.field_of_view),
-            ("imu.rate_hz", self.imu.rate_hz),
-            ("gps.rate_hz", self.gps.as_ref().map_or(1.0, |gps| gps.rate_hz)),
-            ("encoders.rate_hz", self.encoders.rate_hz.unwrap_or(1.0)),
-            ("battery.capacity", self.battery.capacity),
-            ("motors.mass", self.motors.mass),
-            ("motors.motor_constant", self.motors.motor_constant),
-            ("controller.waypoint_threshold", self.controller.waypoint_threshold),
-        ];
-        for (field, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return fail(field, value, "a positive number");
-            }
-        }
-        let not_negative = [
-            ("drive.motor_lag", self.drive.motor_lag),
-            ("lidar.range_min", self.lidar.range_min),
-            ("lidar.noise", self.lidar.noise),
-            ("encoders.noise", self.encoders.noise),
-            ("encoders.resolution", self.encoders.resolution),
-            ("imu.gyro_noise", self.imu.gyro_noise),
-            ("imu.compass_noise", self.imu.compass_noise.unwrap_or(0.0)),
-            ("gps.noise", self.gps.as_ref().map_or(0.0, |gps| gps.noise)),
-            ("gps.resolution", self.gps.as_ref().map_or(0.0, |gps| gps.resolution)),
-            ("lidar.resolution", self.lidar.resolution),
-            ("imu.resolution", self.imu.resolution),
-            ("drive.errors.slip", self.drive.errors.slip),
-            ("battery.idle_power", self.battery.idle_power),
-            ("motors.inertia", self.motors.inertia),
-            ("motors.rolling_resistance", self.motors.rolling_resistance),
-            ("motors.viscous_friction", self.motors.viscous_friction),
-            ("controller.guard_margin", self.controller.guard_margin),
-            ("controller.blind_speed", self.controller.blind_speed),
-        ];
-        for (field, value) in not_negative {
-            if !(value.is_finite() && value >= 0.0) {
-                return fail(field, value, "zero or a positive number");
-            }
-        }
-        let gps = self.gps.as_ref();
-        for (field, share) in [
-            ("battery.low", self.battery.low),
-            ("lidar.dropout", self.lidar.dropout),
-            ("encoders.dropout", self.encoders.dropout),
-            ("imu.dropout", self.imu.dropout),
-            ("gps.dropout", gps.map_or(0.0, |gps| gps.dropout)),
-        ] {
-            if !(0.0..=1.0).contains(&share) {
-                return fail(field, share, "a share, 0 to 1");
-            }
-        }
-        for (field, secs) in [
-            ("lidar.latency", self.lidar.latency),
-            ("encoders.latency", self.encoders.latency),
-            ("imu.latency", self.imu.latency),
-            ("gps.latency", gps.map_or(0.0, |gps| gps.latency)),
-        ] {
-            if !(0.0..=10.0).contains(&secs) {
-                return fail(field, secs, "0 to 10 s");
-            }
-        }
-        let [left, right] = self.drive.errors.wheel_radius;
-        for (field, share) in [
-            ("drive.errors.wheel_radius", left),
-            ("drive.errors.wheel_radius", right),
-            ("drive.errors.wheel_separation", self.drive.errors.wheel_separation),
-        ] {
-            if !(-0.5..=0.5).contains(&share) {
-                return fail(field, share, "a share, -0.5 to 0.5");
-            }
-        }
-        for (field, value) in [
-            ("lidar.bias", self.lidar.bias),
-            ("imu.gyro_bias", self.imu.gyro_bias),
-            ("imu.compass_bias", self.imu.compass_bias),
-            ("gps.bias", gps.map_or(0.0, |gps| gps.bias[0] + gps.bias[1])),
-        ] {
-            if !value.is_finite() {
-                return fail(field, value, "a finite number");
-            }
-        }
-        if !self.lidar.mount.is_finite() {
-            return fail("lidar.mount", f64::NAN, "finite numbers");
-        }
-        if !(1..=100_000).contains(&self.lidar.beams) {
-            return fail("lidar.beams", self.lidar.beams as f64, "1 to 100000");
-        }
-        if self.lidar.field_of_view > TAU + 1e-6 {
-            return fail("lidar.field_of_view", self.lidar.field_of_view, "at most 2 pi");
-        }
-        if self.lidar.range_min >= self.lidar.range_max {
-            return fail("lidar.range_min", self.lidar.range_min, "less than range_max");
-        }
-        if let Err(reason) = self.wall_following.check(self.footprint.circumscribed_radius()) {
-            return Err(RobotError::WallFollowing {
-                name: name.to_owned(),
-                reason,
-            });
-        }
-        if let Footprint::Polygon(corners) = &self.footprint {
-            let edges: Vec<_> = corners
-                .iter()
-                .zip(corners.iter().cycle().skip(1))
-                .map(|(a, b)| b - a)
-                .collect();
-            let convex = edges
-                .iter()
-                .zip(edges.iter().cycle().skip(1))
-                .all(|(a, b)| a.x * b.y - a.y * b.x > 0.0);
-            let around_base = self.footprint.distance(Point2::origin()) == 0.0;
-            if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
-                return Err(RobotError::Polygon { name: name.to_owned() });
-            }
-        }
+        self.check().map_err(|wrong| wrong.of(name, None))?;
         Ok(self)
     }
 }

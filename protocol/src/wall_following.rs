@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::written::Misfit;
+
 /// Settings of the wall follower. Distances are from the base's origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -119,18 +121,17 @@ impl WallFollowing {
     ///
     /// # Errors
     /// What was expected: a value within bounds, and settings that fit one another.
-    pub fn with(&self, name: &str, value: f64, reach: f64) -> Option<Result<Self, String>> {
+    pub fn with(&self, name: &str, value: f64, reach: f64) -> Option<Result<Self, Misfit>> {
         let setting = SETTINGS.iter().find(|setting| setting.name == name)?;
         // `2.5 as usize` would hide what was asked for.
         if name == "wall_min_points" && value.fract() != 0.0 {
-            return Some(Err(format!("`{name}` is {value}: expected a whole number")));
+            return Some(Err(Misfit::unlike(setting.name, value, "a whole number")));
         }
         let mut changed = self.clone();
         if (setting.least..=setting.most).contains(&value) {
             (setting.set)(&mut changed, value);
         } else {
-            let (least, most) = (setting.least, setting.most);
-            return Some(Err(format!("`{name}` is {value}: expected {least} to {most}")));
+            return Some(Err(Misfit::outside(setting.name, value, setting.least, setting.most)));
         }
         Some(changed.check(reach).map(|()| changed))
     }
@@ -140,14 +141,11 @@ impl WallFollowing {
     ///
     /// # Errors
     /// Names the setting and what was expected.
-    pub fn check(&self, reach: f64) -> Result<(), String> {
+    pub fn check(&self, reach: f64) -> Result<(), Misfit> {
         for setting in &SETTINGS {
             let value = (setting.get)(self);
             if !(setting.least..=setting.most).contains(&value) {
-                return Err(format!(
-                    "`{}` is {value}: expected {} to {}",
-                    setting.name, setting.least, setting.most
-                ));
+                return Err(Misfit::outside(setting.name, value, setting.least, setting.most));
             }
         }
         let ordered = [
@@ -169,7 +167,7 @@ impl WallFollowing {
         ];
         for (name, value, than, least) in ordered {
             if value < least {
-                return Err(format!("`{name}` is {value}: expected at least {than}, {least}"));
+                return Err(Misfit::unlike(name, value, format!("at least {than}, {least}")));
             }
         }
         Ok(())
@@ -206,7 +204,7 @@ mod tests {
             ("wall_min_points", 2.5, "a whole number"),
             ("wall_p", -1.0, "expected 0 to 200"),
         ] {
-            let error = defaults.with(name, value, 0.3).unwrap().unwrap_err();
+            let error = defaults.with(name, value, 0.3).unwrap().unwrap_err().to_string();
             assert!(error.contains(words), "{name} {value}: {error}");
         }
     }

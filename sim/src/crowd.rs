@@ -44,6 +44,14 @@ impl Crowd {
         self.solids.push(solid);
     }
 
+    /// Takes a solid out; those after it move up by one.
+    pub fn remove(&mut self, index: usize) {
+        if index < self.solids.len() {
+            self.solids.remove(index);
+            self.refresh();
+        }
+    }
+
     /// Builds the tree anew from where everything is. Cost: O(n log n).
     pub fn refresh(&mut self) {
         let boxes: Vec<_> = self

@@ -7,6 +7,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::Footprint;
+use zenav_protocol::written::Number;
 
 use crate::clearance::Placed;
 use crate::movers::MoverModel;
@@ -56,6 +57,11 @@ pub const SHIPPED: &[(&str, &str)] = &[
 #[must_use]
 pub fn shipped(name: &str) -> Option<&'static str> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// Whether a point lies in a box, its edge included.
+pub(crate) fn within(low: Point2<f64>, high: Point2<f64>, point: Point2<f64>) -> bool {
+    (low.x..=high.x).contains(&point.x) && (low.y..=high.y).contains(&point.y)
 }
 
 /// What a world is made of, before it is indexed.
@@ -161,6 +167,29 @@ impl World {
     #[must_use]
     pub fn start(&self) -> Pose2 {
         self.start
+    }
+
+    /// Whether a point lies in the part that is meant to be driven in, its edge included.
+    #[must_use]
+    pub fn holds(&self, point: Point2<f64>) -> bool {
+        within(self.low, self.high, point)
+    }
+
+    /// What can be simulated but is hardly meant: a start or places where nobody can stand, each in words.
+    #[must_use]
+    pub fn doubts(&self) -> Vec<String> {
+        let start = ("the start".to_owned(), self.start.position());
+        let named = |place: &Place| (format!("place `{}`", place.name), Point2::new(place.x, place.y));
+        let doubt = |(what, at): (String, Point2<f64>)| {
+            let why = match () {
+                () if !self.holds(at) => "lies outside of the world",
+                () if self.is_solid(at) => "lies inside something solid",
+                () => return None,
+            };
+            Some(format!("{what} at ({}, {}) {why}", Number(at.x), Number(at.y)))
+        };
+        let all = [start].into_iter().chain(self.places.iter().map(named));
+        all.filter_map(doubt).collect()
     }
 
     /// Named goals, in the order of the file.

@@ -6,6 +6,7 @@ use nalgebra::Point2;
 use thiserror::Error;
 use toml::Spanned;
 use zenav_protocol::polygon;
+use zenav_protocol::written::{Number, Pair};
 
 /// Most polygons, circles and walls, each.
 pub const MAX_SHAPES: usize = 20_000;
@@ -86,7 +87,7 @@ impl Source<'_> {
             self.fail(
                 value.span(),
                 key,
-                format!("{number}: expected a positive number up to {MAX_COORDINATE}"),
+                format!("{}: expected a positive number up to {MAX_COORDINATE}", Number(number)),
             )
         }
     }
@@ -97,13 +98,16 @@ impl Source<'_> {
             .find(|value| !value.is_finite() || value.abs() > MAX_COORDINATE)
         {
             None => Ok(()),
-            Some(value) => self.fail(span, key, format!("{value}: expected a number within {MAX_COORDINATE}")),
+            Some(value) => {
+                let problem = format!("{}: expected a number within {MAX_COORDINATE}", Number(*value));
+                self.fail(span, key, problem)
+            }
         }
     }
 
     pub fn points(
         self,
-        points: &Spanned<Vec<[f64; 2]>>,
+        points: &Spanned<Vec<Pair>>,
         key: &'static str,
         least: usize,
     ) -> Result<Vec<Point2<f64>>, WorldError> {
@@ -115,14 +119,14 @@ impl Source<'_> {
                 format!("{count} points: expected {least} to {MAX_CORNERS}"),
             );
         }
-        for point in points.get_ref() {
+        for Pair(point) in points.get_ref() {
             self.coordinates(points.span(), key, point)?;
         }
-        Ok(points.get_ref().iter().map(|[x, y]| Point2::new(*x, *y)).collect())
+        Ok(points.get_ref().iter().copied().map(Point2::from).collect())
     }
 
     /// A simple polygon, brought into counter-clockwise order.
-    pub fn polygon(self, points: &Spanned<Vec<[f64; 2]>>, key: &'static str) -> Result<Vec<Point2<f64>>, WorldError> {
+    pub fn polygon(self, points: &Spanned<Vec<Pair>>, key: &'static str) -> Result<Vec<Point2<f64>>, WorldError> {
         let corners = self.points(points, key, 3)?;
         polygon::simple(corners).or_else(|error| self.fail(points.span(), key, error.to_string()))
     }

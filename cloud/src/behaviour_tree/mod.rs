@@ -69,4 +69,4 @@ pub use snapshot::{RestoreError, TreeSnapshot};
 pub use status::Status;
 pub use tree::{TickError, Tree};
 pub use value::{FromValue, Value, ValueType};
-pub use xml::{Include, Limits, Summary, TreeError, TreeErrors, build, build_within, check};
+pub use xml::{Include, Limits, Summary, TreeError, TreeErrors, build, build_within, check, inline};

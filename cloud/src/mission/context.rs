@@ -132,6 +132,8 @@ pub struct Context {
     routes: VecDeque<Arc<Route>>,
     route_count: u64,
     incarnation: u64,
+    /// Name of the store, if there is one.
+    store: Option<String>,
 }
 
 impl Context {
@@ -166,13 +168,15 @@ impl Context {
             routes: VecDeque::new(),
             route_count: 0,
             incarnation,
+            store: restored.store.clone(),
         }
     }
 
-    /// A name for an execution that no other execution of this mission has, in this life or another.
+    /// A name for an execution that no other execution has: of this robot or another, of this life, store or another.
     pub fn execution_id(&mut self) -> String {
         self.route_count += 1;
-        format!("{}-{}-{}", self.config.holder, self.incarnation, self.route_count)
+        let (robot, store) = (&self.config.robot, self.store.as_deref().unwrap_or("unstored"));
+        format!("{robot}-{store}-{}-{}", self.incarnation, self.route_count)
     }
 
     /// Keeps a route for whoever follows it; returns its name.

@@ -15,6 +15,7 @@ use thiserror::Error;
 use toml::Spanned;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::polygon::{contains, simple};
+use zenav_protocol::written::Pair;
 
 use super::raster::CellMask;
 
@@ -158,14 +159,14 @@ struct ZonesFile {
 #[serde(deny_unknown_fields)]
 struct KeepOutTable {
     name: Option<String>,
-    points: Spanned<Vec<[f64; 2]>>,
+    points: Spanned<Vec<Pair>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SpeedLimitTable {
     name: Option<String>,
-    points: Spanned<Vec<[f64; 2]>>,
+    points: Spanned<Vec<Pair>>,
     max_speed: Spanned<f64>,
 }
 
@@ -190,19 +191,14 @@ impl Source<'_> {
         }
     }
 
-    fn area(
-        self,
-        name: Option<String>,
-        points: &Spanned<Vec<[f64; 2]>>,
-        key: &'static str,
-    ) -> Result<Area, ZonesError> {
+    fn area(self, name: Option<String>, points: &Spanned<Vec<Pair>>, key: &'static str) -> Result<Area, ZonesError> {
         let fail = |problem| self.fail(points.span().start, key, problem);
         let count = points.get_ref().len();
         if !(3..=MAX_CORNERS).contains(&count) {
             return Err(fail(format!("{count} points: expected 3 to {MAX_CORNERS}")));
         }
         let outside = |value: &&f64| !(value.is_finite() && value.abs() <= MAX_COORDINATE);
-        if let Some(value) = points.get_ref().as_flattened().iter().find(outside) {
+        if let Some(value) = points.get_ref().iter().flat_map(|Pair(point)| point).find(outside) {
             return Err(fail(format!("{value}: expected a number within {MAX_COORDINATE}, m")));
         }
         let corners: Vec<Point2<f64>> = points.get_ref().iter().copied().map(Point2::from).collect();

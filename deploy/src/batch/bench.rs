@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use zenav_protocol::bus::overhead;
 use zenav_protocol::messages::exit_code;
+use zenav_sim::bench;
 
 use super::show::{self, ShowArgs};
 use crate::connect::{self, positive};
@@ -34,9 +35,9 @@ enum SimCommand {
 
 #[derive(Debug, clap::Args)]
 struct SimBenchArgs {
-    /// World: a file or shipped name
-    #[arg(long, value_name = "W", default_value = "kitchen")]
-    world: String,
+    /// World: a file or shipped name [default: a floor with room for all robots, and things to see]
+    #[arg(long, value_name = "W")]
+    world: Option<String>,
     /// Robot: a file or shipped name
     #[arg(long, value_name = "R", default_value = "tiago")]
     robot: String,
@@ -46,6 +47,9 @@ struct SimBenchArgs {
     /// Beams of each lidar [default: the robot's own]
     #[arg(long, value_name = "B")]
     beams: Option<usize>,
+    /// Scans a second of each lidar
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
+    rate: f64,
     /// Simulated time, s
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
     time: f64,
@@ -67,30 +71,32 @@ pub fn sim(args: &SimArgs) -> Outcome {
 }
 
 fn bench_simulator(args: &SimBenchArgs) -> Outcome {
-    let world = files::world(&args.world)?;
     let mut model = files::robot(&args.robot)?;
-    if let Some(beams) = args.beams {
-        model.lidar.beams = beams;
-        model = model
-            .checked("--beams")
-            .map_err(|error| Failure::usage(error.to_string()))?;
-    }
+    model.lidar.beams = args.beams.unwrap_or(model.lidar.beams);
+    model.lidar.rate_hz = args.rate;
+    let model = model
+        .checked("--beams, --rate")
+        .map_err(|error| Failure::usage(error.to_string()))?;
     if !(1..=MAX_ROBOTS).contains(&args.robots) {
         return Err(Failure::usage(format!(
             "--robots {}: expected 1 to {MAX_ROBOTS}",
             args.robots
         )));
     }
+    let world = match &args.world {
+        Some(name) => files::world(name)?,
+        None => bench::floor(&model, args.robots).map_err(|error| Failure::failed(error.to_string()))?,
+    };
     let time = Duration::try_from_secs_f64(args.time)
         .map_err(|error| Failure::usage(format!("--time {}: {error}", args.time)))?;
-    let report = zenav_sim::bench::run(&world, &model, args.robots, time, &thread_time)
+    let report = bench::run(&world, &model, args.robots, time, &thread_time)
         .map_err(|error| Failure::failed(error.to_string()))?;
     if report.robots < args.robots {
         tracing::warn!(
             "there is room for {} of {} robots in {}",
             report.robots,
             args.robots,
-            args.world
+            world.name()
         );
     }
     output::value(args.output, &report, |report| {
@@ -98,7 +104,7 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
             "{} robots with {} beams at {} Hz: {:.1} M rays/s, {:.1} times real time over {} steps; one alone {:.0} times",
             report.robots,
             report.beams,
-            model.lidar.rate_hz,
+            report.rate_hz,
             report.rays_per_s / 1e6,
             report.real_time_factor,
             report.steps,

@@ -158,6 +158,10 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
             Simulation::new(world, Vec::new(), args.seed).map_err(|error| Failure::usage(error.to_string()))?
         }
     };
+    if (1..args.robots).contains(&simulation.robots()) {
+        let (room, name) = (simulation.robots(), world.name());
+        tracing::warn!("there is room for {room} of {} robots in {name}", args.robots);
+    }
     while simulation.now().as_secs() < args.time {
         simulation.step();
     }

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::ValueEnum;
+use zenav_cloud::behaviour_tree::inline;
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
@@ -13,6 +14,8 @@ use zenav_protocol::topics;
 use super::{Report, follow, phase_code};
 use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
 use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::inspect::bt::includer;
 use crate::output::{self, Format};
 
 /// A goal on the command line.
@@ -131,18 +134,20 @@ impl SubmitArgs {
     }
 }
 
-/// A tree file's text, or a name for the mission to know.
+/// A tree file's text with what it includes, or a name for the mission to know.
 fn tree(text: &str) -> Result<String, Failure> {
     let path = Path::new(text);
     if path.is_file() {
-        let size = path.metadata()?.len();
-        if size > topics::GOAL.max_bytes as u64 {
+        let most = topics::GOAL.max_bytes;
+        let whole =
+            inline(text, &files::text_within(path, most as u64)?, &mut includer(text)).map_err(Failure::usage)?;
+        if whole.len() > most {
             return Err(Failure::usage(format!(
-                "{text}: {size} bytes, a goal may carry at most {}",
-                topics::GOAL.max_bytes
+                "{text}: {} bytes with what it includes, a goal may carry at most {most}",
+                whole.len()
             )));
         }
-        std::fs::read_to_string(path).map_err(|error| Failure::usage(format!("{text}: {error}")))
+        Ok(whole)
     } else if Id::new(text).is_ok() {
         Ok(text.to_owned())
     } else {
@@ -267,6 +272,24 @@ mod tests {
         ] {
             assert!(request(bad).is_err(), "{bad:?}");
         }
+    }
+
+    #[test]
+    fn what_a_tree_includes_goes_with_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, inside: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, format!("<root BTCPP_format=\"4\">{inside}</root>")).unwrap();
+            path.to_str().unwrap().to_owned()
+        };
+        file("part.xml", "<BehaviorTree ID=\"P\"><AlwaysSuccess/></BehaviorTree>");
+        let main = "<include path=\"part.xml\"/><BehaviorTree ID=\"M\"><SubTree ID=\"P\"/></BehaviorTree>";
+        let tree = request(&["--tree", &file("main.xml", main)]).unwrap().tree.unwrap();
+        assert!(zenav_cloud::mission::trees::build(&tree).is_ok(), "{tree}");
+        let error = request(&["--tree", &file("lost.xml", "<include path=\"none.xml\"/>")]).unwrap_err();
+        assert!(error.contains("none.xml") && error.contains("lost.xml"), "{error}");
+        let error = request(&["--tree", &file("device.xml", "<include path=\"/dev/zero\"/>")]).unwrap_err();
+        assert!(error.contains("expected a file"), "{error}");
     }
 
     #[test]

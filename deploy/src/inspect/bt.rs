@@ -120,7 +120,7 @@ impl Source {
 
 /// Finds included files beside the including one, or among the shipped. A file keeps the name by which it was found
 /// first, `main` the one that it was asked for by: however a path is written, it is the same file.
-fn includer(main: &str) -> impl FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + use<> {
+pub(crate) fn includer(main: &str) -> impl FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + use<> {
     let mut names: BTreeMap<PathBuf, String> = BTreeMap::new();
     if let Ok(file) = Path::new(main).canonicalize() {
         names.insert(file, main.to_owned());
@@ -130,7 +130,8 @@ fn includer(main: &str) -> impl FnMut(&str, &str) -> Result<(String, Vec<u8>), S
         if let (false, Some(text)) = (file.is_file(), path.strip_suffix(".xml").and_then(missions::shipped)) {
             return Ok((path.to_owned(), text.as_bytes().to_vec()));
         }
-        let text = files::text(&file).map_err(|failure| failure.to_string())?;
+        let limit = Limits::default().bytes as u64;
+        let text = files::text_within(&file, limit).map_err(|failure| failure.to_string())?;
         let name = file.display().to_string();
         let name = match file.canonicalize() {
             Ok(file) => names.entry(file).or_insert(name).clone(),

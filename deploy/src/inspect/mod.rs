@@ -7,7 +7,7 @@
 //! | `bt`, `tree_picture`, `glyphs` | behaviour trees: valid? what do they look like, do now, and under a script? |
 //! | `doctor`, `diagnosis`, `check` | is everything there and well? |
 
-mod bt;
+pub(crate) mod bt;
 mod build;
 mod check;
 mod convert;

@@ -1,8 +1,9 @@
 //! How does an operator keep the right to command? By heartbeats, until it is given back; when they end, the robot takes it back itself.
 
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
 use zenav_protocol::bus::{AskError, Bus, BusError};
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
 use zenav_protocol::topics;
@@ -59,13 +60,16 @@ impl Held {
     pub(super) async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, HoldError> {
         let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
         let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
+        // A holder who asks again, from another process too, may get the same epoch: the count goes on above what was sent before.
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let mut heartbeat = Heartbeat {
             holder: holder.to_owned(),
             epoch: grant.epoch,
-            counter: 0,
+            counter: u64::try_from(since.as_micros()).unwrap_or_default(),
         };
         let heartbeats = tokio::spawn(async move {
             let mut pace = tokio::time::interval(PERIOD);
+            pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
             loop {
                 pace.tick().await;
                 heartbeat.counter += 1;

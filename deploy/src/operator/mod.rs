@@ -6,11 +6,13 @@
 //! | `lease` | who may command: show, acquire, release |
 //! | `hold` | keeping the operator's lease while it is needed |
 //! | `hand` | which key means which motion, and for how long (pure) |
+//! | `status` | who commands now, and what is shown of it (pure) |
 //! | `teleop` | driving in the terminal |
 
 mod hand;
 mod hold;
 mod lease;
+mod status;
 mod stop;
 mod teleop;
 

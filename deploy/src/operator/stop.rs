@@ -1,14 +1,17 @@
 //! How is a robot stopped, and let go again? By asking the robot itself: no lease, no cloud, and on its own endpoint no router either.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use serde::Serialize;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::messages::{ResumeRequest, StopReply, StopRequest, exit_code};
 use zenav_protocol::topics;
 
 use super::holder;
-use crate::connect::{self, RobotArgs};
+use crate::connect::{self, LinkArgs, RobotArgs};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
@@ -59,12 +62,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
                 .await
         }
     };
-    let mut link = args.robot.link.clone();
-    if link.connect == [connect::DEFAULT_ENDPOINT] {
-        // Nobody named another: without the router, the robot of this machine itself.
-        link.connect.push(connect::ROBOT_ENDPOINT.to_owned());
-    }
-    let answers = connect::on_bus(&link, async |bus| {
+    let answers = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         if args.all {
             let mut answers = BTreeMap::new();
             for robot in connect::robots(&bus).await?.into_keys() {
@@ -117,5 +115,73 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
         // Asked to stop and not stopped, or the other way round, is no success.
         None if rows.iter().any(|row| row.stopped != stop) => Ok(exit_code::FAILED),
         None => Ok(exit_code::OK),
+    }
+}
+
+/// Stops a robot on every way to it at once: over `bus`, and over a link of its own to each of the endpoints.
+///
+/// # Errors
+/// When none of them brought a confirmation within the link's patience.
+pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Result<(), Failure> {
+    let patience = link.patience();
+    let mut ways = JoinSet::new();
+    ways.spawn(confirmed(bus.clone(), robot.to_owned(), patience));
+    for endpoint in &link.connect {
+        let (robot, mut link) = (robot.to_owned(), link.clone());
+        link.connect = vec![endpoint.clone()];
+        ways.spawn(async move { confirmed(connect::open(&link).await?, robot, patience).await });
+    }
+    let mut failure = None;
+    let end = Instant::now() + patience;
+    while let Ok(Some(way)) = tokio::time::timeout_at(end, ways.join_next()).await {
+        match way {
+            Ok(Ok(())) => return Ok(()),
+            Ok(Err(error)) => failure = Some(error),
+            Err(error) => failure = Some(Failure::failed(error.to_string())),
+        }
+    }
+    let silent = || Failure::new(exit_code::TIMEOUT, "no answer in time");
+    Err(failure.filter(|_| ways.is_empty()).unwrap_or_else(silent))
+}
+
+async fn confirmed(bus: Bus, robot: String, within: Duration) -> Result<(), Failure> {
+    let request = StopRequest { by: Some(holder()) };
+    match bus.ask(&topics::STOP, &[&robot], &request, within).await?.stopped {
+        true => Ok(()),
+        false => Err(Failure::failed("it says that it is not stopped")),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::bus::BusConfig;
+
+    use super::*;
+
+    async fn endpoint() -> (Bus, String) {
+        let config = BusConfig {
+            connect: Vec::new(),
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            ..BusConfig::default()
+        };
+        let bus = Bus::open(config).await.unwrap();
+        let own = bus.endpoints().await.into_iter().next().unwrap();
+        (bus, own)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_robot_that_the_open_link_does_not_reach_is_stopped_over_its_own_endpoint() {
+        let (nobody, dead_end) = endpoint().await;
+        let (robot, own) = endpoint().await;
+        let mut server = robot.serve(&topics::STOP, &["neo"]).unwrap();
+        let serving = tokio::spawn(async move { server.next().await.unwrap().reply(&StopReply { stopped: true }) });
+        let link = |connect| LinkArgs { connect, timeout: 30.0 };
+        let open = connect::open(&link(vec![dead_end.clone()])).await.unwrap();
+        everywhere(&open, &link(vec![dead_end, own]), "neo").await.unwrap();
+        serving.await.unwrap();
+        for bus in [open, robot, nobody] {
+            bus.close().await;
+        }
     }
 }

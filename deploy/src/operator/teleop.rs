@@ -1,5 +1,5 @@
-//! How is a robot driven by hand in a terminal? Keys in, twists out twenty times a second, each echoing the newest state seen
-//! from the robot: when the link or this program freezes, the echo grows old and the robot stops by itself.
+//! How is a robot driven by hand in a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
+//! from the robot: when the link or this program freezes, the echo grows old and the robot brakes by itself.
 //!
 //! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`; Enter gives control
 //! back to the mission before.
@@ -10,27 +10,33 @@ use std::time::Duration;
 use crossterm::event::{self, KeyCode, KeyEventKind, KeyModifiers};
 use crossterm::terminal;
 use tokio::sync::mpsc;
-use tokio::time::Instant;
+use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{Bus, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{EdgeState, InfoRequest, Mode, ResumeRequest, StopRequest, Teleop, exit_code};
+use zenav_protocol::messages::{EdgeState, InfoRequest, Odometry, ResumeRequest, Teleop, exit_code};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::hand::{Hand, Wish, wish};
 use super::hold::Held;
-use super::holder;
-use crate::connect::{self, RobotArgs, positive};
+use super::status::{self, OLD, View};
+use super::{holder, stop};
+use crate::connect::{self, LinkArgs, RobotArgs, positive};
 use crate::failure::{Failure, Outcome};
 
 /// Twists a second.
 const PERIOD: Duration = Duration::from_millis(50);
-/// A state older than this is told: the robot drops what echoes it.
-const OLD: Duration = Duration::from_millis(300);
+/// The last stop is given up after this time.
+const LEAVE_WITHIN: Duration = Duration::from_secs(2);
+/// Longest wait for the robot's word on a key.
+const ASK_WITHIN: Duration = Duration::from_secs(1);
 /// Speeds for a robot that does not tell its own, m/s and rad/s.
 const CAREFUL: Twist2 = Twist2 { v: 0.3, w: 1.0 };
 
-const HELP: &str = "Space take control and stop   Enter give back   W A S D (Q E) drive   + - speed   R resume   Ctrl-C stop and leave";
+const HELP: [&str; 2] = [
+    "Space take control and stop   Enter give back   Ctrl-C stop and leave",
+    "W A S D (Q E) drive   + - speed   R resume",
+];
 
 /// Driving by hand.
 #[derive(Debug, clap::Args)]
@@ -57,24 +63,23 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
     if !std::io::stdin().is_terminal() {
         return Err(Failure::usage("teleop needs a terminal: its keys drive the robot"));
     }
-    let patience = args.robot.link.patience();
-    connect::on_robot(&args.robot, async |bus, robot| {
+    let robot = RobotArgs {
+        link: args.robot.link.with_robot(),
+        ..args.robot.clone()
+    };
+    let patience = robot.link.patience();
+    let mut last = robot.link.clone();
+    last.timeout = last.timeout.min(LEAVE_WITHIN.as_secs_f64());
+    connect::on_robot(&robot, async |bus, robot| {
         let top = top_speeds(&bus, &robot, patience).await;
         let top = Twist2::new(args.speed.unwrap_or(top.v), args.turn.unwrap_or(top.w));
         let screen = RawTerminal::open()?;
         let mut session = Session::new(&bus, &robot, top)?;
         let driven = session.run(keys()).await;
-        let stopped = session.leave(patience).await;
+        let stopped = session.leave(&last).await;
         drop(screen);
-        match stopped {
-            Ok(()) => eprintln!("{robot} is stopped; `zenav resume` lets it go"),
-            Err(error) => {
-                return Err(Failure::new(
-                    error.code,
-                    format!("{robot} did not confirm its stop: {error} (without commands it stops by itself)"),
-                ));
-            }
-        }
+        stopped?;
+        eprintln!("{robot} is stopped; `zenav resume` lets it go");
         driven.map(|()| exit_code::OK)
     })
 }
@@ -144,9 +149,13 @@ struct Session {
     holder: String,
     hand: Hand,
     states: Latest<EdgeState>,
+    /// For its stamps: they come every tick of the robot, five times as often as its state.
+    odometry: Latest<Odometry>,
     teleop: Publisher<Teleop>,
     held: Option<Held>,
     seen: Option<(Instant, EdgeState)>,
+    echo: Option<Stamp>,
+    /// What was told last.
     note: String,
     start: Instant,
 }
@@ -159,9 +168,11 @@ impl Session {
             holder: holder(),
             hand: Hand::new(top),
             states: bus.latest(&topics::STATE, &[robot])?,
+            odometry: bus.latest(&topics::ODOMETRY, &[robot])?,
             teleop: bus.publisher(&topics::TELEOP, &[robot])?,
             held: None,
             seen: None,
+            echo: None,
             note: String::new(),
             start: Instant::now(),
         })
@@ -169,8 +180,9 @@ impl Session {
 
     /// Until somebody wants to leave, by key, by signal, or because the terminal is gone.
     async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Wish>) -> Result<(), Failure> {
-        eprint!("{HELP}\r\n");
+        eprint!("{}\r\n", HELP.join("\r\n"));
         let mut pace = tokio::time::interval(PERIOD);
+        pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let ended = ended();
         tokio::pin!(ended);
         loop {
@@ -182,10 +194,7 @@ impl Session {
                     Some(wish) => self.act(wish).await,
                 },
                 _ = pace.tick() => {
-                    if let Some(state) = self.states.take() {
-                        self.seen = Some((Instant::now(), state));
-                    }
-                    self.drop_lost_lease();
+                    self.hear();
                     self.drive();
                     self.draw();
                 }
@@ -194,7 +203,10 @@ impl Session {
     }
 
     async fn act(&mut self, wish: Wish) {
-        self.note.clear();
+        if !matches!(wish, Wish::Move { .. }) {
+            // Asked again, told again; a key that is held is told once.
+            self.note.clear();
+        }
         match wish {
             Wish::Take => self.take().await,
             Wish::Give => {
@@ -203,63 +215,76 @@ impl Session {
                 if let Some(held) = self.held.take()
                     && let Err(error) = held.release().await
                 {
-                    self.note = error.to_string();
+                    self.tell(format!("not given back, it lapses by itself: {error}"));
                 }
             }
-            Wish::Move { .. } if self.held.is_none() => self.note = "Space takes control first".to_owned(),
+            Wish::Move { .. } if self.held.is_none() => self.tell("Space takes control first".to_owned()),
             Wish::Move { forward, left } => self.hand.press(self.start.elapsed(), forward, left),
             Wish::Faster => self.hand.scale(true),
             Wish::Slower => self.hand.scale(false),
             Wish::Resume => {
-                let request = ResumeRequest {
-                    by: Some(self.holder.clone()),
-                };
-                if let Err(error) = self
-                    .bus
-                    .ask(&topics::RESUME, &[&self.robot], &request, Duration::from_secs(1))
-                    .await
-                {
-                    self.note = error.to_string();
+                let by = Some(self.holder.clone());
+                let (robot, request) = ([self.robot.as_str()], ResumeRequest { by });
+                let asked = self.bus.ask(&topics::RESUME, &robot, &request, ASK_WITHIN).await;
+                if let Err(error) = asked {
+                    self.tell(format!("not resumed: {error}"));
                 }
             }
             Wish::Quit => {}
         }
     }
 
+    /// Stops, and takes control unless it is sure to be here already.
     async fn take(&mut self) {
         self.hand.rest();
         self.drive();
-        if self.held.is_some() {
+        self.hear();
+        if self.held.is_some() && self.seen.as_ref().is_some_and(|(at, _)| at.elapsed() <= OLD) {
             return;
         }
-        match Held::acquire(&self.bus, &self.robot, &self.holder, Duration::from_secs(1)).await {
-            Ok(held) => self.held = Some(held),
-            Err(error) => self.note = error.to_string(),
+        self.held = None;
+        match Held::acquire(&self.bus, &self.robot, &self.holder, ASK_WITHIN).await {
+            Ok(held) => {
+                // What waits here was sent before.
+                self.hear();
+                self.held = Some(held);
+            }
+            Err(error) => self.tell(format!("no control: {error}")),
         }
     }
 
-    /// The robot's word counts: a lease of another epoch or holder is not ours any more.
-    fn drop_lost_lease(&mut self) {
-        let (Some(held), Some((_, state))) = (&self.held, &self.seen) else {
-            return;
-        };
-        if state.lease.epoch > held.grant.epoch {
-            self.note = format!(
-                "control was lost to {}",
-                state.lease.holder.as_deref().unwrap_or("nobody")
-            );
+    /// Takes in what the robot says of itself: its word counts on who commands.
+    fn hear(&mut self) {
+        let odometry = self.odometry.take().map(|odometry| odometry.stamp);
+        let state = self.states.take();
+        // A robot that has restarted may count its time anew: the newest to come counts, not the greatest of all.
+        self.echo = odometry.max(state.as_ref().map(|state| state.stamp)).or(self.echo);
+        let Some(state) = state else { return };
+        if let Some(held) = &self.held
+            && let Some(why) = status::lost(&held.grant, &self.holder, &state)
+        {
             self.held = None;
             self.hand.rest();
+            self.tell(format!("{why}; Space takes it again"));
         }
+        self.seen = Some((Instant::now(), state));
     }
 
     fn drive(&self) {
-        if let (Some(held), Some((_, state))) = (&self.held, &self.seen) {
+        if let (Some(held), Some(echo)) = (&self.held, self.echo) {
             self.teleop.put(&Teleop {
                 epoch: held.grant.epoch,
                 twist: self.hand.twist(self.start.elapsed()),
-                echo: state.stamp,
+                echo,
             });
+        }
+    }
+
+    /// A line of its own above the status, which stays: once for as long as nothing else is asked.
+    fn tell(&mut self, note: String) {
+        if note != self.note {
+            eprint!("\r{note}\x1b[K\r\n");
+            self.note = note;
         }
     }
 
@@ -269,7 +294,7 @@ impl Session {
             .ok()
             .filter(|(columns, _)| *columns > 0)
             .map_or(80, |(columns, _)| usize::from(columns));
-        let line: String = self.status().chars().take(width.saturating_sub(1)).collect();
+        let line = status::cut(&self.status(), width);
         // To the line's start, and the rest of the line cleared.
         eprint!("\r{line}\x1b[K");
         let _ = std::io::stderr().flush();
@@ -277,72 +302,37 @@ impl Session {
 
     fn status(&self) -> String {
         let Some((at, state)) = &self.seen else {
-            return format!("{}: nothing heard yet  {}", self.robot, self.note);
+            return format!("{}: nothing heard yet", self.robot);
         };
-        let command = match (&self.held, &state.lease.holder) {
-            (Some(_), _) => "YOU".to_owned(),
-            (None, Some(holder)) if state.lease.live => holder.clone(),
-            _ => match (state.mode, state.wall_follower) {
-                (Mode::WallFollow, Some(follower)) => format!("itself: {}", follower.name()),
-                _ => "nobody".to_owned(),
-            },
+        let view = View {
+            robot: &self.robot,
+            held: self.held.as_ref().map(|held| &held.grant),
+            age: at.elapsed(),
+            state,
+            limit: self.hand.limit(),
         };
-        let age = at.elapsed();
-        let link = if age > OLD {
-            format!("silent for {:.1} s", age.as_secs_f64())
-        } else {
-            format!("{:?}", state.link)
-        };
-        let stopped = if state.mode == Mode::Stopped {
-            " (R lets it go)"
-        } else {
-            ""
-        };
-        let limit = self.hand.limit();
-        // What matters most comes first: a narrow terminal shows the beginning.
-        format!(
-            "{} | {command} | {:?}{stopped} | {} m/s {} rad/s (of {:.2} {:.2}) | guard {:?} | {link} | {:.0} % | {}",
-            self.robot,
-            state.mode,
-            signed(state.velocity.v),
-            signed(state.velocity.w),
-            limit.v,
-            limit.w,
-            state.guard,
-            100.0 * state.battery,
-            self.note
-        )
+        view.line()
     }
 
-    /// Leaves the robot stopped, whoever was in command.
-    async fn leave(&mut self, within: Duration) -> Result<(), Failure> {
-        if let Some(held) = &self.held {
-            self.teleop.put(&Teleop {
-                epoch: held.grant.epoch,
-                twist: Twist2::ZERO,
-                echo: self.seen.as_ref().map_or(Stamp::ZERO, |(_, state)| state.stamp),
-            });
-        }
-        let request = StopRequest {
-            by: Some(self.holder.clone()),
-        };
-        let stopped = self.bus.ask(&topics::STOP, &[&self.robot], &request, within).await;
+    /// Leaves the robot stopped, whoever was in command: on every way that `link` names.
+    async fn leave(&mut self, link: &LinkArgs) -> Result<(), Failure> {
+        self.hand.rest();
+        self.drive();
+        stop::everywhere(&self.bus, link, &self.robot).await.map_err(|error| {
+            let heard = self.seen.as_ref().map(|(at, state)| (at.elapsed(), state));
+            let robot = &self.robot;
+            let known = status::unstopped(self.held.is_some(), heard);
+            let text = format!(
+                "{robot} did not confirm its stop ({error}): {known}. `zenav stop --robot {robot} --connect ENDPOINT` with the robot's own endpoint needs no router"
+            );
+            Failure::new(error.code, text)
+        })?;
         if let Some(held) = self.held.take() {
             // It ends by itself when nobody renews it.
             let _ = held.release().await;
         }
-        if stopped?.stopped {
-            Ok(())
-        } else {
-            Err(Failure::failed("it says that it is not stopped"))
-        }
+        Ok(())
     }
-}
-
-/// With its sign, and without one for what rounds to zero.
-fn signed(value: f64) -> String {
-    let text = format!("{value:+.2}");
-    if text == "-0.00" { "+0.00".to_owned() } else { text }
 }
 
 /// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.

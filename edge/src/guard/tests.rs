@@ -216,12 +216,16 @@ fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
     let turn = Twist2::new(0.0, 2.0);
     let judge = |secs: f64, twist: Twist2| {
         let mut around = around.clone();
-        let sweep = Sweep {
-            stamp: stamp.plus_secs(secs),
-            ranges: vec![f32::INFINITY; model.lidar.beams],
-        };
-        assert!(around.insert(&sweep, Pose2::IDENTITY));
-        Guard::new(&model, 0.02, 0.5).judge(sweep.stamp.plus_secs(0.02), twist, &around, Pose2::IDENTITY, &NO_BUMP)
+        let mut now = stamp;
+        while now < stamp.plus_secs(secs) {
+            now = now.plus_secs(0.2);
+            let sweep = Sweep {
+                stamp: now,
+                ranges: vec![f32::INFINITY; model.lidar.beams],
+            };
+            assert!(around.insert(&sweep, Pose2::IDENTITY));
+        }
+        Guard::new(&model, 0.02, 0.5).judge(now.plus_secs(0.02), twist, &around, Pose2::IDENTITY, &NO_BUMP)
     };
     let soon = judge(1.0, turn);
     assert!(
@@ -232,6 +236,22 @@ fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
     assert_eq!(judge(1.0, Twist2::new(0.5, 0.0)).twist.v, 0.5, "it may drive off");
     assert!(judge(8.0, turn).twist.w * 0.21 < 0.01, "it may still stand there");
     assert_eq!(judge(11.0, turn).twist.w, 2.0, "not for ever");
+}
+
+#[test]
+fn after_a_silence_of_the_lidar_somebody_may_stand_behind() {
+    let model = jackal();
+    let turn = |second: f64| {
+        let mut around = Surroundings::new(&model.lidar, &model.footprint, model.drive.top_speed());
+        looked(&mut around, &model, 0.0, 0.0);
+        looked(&mut around, &model, second, 0.0);
+        let now = Stamp::from_secs(second + 0.05);
+        let wanted = Twist2::new(0.0, 1.0);
+        let verdict = Guard::new(&model, 0.02, 0.5).judge(now, wanted, &around, Pose2::IDENTITY, &NO_BUMP);
+        verdict.twist.w
+    };
+    assert_eq!(turn(0.2), 1.0);
+    assert!(turn(1.0) * 0.21 < 0.01);
 }
 
 #[test]

@@ -223,6 +223,38 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
     assert_eq!(stops_for(&rig, "no command follows"), 1);
 }
 
+#[test]
+fn a_recorded_drive_does_not_override_a_later_stop_and_is_told_of_once() {
+    let (mut rig, _, _) = driving();
+    rig.run(1.0);
+    rig.lease("me", LeaseRole::Operator, "o").unwrap();
+    rig.run(1.2);
+    let epoch = rig.lease("me", LeaseRole::Operator, "o2").unwrap();
+    let by_hand = |v, echo| Teleop {
+        epoch,
+        twist: Twist2::new(v, 0.0),
+        echo,
+    };
+    let echo = rig.now;
+    rig.inbox.teleops.extend([by_hand(-0.3, echo), by_hand(0.0, echo)]);
+    rig.tick();
+    let before = rig.pose;
+    for _ in 0..40 {
+        rig.inbox.teleops.push(by_hand(-0.3, echo));
+        rig.tick();
+    }
+    assert!((rig.pose.x - before.x).abs() < 0.01, "{:?}", rig.pose);
+    let told: Vec<&String> = rig
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            EventKind::TeleopDropped { reason } => Some(reason),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(told.len(), 2, "once for each cause: {told:?}");
+}
+
 /// How often the guard has told that it stops for this reason.
 fn stops_for(rig: &Rig, because: &str) -> usize {
     let tells = |event: &&EventKind| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains(because));

@@ -1,4 +1,4 @@
-//! What does a robot do that follows walls when nobody commands it? Claims, driven in closed loop in a square room.
+//! What does a robot do that follows walls, or goes home, when nobody commands it? Claims, driven in closed loop in a square room.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -11,6 +11,14 @@ use crate::mailbox::{Answer, Persisted, Question};
 
 /// Nobody commands, and the policy is to follow walls.
 fn left_alone() -> (Rig, u64) {
+    let (mut rig, epoch) = commanded(LostPolicy::WallFollow);
+    rig.heartbeat = None;
+    rig.run(3.5);
+    (rig, epoch)
+}
+
+/// A mission commands a robot of this policy.
+fn commanded(policy: LostPolicy) -> (Rig, u64) {
     let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
     // Enough for walls, and quick; and it sees where it backs up to.
     model.lidar.beams = 180;
@@ -18,12 +26,10 @@ fn left_alone() -> (Rig, u64) {
     let mut rig = Rig::of(model, Persisted::default());
     let epoch = rig.mission();
     rig.ask(Question::Mode(ModeRequest {
-        on_lost: Some(LostPolicy::WallFollow),
+        on_lost: Some(policy),
         epoch: Some(epoch),
     }))
     .unwrap();
-    rig.heartbeat = None;
-    rig.run(3.5);
     (rig, epoch)
 }
 
@@ -185,4 +191,23 @@ fn a_stop_by_hand_holds_it_until_it_is_resumed() {
     rig.ask(Question::Resume(ResumeRequest::default())).unwrap();
     rig.run(1.0);
     assert!(!rig.at_rest());
+}
+
+#[test]
+fn a_robot_that_lost_everybody_goes_home_the_way_it_came_and_rests_there() {
+    let (mut rig, _) = commanded(LostPolicy::ReturnHome);
+    let hand = operator(&mut rig, "1");
+    by_hand(&mut rig, hand, 0.4, 3.0);
+    let out = rig.pose;
+    assert!(out.x > 0.8, "{out:?}");
+    rig.run(2.0);
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Idle, "the link is not lost yet");
+    rig.run(4.0);
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::ReturnHome);
+    rig.run(20.0);
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Idle);
+    assert!(rig.pose.position().coords.norm() < 0.3, "{:?}", rig.pose);
+    let there = rig.pose;
+    rig.run(5.0);
+    assert!((rig.pose.position() - there.position()).norm() < 0.02, "it rests");
 }

@@ -29,6 +29,9 @@ const MAX_MESSAGE: usize = 128 * 1024 * 1024;
 const MAX_RETRY: Duration = Duration::from_secs(1);
 /// The shortest.
 const MIN_RETRY: Duration = Duration::from_millis(200);
+/// Zenoh's routers look at who came and went 0.1 s after somebody did: one that comes within that of another's leaving is taken for it,
+/// and is told nothing of what the others declared. A part that was started anew at once lets that time pass before it links.
+const AFTER_ANOTHER: Duration = Duration::from_millis(150);
 /// How long a close may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -149,6 +152,9 @@ impl Bus {
             (false, _) => WhatAmI::Router,
         };
         let zenoh = link_settings(mode, &config.connect, &config.listen, &config.name)?;
+        if mode == WhatAmI::Router && !config.connect.is_empty() {
+            sleep(AFTER_ANOTHER).await;
+        }
         let mut wait = MIN_RETRY;
         loop {
             match zenoh::open(zenoh.clone()).await {

@@ -16,9 +16,13 @@ pub struct WheelSpeeds {
     pub stamp: Stamp,
     /// Left and right, rad/s.
     pub wheels: [f64; 2],
+    /// Which edge drives: the number of its [`AttachRequest`]; 0 for a body that asked for none.
+    #[serde(default)]
+    pub edge: u64,
 }
 
-/// Puts a robot into the served world, or takes hold again of one that is in it.
+/// Puts a robot into the served world, or takes hold again of one that is in it and that no edge drives any more: the second of two edges
+/// of one name is told that the robot is busy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AttachRequest {
     /// The robot's id.
@@ -27,6 +31,9 @@ pub struct AttachRequest {
     pub model: RobotModel,
     /// Where it starts, map frame; the world's own start without it. A robot that is there already stays where it is.
     pub start: Option<Pose2>,
+    /// Which edge asks: a number of this life of it, up to 2^53. The robot obeys only wheel speeds that carry it.
+    #[serde(default)]
+    pub edge: u64,
 }
 
 /// The robot stands in the world.

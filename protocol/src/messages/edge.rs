@@ -34,6 +34,8 @@ pub enum Mode {
     Behaviour,
     /// Follows walls on its own, without a cloud.
     WallFollow,
+    /// Drives back to where it started, without a cloud.
+    ReturnHome,
     /// Stopped by hand until resumed.
     Stopped,
 }
@@ -247,6 +249,11 @@ pub enum EventKind {
         /// Inputs since the start that were no numbers, no covariance, or of a time yet to come.
         broken: u64,
     },
+    /// A twist by hand did not count; told for each cause every ten seconds at most.
+    TeleopDropped {
+        /// Why.
+        reason: String,
+    },
     /// The guard changed its mind.
     Guard {
         /// The zone from now on.
@@ -423,6 +430,8 @@ pub enum LostPolicy {
     Stop,
     /// As `finish_horizon`; once the link is lost and no plan is left, follow walls.
     WallFollow,
+    /// As `finish_horizon`; once the link is lost and no plan is left, drive back to the start the way that it came.
+    ReturnHome,
 }
 
 /// The mode.
@@ -541,6 +550,7 @@ pub struct Teleop {
     pub epoch: u64,
     /// Wanted velocity.
     pub twist: Twist2,
-    /// Stamp of the newest edge state that the operator has seen: an old echo is dropped.
+    /// Stamp of the newest message of the edge that the operator has seen, such as its state or odometry. The twist acts until this is
+    /// a dead-man's time old (0.3 s); of several messages with one echo the first counts, and a stop.
     pub echo: Stamp,
 }

@@ -16,7 +16,7 @@ use zenav_protocol::robot::RobotModel;
 use crate::lidar::AngularBuffer;
 use crate::simulation::{RobotSpec, SimError, Simulation};
 use crate::world::World;
-pub use worlds::{office, polygons};
+pub use worlds::{floor, office, polygons};
 
 /// Rounds of sweeps.
 const ROUNDS: usize = 10;
@@ -30,6 +30,8 @@ pub struct BenchReport {
     pub robots: usize,
     /// Beams of each lidar.
     pub beams: usize,
+    /// Scans a second of each, of simulated time.
+    pub rate_hz: f64,
     /// Steps of the whole simulation that were timed.
     pub steps: u64,
     /// Beams a second of exact sweeps alone, on one core, in the fastest round.
@@ -97,6 +99,7 @@ pub fn run(
     Ok(BenchReport {
         robots,
         beams: model.lidar.beams,
+        rate_hz: model.lidar.rate_hz,
         steps,
         rays_per_s,
         real_time_factor,
@@ -184,6 +187,16 @@ mod tests {
             );
         }
         assert!((20..=100).contains(&scatter(&world, &model, 1000, 2.0, 1).len()));
+    }
+
+    #[test]
+    fn a_floor_has_room_for_all_robots_that_it_was_made_for() {
+        for (name, count) in [("tiago", 1000), ("neato", 300), ("jackal", 1)] {
+            let model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+            let world = floor(&model, count).unwrap();
+            let placed = scatter(&world, &model, count, model.drive.wheel_separation, 1);
+            assert_eq!(placed.len(), count, "{name}");
+        }
     }
 
     #[test]

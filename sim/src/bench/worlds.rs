@@ -5,8 +5,10 @@ use std::fmt::Write as _;
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::robot::RobotModel;
 
 use crate::world::World;
+use crate::world_check::WorldError;
 
 /// A world file of `shapes` regular polygons of `sides` sides on a lattice in a walled square of `size` m.
 #[must_use]
@@ -33,6 +35,19 @@ pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
         let _ = writeln!(text, "[[polygon]]\npoints = {corners:?}");
     }
     text
+}
+
+/// A walled floor with room for `count` robots of a model and with four-sided things to see, one for every ten robots, twenty at least.
+///
+/// # Errors
+/// [`WorldError`] for more things than a world holds.
+pub fn floor(model: &RobotModel, count: usize) -> Result<World, WorldError> {
+    let apart = 2.0 * model.footprint.circumscribed_radius() + model.drive.wheel_separation;
+    // Four times the square that each needs: robots that are put down at random leave half of that empty.
+    let size = (2.0 * apart * (count as f64).sqrt()).max(20.0).ceil();
+    World::from_toml(&polygons((count / 10).max(20), 4, size), "floor", &|_| {
+        Err(String::new())
+    })
 }
 
 /// An office of rooms with doors and furniture, as a map of 5 cm cells.

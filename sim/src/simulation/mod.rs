@@ -100,6 +100,19 @@ impl Simulation {
         Ok(index)
     }
 
+    /// Takes a robot out of the world; those after it move up by one in all calls that take a place.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    pub fn remove(&mut self, robot: usize) {
+        self.bodies.remove(robot);
+        self.crowd.remove(self.movers.len() + robot);
+        self.ids.retain(|_, place| *place != robot);
+        for place in self.ids.values_mut().filter(|place| **place > robot) {
+            *place -= 1;
+        }
+    }
+
     fn place(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
         let RobotSpec { id, model, start } = robot;
         let index = self.bodies.len();
@@ -114,6 +127,15 @@ impl Simulation {
             return Err(SimError::NotFinite(id));
         }
         let start = Pose2::new(start.x, start.y, start.yaw);
+        if !world.holds(start.position()) {
+            let (low, high) = world.bounds();
+            return Err(SimError::Outside {
+                robot: id,
+                at: start.position(),
+                low,
+                high,
+            });
+        }
         let around = Surroundings {
             scene: &self.scene,
             crowd: &self.crowd,

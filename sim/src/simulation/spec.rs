@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
+use nalgebra::Point2;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{RobotError, RobotModel};
+use zenav_protocol::written::Number;
 
 /// Most robots in one world.
 pub const MAX_ROBOTS: usize = 10_000;
@@ -33,8 +35,20 @@ pub enum SimError {
     /// The start is not a pose.
     #[error("robot `{0}`: its start is not finite")]
     NotFinite(Id),
+    /// The start lies outside of what is meant to be driven in.
+    #[error("robot `{robot}` cannot start at ({}, {}): the world reaches from ({}, {}) to ({}, {})", Number(at.x), Number(at.y), low.x, low.y, high.x, high.y)]
+    Outside {
+        /// The robot.
+        robot: Id,
+        /// Where, m.
+        at: Point2<f64>,
+        /// The world's lower-left corner, m.
+        low: Point2<f64>,
+        /// Its upper-right one, m.
+        high: Point2<f64>,
+    },
     /// Something stands where the robot should start: choose another start.
-    #[error("robot `{robot}` cannot start at ({x}, {y}): something stands there")]
+    #[error("robot `{robot}` cannot start at ({}, {}): something stands there", Number(*x), Number(*y))]
     Occupied {
         /// The robot.
         robot: Id,

@@ -10,9 +10,10 @@ use toml::Spanned;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
+use zenav_protocol::written::Pair;
 
 use crate::shape::Disc;
-use crate::world::{Parts, Place};
+use crate::world::{Parts, Place, within};
 use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVERS, MAX_SHAPES, Source, WorldError};
 use tables::{CircleTable, PlaceTable, StartTable, WallTable, WorldFile};
 
@@ -77,6 +78,13 @@ pub(crate) fn read(
         Some(start) => {
             let StartTable { x, y, yaw } = *start.get_ref();
             source.coordinates(start.span(), "start", &[x, y, yaw])?;
+            if !within(low, high, Point2::new(x, y)) {
+                let problem = format!(
+                    "({x}, {y}) lies outside of the world: expected {} to {} by {} to {}",
+                    low.x, high.x, low.y, high.y
+                );
+                return source.fail(start.span(), "start", problem);
+            }
             Pose2::new(x, y, yaw)
         }
     };
@@ -125,7 +133,7 @@ fn bounds(
     let from_map = map.map(|map| (map.spec().origin, map.spec().upper()));
     let low = match (&world.origin, from_map) {
         (Some(origin), _) => {
-            source.coordinates(origin.span(), "origin", origin.get_ref())?;
+            source.coordinates(origin.span(), "origin", &origin.get_ref().0)?;
             Point2::from(*origin.get_ref())
         }
         (None, Some((low, _))) => low,
@@ -133,8 +141,8 @@ fn bounds(
     };
     let high = match (&world.size, from_map) {
         (Some(size), _) => {
-            let [width, height] = *size.get_ref();
-            source.coordinates(size.span(), "size", size.get_ref())?;
+            let Pair([width, height]) = *size.get_ref();
+            source.coordinates(size.span(), "size", &[width, height])?;
             if !(width > 0.0 && height > 0.0) {
                 return source.fail(
                     size.span(),
@@ -153,8 +161,8 @@ fn bounds(
 /// A wall is a rectangle around the line between its ends.
 fn wall(source: Source<'_>, wall: &Spanned<WallTable>) -> Result<Vec<Point2<f64>>, WorldError> {
     let WallTable { from, to, thickness } = wall.get_ref();
-    source.coordinates(wall.span(), "wall.from", from)?;
-    source.coordinates(to.span(), "wall.to", to.get_ref())?;
+    source.coordinates(wall.span(), "wall.from", &from.0)?;
+    source.coordinates(to.span(), "wall.to", &to.get_ref().0)?;
     let half = 0.5 * source.positive(thickness, "wall.thickness")?;
     let (from, to) = (Point2::from(*from), Point2::from(*to.get_ref()));
     let along = to - from;

@@ -2,6 +2,7 @@
 
 use nalgebra::Point2;
 use toml::Spanned;
+use zenav_protocol::written::{Number, Pair};
 
 use super::tables::{DoorTable, MoverTable};
 use crate::movers::{MoverModel, Route};
@@ -36,7 +37,13 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
             };
             Route::Path(corners.into_iter().zip(rests).collect())
         }
-        (None, Some(walk)) => self::walk(source, walk, start.as_ref())?,
+        (None, Some(walk)) => {
+            if let Some(rests) = rest_secs {
+                let problem = "a walker never rests: expected with `path` only";
+                return source.fail(rests.span(), "mover.rest_secs", problem);
+            }
+            self::walk(source, walk, start.as_ref())?
+        }
         _ => return source.fail(mover.span(), "mover", "expected either `path` or `walk`"),
     };
     let metres_per_second = *speed.get_ref();
@@ -44,7 +51,7 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
         return source.fail(
             speed.span(),
             "mover.speed",
-            format!("{metres_per_second}: expected 0 to {MAX_MOVER_SPEED}"),
+            format!("{}: expected 0 to {MAX_MOVER_SPEED}", Number(metres_per_second)),
         );
     }
     Ok(MoverModel {
@@ -68,12 +75,11 @@ fn rests(source: Source<'_>, rests: &Spanned<Vec<f64>>, corners: usize) -> Resul
 }
 
 /// A box to walk in; the walker starts in its middle, or where it is told to.
-fn walk(
-    source: Source<'_>,
-    walk: &Spanned<[[f64; 2]; 2]>,
-    start: Option<&Spanned<[f64; 2]>>,
-) -> Result<Route, WorldError> {
-    let [low, high] = *walk.get_ref();
+fn walk(source: Source<'_>, walk: &Spanned<Vec<Pair>>, start: Option<&Spanned<Pair>>) -> Result<Route, WorldError> {
+    let [Pair(low), Pair(high)] = walk.get_ref()[..] else {
+        let problem = format!("{} points: expected 2, opposite corners of a box", walk.get_ref().len());
+        return source.fail(walk.span(), "mover.walk", problem);
+    };
     source.coordinates(walk.span(), "mover.walk", &[low[0], low[1], high[0], high[1]])?;
     if low[0] > high[0] || low[1] > high[1] {
         return source.fail(
@@ -86,7 +92,7 @@ fn walk(
     let start = match start {
         None => nalgebra::center(&low, &high),
         Some(start) => {
-            source.coordinates(start.span(), "mover.start", start.get_ref())?;
+            source.coordinates(start.span(), "mover.start", &start.get_ref().0)?;
             Point2::from(*start.get_ref())
         }
     };
@@ -104,15 +110,15 @@ pub(super) fn door(source: Source<'_>, door: &Spanned<DoorTable>) -> Result<Move
         slide_secs,
         starts_open,
     } = door.get_ref();
-    source.coordinates(door.span(), "door.from", from)?;
-    source.coordinates(to.span(), "door.to", to.get_ref())?;
+    source.coordinates(door.span(), "door.from", &from.0)?;
+    source.coordinates(to.span(), "door.to", &to.get_ref().0)?;
     let half = 0.5 * source.positive(thickness, "door.thickness")?;
     for (secs, key) in [(closed_secs, "door.closed_secs"), (open_secs, "door.open_secs")] {
         if !(0.0..=MAX_REST).contains(secs.get_ref()) {
             return source.fail(
                 secs.span(),
                 key,
-                format!("{}: expected 0 to {MAX_REST}", secs.get_ref()),
+                format!("{}: expected 0 to {MAX_REST}", Number(*secs.get_ref())),
             );
         }
     }

@@ -2,13 +2,14 @@
 
 use serde::Deserialize;
 use toml::Spanned;
+use zenav_protocol::written::Pair;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WorldFile {
     pub(super) name: Option<Spanned<String>>,
-    pub(super) size: Option<Spanned<[f64; 2]>>,
-    pub(super) origin: Option<Spanned<[f64; 2]>>,
+    pub(super) size: Option<Spanned<Pair>>,
+    pub(super) origin: Option<Spanned<Pair>>,
     pub(super) start: Option<Spanned<StartTable>>,
     pub(super) map: Option<MapTable>,
     #[serde(default)]
@@ -43,7 +44,7 @@ pub(super) struct MapTable {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PolygonTable {
-    pub(super) points: Spanned<Vec<[f64; 2]>>,
+    pub(super) points: Spanned<Vec<Pair>>,
 }
 
 #[derive(Deserialize)]
@@ -57,8 +58,8 @@ pub(super) struct CircleTable {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WallTable {
-    pub(super) from: [f64; 2],
-    pub(super) to: Spanned<[f64; 2]>,
+    pub(super) from: Pair,
+    pub(super) to: Spanned<Pair>,
     pub(super) thickness: Spanned<f64>,
 }
 
@@ -66,19 +67,19 @@ pub(super) struct WallTable {
 #[serde(deny_unknown_fields)]
 pub(super) struct MoverTable {
     pub(super) radius: Option<Spanned<f64>>,
-    pub(super) polygon: Option<Spanned<Vec<[f64; 2]>>>,
-    pub(super) path: Option<Spanned<Vec<[f64; 2]>>>,
+    pub(super) polygon: Option<Spanned<Vec<Pair>>>,
+    pub(super) path: Option<Spanned<Vec<Pair>>>,
     pub(super) rest_secs: Option<Spanned<Vec<f64>>>,
-    pub(super) walk: Option<Spanned<[[f64; 2]; 2]>>,
-    pub(super) start: Option<Spanned<[f64; 2]>>,
+    pub(super) walk: Option<Spanned<Vec<Pair>>>,
+    pub(super) start: Option<Spanned<Pair>>,
     pub(super) speed: Spanned<f64>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DoorTable {
-    pub(super) from: [f64; 2],
-    pub(super) to: Spanned<[f64; 2]>,
+    pub(super) from: Pair,
+    pub(super) to: Spanned<Pair>,
     pub(super) thickness: Spanned<f64>,
     pub(super) closed_secs: Spanned<f64>,
     pub(super) open_secs: Spanned<f64>,

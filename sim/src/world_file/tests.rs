@@ -104,9 +104,39 @@ fn a_wrong_key_or_value_is_named_with_file_line_and_key() {
         ),
         ("[map]\nyaml = \"m.yaml\"\n", ["w.toml:5:", "m.yaml: no file m.yaml"]),
         ("size = 3\n", ["w.toml:4:", "size"]),
+        (
+            "[[mover]]\nradius = 1\nspeed = 1\nwalk = [[0, 0], [1, 1]]\nrest_secs = [3]\n",
+            ["w.toml:8:", "mover.rest_secs"],
+        ),
+        (
+            "[[mover]]\nradius = 1\nspeed = 1\nwalk = [[0, 0], [1, 1], [2, 2]]\n",
+            ["w.toml:7:", "mover.walk"],
+        ),
+        ("[start]\nx = 9\ny = 0\n", ["w.toml:4:", "expected -1 to 4 by 0 to 6"]),
+        ("[[circle]]\nx = 1\ny = 1e300\nradius = 1\n", ["w.toml:4:", "1e300"]),
     ] {
         let error = error(body);
         assert!(expected.iter().all(|part| error.contains(part)), "{body}: {error}");
+    }
+    // A third coordinate would not be what the writer meant.
+    for (body, line) in [
+        ("[[wall]]\nfrom = [0,0,1]\nto = [1,0]\nthickness = 1\n", "w.toml:5:"),
+        ("[[wall]]\nfrom = [0,0]\nto = [1,0,4]\nthickness = 1\n", "w.toml:6:"),
+        ("[[polygon]]\npoints = [[0,0],\n[0,1,5],\n[1,0]]\n", "w.toml:5:"),
+        ("[[mover]]\nradius = 1\nspeed = 1\npath = [[0,0,0]]\n", "w.toml:7:"),
+    ] {
+        let error = error(body);
+        assert!(
+            error.contains(line) && error.contains("expected 2 numbers, found 3"),
+            "{body}: {error}"
+        );
+    }
+    for text in ["size = [5, 5, 9]\n", "size = [5, 5]\norigin = [0]\n"] {
+        let error = World::from_toml(text, "w.toml", &|_| Err(String::new()))
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(error.contains("expected 2"), "{text}: {error}");
     }
     let bare = World::from_toml("", "w.toml", &|_| Err(String::new()))
         .err()
@@ -144,4 +174,25 @@ proptest! {
         let points: Vec<[f64; 2]> = points.into_iter().map(|(x, y)| [x, y]).collect();
         let _ = World::from_toml(&format!("{HEAD}[[polygon]]\npoints = {points:?}\n"), "w.toml", &|_| Err(String::new()));
     }
+}
+
+#[test]
+fn a_place_or_start_where_nobody_can_stand_is_told_of() {
+    let text = format!(
+        "{HEAD}[start]\nx = 0\ny = 1\n[[circle]]\nx = 3\ny = 3\nradius = 0.5\n\
+         [[place]]\nname = \"table\"\nx = 3.1\ny = 3\n[[place]]\nname = \"moon\"\nx = 3\ny = 99\n[[place]]\nname = \"sink\"\nx = 1\ny = 1\n"
+    );
+    let doubts = World::from_toml(&text, "w.toml", &|_| Err(String::new()))
+        .unwrap()
+        .doubts();
+    assert!(
+        matches!(&doubts[..], [table, moon] if table.contains("`table` at (3.1, 3)") && table.contains("solid")
+            && moon.contains("`moon`") && moon.contains("outside")),
+        "{doubts:?}"
+    );
+    let inside = text.replace("x = 0\ny = 1", "x = 3\ny = 3");
+    let doubts = World::from_toml(&inside, "w.toml", &|_| Err(String::new()))
+        .unwrap()
+        .doubts();
+    assert!(doubts.len() == 3 && doubts[0].contains("start"), "{doubts:?}");
 }

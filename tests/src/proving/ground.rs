@@ -153,14 +153,14 @@ impl Ground {
         self.sim.truth(0)
     }
 
-    /// A twist by hand that echoes the newest state.
+    /// A twist by hand that echoes the newest pose, one a tick.
     #[must_use]
     pub fn by_hand(&self, twist: Twist2) -> Option<Teleop> {
-        let state = self.state.as_ref()?;
+        let pose = self.pose.as_ref()?;
         Some(Teleop {
             epoch: 1,
             twist,
-            echo: state.stamp,
+            echo: pose.stamp,
         })
     }
 

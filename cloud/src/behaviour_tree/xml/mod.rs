@@ -10,6 +10,7 @@ mod document;
 mod error;
 mod expand;
 mod guard;
+mod inline;
 mod nearest;
 mod unfold;
 
@@ -18,6 +19,7 @@ use super::tree::Tree;
 
 pub use check::Summary;
 pub use error::{TreeError, TreeErrors};
+pub use inline::inline;
 
 /// Finds an included file: given the including file and the `path` attribute, the name by which
 /// to know it and its bytes, or what went wrong.

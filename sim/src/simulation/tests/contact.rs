@@ -51,6 +51,37 @@ fn robots_see_and_hit_one_another() {
 }
 
 #[test]
+fn a_robot_that_left_is_in_nobodys_way_and_the_others_keep_their_names() {
+    let world = world("");
+    let at = |id, x| robot(id, "tiago", Pose2::new(x, 0.0, 0.0));
+    let mut simulation = simulate(&world, vec![at("a", 0.0), at("b", 1.0), at("c", 2.0)]);
+    let before = simulation.truth(2);
+    simulation.remove(1);
+    let place = |id| simulation.find(&Id::robot(id).unwrap());
+    assert_eq!((place("a"), place("b"), place("c")), (Some(0), None, Some(1)));
+    assert_eq!(simulation.truth(1).map_from_base, before.map_from_base);
+    steps(&mut simulation, 0, [5.0; 2], 100);
+    let (here, there) = (simulation.truth(0), simulation.truth(1));
+    assert!(here.map_from_base.x > 0.6 && here.collisions == 0, "{here:?}");
+    assert_eq!(there.map_from_base, before.map_from_base);
+    simulation.add(&world, at("b", -2.0)).unwrap();
+    assert_eq!(simulation.find(&Id::robot("b").unwrap()), Some(2));
+}
+
+#[test]
+fn nobody_starts_outside_of_the_world() {
+    let error = Simulation::new(&world(""), vec![robot("a", "tiago", Pose2::new(11.0, 1e300, 0.0))], 7)
+        .err()
+        .unwrap();
+    assert!(
+        error
+            .to_string()
+            .contains("(11, 1e300): the world reaches from (-10, -10)"),
+        "{error}"
+    );
+}
+
+#[test]
 fn a_mover_that_runs_into_a_robot_waits_and_the_robot_is_not_to_blame() {
     let mover = "[[mover]]\nradius = 0.25\npath = [[3, 0], [-3, 0]]\nspeed = 0.5\n";
     let mut simulation = simulate(&world(mover), vec![robot("a", "tiago", Pose2::IDENTITY)]);

@@ -3,30 +3,35 @@
 //!
 //! The world waits for nobody: a robot whose edge is silent for 0.1 s of its time stops its wheels, as hardware would.
 
+mod host;
+
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use serde::Serialize;
-use zenav_protocol::bus::{Bus, BusConfig, Publisher, Shutdown};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachReply, AttachRequest, Refusal, SimClock, exit_code};
+use zenav_protocol::messages::{AttachReply, SimClock, exit_code};
 use zenav_protocol::readings::Readings;
-use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
-use zenav_sim::{RobotSpec, Simulation, World};
+use zenav_sim::Simulation;
 
 use crate::connect::positive;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::launch::{interrupted, runtime};
 use crate::output::{self, Format};
+use host::{Host, RobotReport};
 
 /// Wheel speeds that wait in the bus.
 const QUEUE: usize = 1024;
-/// Time without a command after which a robot's wheels stop, s.
-const DEAD_MAN: f64 = 0.1;
+/// Who serves a world says so under this name of a service.
+const SERVICE: &str = "world";
+/// Wall time that another world on the same bus may take to end: one that was killed is there until its link is.
+const SUCCESSION: Duration = Duration::from_secs(3);
+/// Wall time for the router to tell who is there.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Arguments of `zenav sim serve`.
 #[derive(Debug, Args)]
@@ -51,120 +56,16 @@ pub struct ServeArgs {
     output: Format,
 }
 
-/// What became of a robot.
-#[derive(Clone, Debug, Serialize)]
-struct RobotReport {
-    robot: String,
-    length_m: f64,
-    min_clearance_m: f64,
-    collisions: u32,
-}
-
-/// The world and the robots in it.
-struct Host {
-    world: World,
-    simulation: Simulation,
-    robots: Vec<Driven>,
-}
-
-struct Driven {
-    id: Id,
-    readings: Publisher<Readings>,
-    /// When its wheels were last commanded, the world's time.
-    commanded: Stamp,
-    collisions: u32,
-}
-
 type Shared = Arc<Mutex<Host>>;
 
 fn lock(host: &Shared) -> MutexGuard<'_, Host> {
     host.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Host {
-    /// Puts a robot into the world, or finds it there. Returns where it stands.
-    fn attach(&mut self, bus: &Bus, request: &AttachRequest) -> Result<Pose2, Refusal> {
-        let id = Id::robot(request.robot.clone()).map_err(|error| Refusal::bad_request(error.to_string()))?;
-        if let Some(robot) = self.simulation.find(&id) {
-            let known = self.simulation.model(robot);
-            if *known != request.model {
-                let reason = format!("robot `{id}` is in this world with another model");
-                return Err(Refusal::bad_request(reason));
-            }
-            return Ok(self.simulation.truth(robot).map_from_base);
-        }
-        let readings = bus
-            .publisher(&topics::READINGS, &[id.as_str()])
-            .map_err(|error| Refusal::Internal {
-                reason: error.to_string(),
-            })?;
-        let start = request.start.unwrap_or_else(|| self.world.start());
-        let spec = RobotSpec {
-            id: id.clone(),
-            model: request.model.clone(),
-            start,
-        };
-        self.simulation
-            .add(&self.world, spec)
-            .map_err(|error| Refusal::bad_request(error.to_string()))?;
-        tracing::info!(robot = %id, x = start.x, y = start.y, "a robot came into the world");
-        self.robots.push(Driven {
-            id,
-            readings,
-            commanded: self.simulation.now(),
-            collisions: 0,
-        });
-        Ok(start)
-    }
-
-    fn command(&mut self, robot: &str, wheels: [f64; 2]) {
-        let Some(index) = self.robots.iter().position(|driven| driven.id.as_str() == robot) else {
-            return;
-        };
-        self.robots[index].commanded = self.simulation.now();
-        self.simulation.drive(index, wheels);
-    }
-
-    /// Moves the time on by one step and tells everybody.
-    fn step(&mut self, clock: &Publisher<SimClock>) {
-        let now = self.simulation.now();
-        for (index, robot) in self.robots.iter().enumerate() {
-            if now.secs_since(robot.commanded) > DEAD_MAN {
-                self.simulation.drive(index, [0.0; 2]);
-            }
-        }
-        self.simulation.step();
-        clock.put(&SimClock {
-            stamp: self.simulation.now(),
-        });
-        for (index, robot) in self.robots.iter_mut().enumerate() {
-            robot.readings.put(&self.simulation.readings(index));
-            let collisions = self.simulation.truth(index).collisions;
-            if collisions > robot.collisions {
-                robot.collisions = collisions;
-                tracing::warn!(robot = %robot.id, collisions, "touched something");
-            }
-        }
-    }
-
-    fn report(&self) -> Vec<RobotReport> {
-        let one = |(index, robot): (usize, &Driven)| {
-            let truth = self.simulation.truth(index);
-            RobotReport {
-                robot: robot.id.to_string(),
-                length_m: truth.length,
-                min_clearance_m: truth.min_clearance,
-                collisions: truth.collisions,
-            }
-        };
-        self.robots.iter().enumerate().map(one).collect()
-    }
-}
-
 /// `zenav sim serve`.
 ///
 /// # Errors
-/// A bad world, a taken port.
+/// A bad world, a taken port, a bus where a world is served already.
 pub fn serve(args: &ServeArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let simulation =
@@ -191,12 +92,9 @@ pub fn serve(args: &ServeArgs) -> Outcome {
             Some(endpoint) => endpoint.clone(),
             None => bus.endpoints().await.join(", "),
         };
+        let _alive = alone(&bus, &endpoint).await?;
         tracing::info!(world = world.name(), endpoint, "the world is served");
-        let host = Arc::new(Mutex::new(Host {
-            world,
-            simulation,
-            robots: Vec::new(),
-        }));
+        let host = Arc::new(Mutex::new(Host::new(world, simulation)));
         let shutdown = Shutdown::new();
         let result = run(&bus, &host, args.speed, &shutdown).await;
         bus.close().await;
@@ -219,15 +117,42 @@ pub fn serve(args: &ServeArgs) -> Outcome {
     })
 }
 
+/// Says that a world is served here, where nobody else says so: robots would get two bodies.
+async fn alone(bus: &Bus, endpoint: &str) -> Result<AliveToken, Failure> {
+    let key = |name: &str| topics::alive_key(topics::ALIVE_WORKER, &[SERVICE, name]);
+    let until = Instant::now() + SUCCESSION;
+    while !bus.list_alive(key("*"), LOOK).await?.is_empty() {
+        if Instant::now() > until {
+            return Err(Failure::failed(format!(
+                "a world is served at {endpoint} already: end that one, or use another router"
+            )));
+        }
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+    Ok(bus.declare_alive(key(&bus.zid()))?)
+}
+
 /// Serves the world until Ctrl-C.
 async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Result<(), Failure> {
     let mut attaching = bus.serve(&topics::ATTACH, &[])?;
     let mut wheels = bus.subscribe(&topics::WHEELS, &["*"], QUEUE)?;
     let clock = bus.publisher(&topics::SIM_CLOCK, &[])?;
-    let tick = lock(host).simulation.tick();
+    let tick = lock(host).robots().0.tick();
+    let begin = Instant::now();
     let stepping = std::thread::Builder::new().name("zenav-world".to_owned()).spawn({
-        let (host, shutdown) = (Arc::clone(host), shutdown.clone());
-        move || keep_time(&host, tick.div_f64(speed), &clock, &shutdown)
+        let (bus, host, shutdown) = (bus.clone(), Arc::clone(host), shutdown.clone());
+        move || {
+            let mut telling = Telling {
+                bus,
+                clock,
+                readings: BTreeMap::new(),
+            };
+            keep_time(tick.div_f64(speed), &shutdown, || {
+                let mut host = lock(&host);
+                host.step(begin.elapsed());
+                telling.tell(&host);
+            });
+        }
     })?;
     loop {
         tokio::select! {
@@ -236,8 +161,8 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
                 let Some(request) = request else { break };
                 let attached = {
                     let mut host = lock(host);
-                    host.attach(bus, &request.body).map(|start| AttachReply {
-                        world: host.world.name().to_owned(),
+                    host.attach(begin.elapsed(), &request.body).map(|start| AttachReply {
+                        world: host.world().name().to_owned(),
                         start,
                         tick_secs: tick.as_secs_f64(),
                         speed,
@@ -251,7 +176,7 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
             received = wheels.next() => {
                 let Some(received) = received else { break };
                 if let Some(robot) = received.chunks.first() {
-                    lock(host).command(robot, received.message.wheels);
+                    lock(host).command(begin.elapsed(), robot, &received.message);
                 }
             }
         }
@@ -263,8 +188,39 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
     Ok(())
 }
 
+/// What everybody is told after each step.
+struct Telling {
+    bus: Bus,
+    clock: Publisher<SimClock>,
+    readings: BTreeMap<Id, Publisher<Readings>>,
+}
+
+impl Telling {
+    fn tell(&mut self, host: &Host) {
+        let (simulation, ids) = host.robots();
+        self.clock.put(&SimClock {
+            stamp: simulation.now(),
+        });
+        for (robot, id) in ids.enumerate() {
+            if !self.readings.contains_key(id) {
+                // Nothing is told on a bus that is closed.
+                let Ok(publisher) = self.bus.publisher(&topics::READINGS, &[id.as_str()]) else {
+                    return;
+                };
+                self.readings.insert(id.clone(), publisher);
+            }
+            if let Some(publisher) = self.readings.get(id) {
+                publisher.put(&simulation.readings(robot));
+            }
+        }
+        if self.readings.len() > simulation.robots() {
+            self.readings.retain(|id, _| simulation.find(id).is_some());
+        }
+    }
+}
+
 /// Steps at absolute deadlines; what cannot be kept up with is left out, and the world goes slower.
-fn keep_time(host: &Shared, period: Duration, clock: &Publisher<SimClock>, shutdown: &Shutdown) {
+fn keep_time(period: Duration, shutdown: &Shutdown, mut step: impl FnMut()) {
     let mut deadline = Instant::now();
     while !shutdown.is_set() {
         deadline += period;
@@ -272,6 +228,6 @@ fn keep_time(host: &Shared, period: Duration, clock: &Publisher<SimClock>, shutd
             Some(left) => std::thread::sleep(left),
             None => deadline = Instant::now(),
         }
-        lock(host).step(clock);
+        step();
     }
 }

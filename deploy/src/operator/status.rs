@@ -1,0 +1,224 @@
+//! Who commands the robot now, and what is shown of it? The robot's own word counts, and only as long as it is heard. Pure.
+
+use std::time::Duration;
+
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::{EdgeState, GuardZone, LeaseReply, Mode};
+
+/// A state older than this is told: the robot drops what echoes it.
+pub(super) const OLD: Duration = Duration::from_millis(300);
+
+/// Why a grant does not count any more by a state that was heard after it; `None` while it does.
+pub(super) fn lost(grant: &LeaseReply, holder: &str, state: &EdgeState) -> Option<String> {
+    let lease = &state.lease;
+    if state.boot_id != grant.boot_id {
+        return Some("control was lost: the robot's edge has restarted".to_owned());
+    }
+    // Every grant after a lapse or to somebody else has a higher epoch: a lower one is of a state sent before ours.
+    let ours = lease.live && lease.holder.as_deref() == Some(holder);
+    if lease.epoch < grant.epoch || (lease.epoch == grant.epoch && ours) {
+        return None;
+    }
+    Some(match &lease.holder {
+        Some(other) if lease.live => format!("control was lost to {other}"),
+        Some(_) => format!("control has lapsed: the robot heard nothing for {} s", grant.ttl_secs),
+        None => "control was given back elsewhere".to_owned(),
+    })
+}
+
+/// What the status line shows.
+pub(super) struct View<'a> {
+    pub(super) robot: &'a str,
+    /// The grant under which commands are sent.
+    pub(super) held: Option<&'a LeaseReply>,
+    /// Age of the state.
+    pub(super) age: Duration,
+    pub(super) state: &'a EdgeState,
+    /// Greatest speeds at the present step.
+    pub(super) limit: Twist2,
+}
+
+impl View<'_> {
+    /// One line; what matters most comes first: a narrow terminal shows the beginning.
+    pub(super) fn line(&self) -> String {
+        let Self {
+            robot, state, limit, ..
+        } = self;
+        let link = if self.age > OLD {
+            format!("silent for {:.1} s", self.age.as_secs_f64())
+        } else {
+            format!("{:?}", state.link)
+        };
+        let stopped = match state.mode {
+            Mode::Stopped => " (R lets it go)",
+            _ => "",
+        };
+        let guard = match state.guard {
+            GuardZone::Clear => String::new(),
+            zone => format!(" | guard {zone:?}"),
+        };
+        format!(
+            "{robot} | {} | {:?}{stopped} | {link}{guard} | {}/{:.2} m/s {}/{:.2} rad/s | {:.0} %",
+            self.command(),
+            state.mode,
+            signed(state.velocity.v),
+            limit.v,
+            signed(state.velocity.w),
+            limit.w,
+            100.0 * state.battery,
+        )
+    }
+
+    fn command(&self) -> String {
+        let lease = &self.state.lease;
+        match (self.held, &lease.holder) {
+            // Nothing was heard for as long as a lease lives: it may be over.
+            (Some(grant), _) if self.age.as_secs_f64() > grant.ttl_secs => "YOU, if it hears you".to_owned(),
+            (Some(_), _) => "YOU".to_owned(),
+            (None, Some(holder)) if lease.live => holder.clone(),
+            _ => match (self.state.mode, self.state.wall_follower) {
+                (Mode::WallFollow, Some(follower)) => format!("itself: {}", follower.name()),
+                _ => "nobody".to_owned(),
+            },
+        }
+    }
+}
+
+/// What is known of a robot that could not be told to stop: `commanded` by who leaves, and as it was heard last.
+pub(super) fn unstopped(commanded: bool, heard: Option<(Duration, &EdgeState)>) -> String {
+    let Some((age, state)) = heard else {
+        return "what it does is not known".to_owned();
+    };
+    let then = match (state.mode, commanded, state.wall_follower) {
+        (Mode::Stopped, _, _) => "it stays so until resumed",
+        (_, _, Some(_)) => "it follows walls on its own once nobody commands it",
+        (_, true, None) => "it brakes without commands, but is not kept from obeying somebody else",
+        (_, false, None) => "it goes on as others command it",
+    };
+    let ago = age.as_secs_f64();
+    format!("heard last {ago:.1} s ago in mode {:?}, {then}", state.mode)
+}
+
+/// As much of a line as fits into `columns`.
+pub(super) fn cut(line: &str, columns: usize) -> String {
+    line.chars().take(columns.saturating_sub(1)).collect()
+}
+
+/// With its sign, and without one for what rounds to zero.
+fn signed(value: f64) -> String {
+    let text = format!("{value:+.2}");
+    if text == "-0.00" { "+0.00".to_owned() } else { text }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::messages::{LeaseState, Link, WallFollowerState};
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    fn grant() -> LeaseReply {
+        LeaseReply {
+            epoch: 5,
+            ttl_secs: 1.0,
+            boot_id: "b1".to_owned(),
+        }
+    }
+
+    fn state(epoch: u64, holder: Option<&str>, live: bool) -> EdgeState {
+        EdgeState {
+            stamp: Stamp::ZERO,
+            boot_id: "b1".to_owned(),
+            mode: Mode::Teleop,
+            link: Link::Connected,
+            lease: LeaseState {
+                holder: holder.map(str::to_owned),
+                epoch,
+                live,
+                ..LeaseState::default()
+            },
+            plan: None,
+            velocity: Twist2::new(0.3, -0.001),
+            guard: GuardZone::Clear,
+            battery: 1.0,
+            behaviour: None,
+            wall_follower: None,
+            missed_ticks: 0,
+        }
+    }
+
+    fn why(state: &EdgeState) -> Option<String> {
+        lost(&grant(), "me", state)
+    }
+
+    #[test]
+    fn a_lapsed_lease_is_lost_although_its_epoch_stays() {
+        assert_eq!(why(&state(5, Some("me"), true)), None);
+        assert!(why(&state(5, Some("me"), false)).unwrap().contains("lapsed"));
+        assert!(why(&state(5, None, false)).unwrap().contains("given back"));
+        assert!(why(&state(6, Some("you"), true)).unwrap().contains("lost to you"));
+        let restarted = EdgeState {
+            boot_id: "b2".to_owned(),
+            ..state(5, None, false)
+        };
+        assert!(why(&restarted).unwrap().contains("restarted"));
+    }
+
+    #[test]
+    fn a_state_that_was_sent_before_the_grant_takes_nothing_away() {
+        assert_eq!(why(&state(4, Some("mission"), true)), None);
+        assert_eq!(why(&state(4, Some("me"), false)), None);
+    }
+
+    fn view<'a>(held: Option<&'a LeaseReply>, age: u64, state: &'a EdgeState) -> View<'a> {
+        View {
+            robot: "neo",
+            held,
+            age: Duration::from_millis(age),
+            state,
+            limit: Twist2::new(0.5, 1.0),
+        }
+    }
+
+    #[test]
+    fn the_line_tells_who_commands_and_fits_into_eighty_columns() {
+        let (held, state) = (grant(), state(5, Some("me"), true));
+        let line = view(Some(&held), 100, &state).line();
+        assert_eq!(
+            line,
+            "neo | YOU | Teleop | Connected | +0.30/0.50 m/s +0.00/1.00 rad/s | 100 %"
+        );
+        assert!(line.len() < 80);
+        assert!(view(None, 100, &state).line().starts_with("neo | me |"));
+        let silent = view(Some(&held), 1200, &state).line();
+        assert!(
+            silent.starts_with("neo | YOU, if it hears you | Teleop | silent for 1.2 s"),
+            "{silent}"
+        );
+        assert_eq!(cut(&silent, 10), "neo | YOU");
+    }
+
+    fn heard(state: &EdgeState) -> Option<(Duration, &EdgeState)> {
+        Some((Duration::from_secs(2), state))
+    }
+
+    #[test]
+    fn of_a_robot_that_was_not_stopped_only_what_is_true_is_told() {
+        let state = state(5, Some("me"), true);
+        assert!(unstopped(true, heard(&state)).contains("brakes without commands"));
+        assert!(unstopped(false, heard(&state)).contains("as others command"));
+        let follower = EdgeState {
+            wall_follower: Some(WallFollowerState::Turn),
+            ..state.clone()
+        };
+        let told = unstopped(true, heard(&follower));
+        assert!(told.contains("follows walls") && !told.contains("brakes"), "{told}");
+        let stopped = EdgeState {
+            mode: Mode::Stopped,
+            ..follower.clone()
+        };
+        assert!(unstopped(true, heard(&stopped)).contains("until resumed"));
+        assert!(unstopped(true, None).contains("not known"));
+    }
+}
