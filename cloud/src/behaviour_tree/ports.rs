@@ -43,8 +43,8 @@ pub enum PortType {
     Script,
     /// The name of a blackboard entry, with or without braces.
     Key,
-    /// Structured data of this type name (`Path`, `PoseStamped`); a literal has the form that [`PortType::expected`]
-    /// tells and stays text, or is JSON after `json:`.
+    /// Structured data of this type name (`Path`, `PoseStamped`). A literal must be one, as far as the type is known, and
+    /// stays text, or is JSON after `json:`.
     Data(String),
 }
 

@@ -322,7 +322,7 @@ impl Simulation {
 
     /// Warns of what the script sets on ports that the leaf does not have.
     fn doubt(&mut self, io: &LeafIo<'_>, ports: &[String]) {
-        let named: Option<Vec<_>> = self.of(io).map(|script| script.set.keys().cloned().collect());
+        let named: Option<Vec<String>> = self.of(io).map(|script| script.set.keys().cloned().collect());
         for port in named.unwrap_or_default() {
             if !ports.contains(&port) && !io.ports().any(|known| known == port) {
                 self.warn(format!("`{}` has no port `{port}`: nothing is set", io.name()));

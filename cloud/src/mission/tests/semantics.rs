@@ -345,6 +345,14 @@ fn check_stop_status_waits_for_a_second_of_rest_and_fails_while_it_moves() {
 }
 
 #[test]
+fn what_is_missing_is_told_with_the_name_of_the_node_once() {
+    let mut stand = Stand::new("<DockRobot/>");
+    assert_eq!(stand.now(), Failure);
+    let why = stand.ctx.goal.failure.as_deref();
+    assert_eq!(why, Some("DockRobot: this stack does not have docking"));
+}
+
+#[test]
 fn poses_batteries_and_transforms_are_told() {
     let mut near = Stand::new(r#"<ArePosesNear target_pose="{t}" tolerance="0.5"/>"#).with("t", "1;1");
     assert_eq!(near.now(), Failure);
