@@ -3,6 +3,7 @@
 
 use super::node::{Cases, NodeId, bump};
 use super::ports::Source;
+use super::script::is_same;
 use super::status::Status;
 use super::tick::{Run, Stop};
 use super::value::Value;
@@ -140,7 +141,7 @@ impl<C> Run<'_, C> {
     }
 }
 
-/// Equal as text, as numbers, or by the number that a name stands for.
+/// Equal as text, as numbers (nearly), or by the number that a name stands for.
 fn same(one: &Value, two: &Value, enums: &std::collections::BTreeMap<String, i64>) -> bool {
     if one == two {
         return true;
@@ -157,5 +158,5 @@ fn same(one: &Value, two: &Value, enums: &std::collections::BTreeMap<String, i64
         },
         other => other.as_double(),
     };
-    matches!((number(one), number(two)), (Some(one), Some(two)) if one == two)
+    matches!((number(one), number(two)), (Some(one), Some(two)) if is_same(one, two))
 }

@@ -13,7 +13,7 @@ use super::script::Program;
 use super::status::Status;
 use super::value::ValueType;
 
-use PortType::{Any, Bool, Double, Int, Key, Script, Text, Unsigned};
+use PortType::{Any, Bool, Int, Key, Positive, Script, Text, Unsigned};
 
 /// Every built-in node by its id.
 pub(crate) fn specs() -> &'static BTreeMap<String, NodeSpec> {
@@ -159,12 +159,13 @@ fn decorators() -> Vec<NodeSpec> {
     for (id, item) in [
         ("LoopInt", Int),
         ("LoopBool", Bool),
-        ("LoopDouble", Double),
+        ("LoopDouble", PortType::Double),
         ("LoopString", Text),
     ] {
+        let queue = PortType::List(item.value_type().unwrap_or(ValueType::Text));
         specs.push(
             decorator(id, "Runs the child once for each item of a list.")
-                .inout("queue", Any, "the list: 1;2;3, or an entry that is consumed")
+                .inout("queue", queue, "the list: 1;2;3, or an entry that is consumed")
                 .input_or("if_empty", PortType::Status, "SUCCESS", "answer when no item is left")
                 .output("value", item, "the current item"),
         );
@@ -231,7 +232,12 @@ fn nav2() -> Vec<NodeSpec> {
             "resume",
             "entry of the root blackboard: written, it asks to go on",
         ),
-        NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or("hz", Double, "10.0", "rate, 1/s"),
+        NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or(
+            "hz",
+            Positive,
+            "10.0",
+            "rate, 1/s",
+        ),
         NodeSpec::decorator("SingleTrigger", "Runs the child once an activation."),
     ]
 }
@@ -388,7 +394,7 @@ mod tests {
             self.slot(port)
         }
         fn program(&mut self, _: &str) -> Program {
-            Program::bind("", Vec::new(), &BTreeMap::new(), &mut |name| self.0.resolve(0, name))
+            Program::bind("", Vec::new(), &Arc::default(), &mut |name| self.0.resolve(0, name))
         }
         fn enums(&self) -> Arc<BTreeMap<String, i64>> {
             Arc::default()

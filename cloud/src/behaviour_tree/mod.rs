@@ -5,7 +5,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `status`, `value`, `ports`, `blackboard` | what nodes exchange |
+//! | `status`, `value`, `ports`, `literals`, `blackboard` | what nodes exchange |
 //! | `registry`, `leaf` | how code outside becomes a node |
 //! | `node`, `builtins` | what a node is, and which ones exist |
 //! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is shown |
@@ -28,6 +28,7 @@ mod controls;
 mod decorators;
 mod leaf;
 mod leaves;
+mod literals;
 mod loops;
 mod nav2;
 mod nav2_conditions;
@@ -56,6 +57,8 @@ mod xml;
 
 pub use blackboard::{Blackboard, TypeError};
 pub use leaf::{Gate, Leaf, LeafIo, Pass};
+pub(crate) use literals::{nav2_list, pose, pose_of_json};
+pub(crate) use nav2_conditions::beside_path;
 pub use nav2_conditions::nav2_condition;
 pub use nav2_gates::{Measure, Travel, nav2_decorator};
 pub use nav2_nodes::nav2_nodes;

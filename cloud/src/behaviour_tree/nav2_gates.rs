@@ -47,7 +47,7 @@ pub fn nav2_decorator<C: Travel>(id: &str) -> Option<MakeGate<C>> {
 }
 
 /// A number on a port, or what a node without it goes by.
-fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
+pub(crate) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
     match io.get_optional::<f64>(port) {
         Ok(value) => Ok(value.unwrap_or(otherwise)),
         Err(wrong) => Err(wrong.to_string()),

@@ -2,6 +2,7 @@
 //! a node in a tree has put on them.
 
 use super::blackboard::Slot;
+use super::literals;
 use super::value::{Value, ValueType, parse_bool};
 
 /// Which way a port's value goes.
@@ -28,18 +29,22 @@ pub enum PortType {
     Unsigned,
     /// Number.
     Double,
+    /// Number above 0.
+    Positive,
     /// Text.
     Text,
     /// `SUCCESS`, `FAILURE`, `SKIPPED`, `RUNNING`.
     Status,
     /// Integers separated by `;`, or a JSON list.
     Ints,
+    /// Values of this type separated by `;`, a JSON list, or an entry with a list.
+    List(ValueType),
     /// A script.
     Script,
     /// The name of a blackboard entry, with or without braces.
     Key,
-    /// Structured data of this type name (`Path`, `PoseStamped`); a literal stays text, or is
-    /// JSON after `json:`.
+    /// Structured data of this type name (`Path`, `PoseStamped`); a literal has the form that [`PortType::expected`]
+    /// tells and stays text, or is JSON after `json:`.
     Data(String),
 }
 
@@ -76,9 +81,14 @@ impl PortType {
             PortType::Int => "an integer",
             PortType::Unsigned => "an integer of at least 0",
             PortType::Double => "a number",
+            PortType::Positive => "a number above 0",
             PortType::Text => "text",
             PortType::Status => "SUCCESS, FAILURE, SKIPPED or RUNNING",
             PortType::Ints => "integers separated by ;",
+            PortType::List(ValueType::Int) => "integers separated by ;",
+            PortType::List(ValueType::Double) => "numbers separated by ;",
+            PortType::List(ValueType::Bool) => "true or false, separated by ;",
+            PortType::List(_) => "texts separated by ;",
             PortType::Script => "a script",
             PortType::Key => "the name of a blackboard entry",
             PortType::Data(name) => return format!("a {name}"),
@@ -91,7 +101,7 @@ impl PortType {
         match self {
             PortType::Bool => Some(ValueType::Bool),
             PortType::Int | PortType::Unsigned => Some(ValueType::Int),
-            PortType::Double => Some(ValueType::Double),
+            PortType::Double | PortType::Positive => Some(ValueType::Double),
             PortType::Text => Some(ValueType::Text),
             _ => None,
         }
@@ -105,12 +115,12 @@ impl PortType {
             PortType::Int => whole.as_int().map(Value::Int),
             PortType::Unsigned => whole.as_int().filter(|value| *value >= 0).map(Value::Int),
             PortType::Double => whole.as_double().map(Value::Double),
+            PortType::Positive => whole.as_double().filter(|value| *value > 0.0).map(Value::Double),
             PortType::Status => super::Status::from_name(text).map(|_| whole),
             PortType::Ints => parse_ints(&whole).map(|_| whole),
-            PortType::Any | PortType::Data(_) => match text.strip_prefix("json:") {
-                Some(json) => serde_json::from_str::<serde_json::Value>(json).ok().map(Value::from),
-                None => Some(whole),
-            },
+            PortType::List(kind) => items_fit(text, *kind).then(|| json_or_text(text)).flatten(),
+            PortType::Data(name) => literals::fits(name, text).then(|| json_or_text(text)).flatten(),
+            PortType::Any => json_or_text(text),
             PortType::Text | PortType::Script | PortType::Key => Some(whole),
         }
     }
@@ -121,11 +131,40 @@ impl PortType {
         use PortType::*;
         match (self, other) {
             (Data(one), Data(two)) => one == two,
-            (Data(_), Bool | Int | Unsigned | Double) => false,
-            (Bool | Int | Unsigned | Double, Data(_)) => false,
+            (Data(_), Bool | Int | Unsigned | Double | Positive) => false,
+            (Bool | Int | Unsigned | Double | Positive, Data(_)) => false,
             _ => true,
         }
     }
+}
+
+/// A literal as data if it is JSON, else as text.
+fn json_or_text(text: &str) -> Option<Value> {
+    match text.strip_prefix("json:") {
+        Some(json) => serde_json::from_str::<serde_json::Value>(json).ok().map(Value::from),
+        None => Some(Value::text(text)),
+    }
+}
+
+/// Whether every item of a list is of this type.
+fn items_fit(text: &str, kind: ValueType) -> bool {
+    let fits = |item: &Value| match kind {
+        ValueType::Int => item.as_int().is_some(),
+        ValueType::Double => item.as_double().is_some(),
+        ValueType::Bool => item.as_bool().is_some(),
+        ValueType::Text | ValueType::Data => true,
+    };
+    if text.starts_with("json:") {
+        let list = json_or_text(text).map(|list| list.to_json());
+        let items = list.as_ref().and_then(serde_json::Value::as_array);
+        return items.is_some_and(|items| {
+            items
+                .iter()
+                .all(|item| Value::from_json(item).is_some_and(|item| fits(&item)))
+        });
+    }
+    let items = text.split(';').map(str::trim).filter(|item| !item.is_empty());
+    items.map(Value::text).all(|item| fits(&item))
 }
 
 /// The integers of `1;2;3`, of `[1,2,3]` or of one integer.
@@ -212,6 +251,19 @@ mod tests {
         assert_eq!(PortType::Status.parse("success"), Some(Value::text("success")));
         assert_eq!(PortType::Ints.parse("1;x"), None);
         assert_eq!(PortType::Data("Path".into()).parse("json:{"), None);
+        assert_eq!(PortType::Positive.parse("0"), None);
+        assert_eq!(PortType::Positive.parse("0.5"), Some(Value::Double(0.5)));
+        for (kind, list) in [
+            (ValueType::Int, "1;x;3"),
+            (ValueType::Double, "json:[1, \"x\"]"),
+            (ValueType::Bool, "2"),
+        ] {
+            assert_eq!(PortType::List(kind).parse(list), None, "{list}");
+        }
+        assert_eq!(
+            PortType::List(ValueType::Int).parse("1; 2;"),
+            Some(Value::text("1; 2;"))
+        );
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //!
 //! The script says how each leaf answers, by registration id or by `name`: which of its starts
 //! fail, how long a start takes, what a failure writes. Actions that are not named succeed at once;
-//! conditions that the blackboard decides are decided; the others fail.
+//! conditions that the blackboard or the simulated time decides are decided; the others fail.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::leaf::{Leaf, LeafIo};
-use super::nav2_conditions::nav2_condition;
+use super::nav2_conditions::played_condition;
 use super::nav2_gates::{Measure, Travel, nav2_decorator};
 use super::nav2_nodes::nav2_nodes;
 use super::registry::{Category, Registry};
@@ -129,7 +129,8 @@ pub fn registry() -> Registry<Simulation> {
     registry.invent_unknown_leaves(|site| {
         Box::new(Scripted {
             condition: site.spec.category == Category::Condition,
-            inner: nav2_condition(site.id),
+            inner: played_condition(site.id),
+            ports: site.spec.ports.iter().map(|port| port.name.clone()).collect(),
         })
     });
     registry
@@ -219,6 +220,8 @@ fn run(
 struct Scripted {
     condition: bool,
     inner: Option<Box<dyn Leaf<Simulation>>>,
+    /// The ports that its specification names.
+    ports: Vec<String>,
 }
 
 /// A start that has not ended: when it began, ns, and the how-manieth it was.
@@ -250,6 +253,7 @@ impl Leaf<Simulation> for Scripted {
             };
         }
         let now = super::node::nanos(io.now());
+        simulation.doubt(io, &self.ports);
         if let Err(wrong) = io.remember::<Begun>(&(now, start)) {
             return io.abort(wrong.to_string());
         }
@@ -282,7 +286,7 @@ impl Leaf<Simulation> for Scripted {
                         continue;
                     };
                     if let Err(wrong) = io.set(&port, value) {
-                        simulation.warnings.push(format!("`{}`: {wrong}", io.name()));
+                        simulation.warn(format!("`{}`: {wrong}", io.name()));
                     }
                 }
                 Status::Failure
@@ -308,6 +312,22 @@ impl Simulation {
             .leaves
             .get(io.name())
             .or_else(|| self.script.leaves.get(io.id()))
+    }
+
+    fn warn(&mut self, warning: String) {
+        if !self.warnings.contains(&warning) {
+            self.warnings.push(warning);
+        }
+    }
+
+    /// Warns of what the script sets on ports that the leaf does not have.
+    fn doubt(&mut self, io: &LeafIo<'_>, ports: &[String]) {
+        let named = self.of(io).map(|script| script.set.keys().cloned().collect());
+        for port in named.unwrap_or_default() {
+            if !ports.contains(&port) && !io.ports().any(|known| known == port) {
+                self.warn(format!("`{}` has no port `{port}`: nothing is set", io.name()));
+            }
+        }
     }
 
     /// Sets what the events of this start set.

@@ -91,12 +91,13 @@ impl Value {
         }
     }
 
-    /// As a truth value: numbers 0 and 1, text `true`, `false`, `1`, `0`.
+    /// As a truth value: the numbers 0 and 1, text `true`, `false`, `1`, `0`.
     pub fn as_bool(&self) -> Option<bool> {
         match self {
             Value::Bool(value) => Some(*value),
             Value::Int(0) => Some(false),
             Value::Int(1) => Some(true),
+            Value::Double(value) if *value == 0.0 || *value == 1.0 => Some(*value == 1.0),
             Value::Text(text) => parse_bool(text),
             Value::Data(data) => data.as_bool(),
             _ => None,
@@ -127,12 +128,22 @@ impl Value {
         }
     }
 
-    /// Converted to `kind` without loss; a number does not become text by itself.
+    fn word(&self) -> Option<bool> {
+        match self {
+            Value::Text(text) => truth_word(text),
+            _ => None,
+        }
+    }
+
+    /// Converted to `kind` without loss; a number does not become text by itself, and text `true` becomes 1.
     pub fn convert(&self, kind: ValueType) -> Option<Value> {
         match kind {
             ValueType::Bool => self.as_bool().map(Value::Bool),
-            ValueType::Int => self.as_int().map(Value::Int),
-            ValueType::Double => self.as_double().map(Value::Double),
+            ValueType::Int => self.as_int().or_else(|| self.word().map(i64::from)).map(Value::Int),
+            ValueType::Double => {
+                let word = || self.word().map(|truth| f64::from(u8::from(truth)));
+                self.as_double().or_else(word).map(Value::Double)
+            }
             ValueType::Text => match self {
                 Value::Text(_) => Some(self.clone()),
                 // Whoever reads structured data reads it from its JSON as well: a person writes lists as text.
@@ -144,6 +155,15 @@ impl Value {
                 other => Value::Data(Arc::new(other.to_json())),
             }),
         }
+    }
+}
+
+/// `true` or `false`, as BehaviorTree.CPP's scripts spell them.
+pub(crate) fn truth_word(text: &str) -> Option<bool> {
+    match text {
+        "true" => Some(true),
+        "false" => Some(false),
+        _ => None,
     }
 }
 

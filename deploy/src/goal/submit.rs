@@ -15,7 +15,7 @@ use super::{Report, follow, phase_code};
 use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::inspect::bt::include;
+use crate::inspect::bt::includer;
 use crate::output::{self, Format};
 
 /// A goal on the command line.
@@ -139,7 +139,8 @@ fn tree(text: &str) -> Result<String, Failure> {
     let path = Path::new(text);
     if path.is_file() {
         let most = topics::GOAL.max_bytes;
-        let whole = inline(text, &files::text_within(path, most as u64)?, &mut include).map_err(Failure::usage)?;
+        let whole =
+            inline(text, &files::text_within(path, most as u64)?, &mut includer(text)).map_err(Failure::usage)?;
         if whole.len() > most {
             return Err(Failure::usage(format!(
                 "{text}: {} bytes with what it includes, a goal may carry at most {most}",

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
-use zenav_cloud::behaviour_tree::{self as trees, Limits, TreeErrors, simulate};
+use zenav_cloud::behaviour_tree::{self as trees, Limits, Summary, TreeErrors, simulate};
 use zenav_cloud::mission::trees as missions;
 use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
 use zenav_protocol::topics;
@@ -118,19 +118,27 @@ impl Source {
     }
 }
 
-/// Finds included files beside the including one, or among the shipped.
-///
-/// # Errors
-/// Why there is none.
-pub(crate) fn include(from: &str, path: &str) -> Result<(String, Vec<u8>), String> {
-    let file = Path::new(from).parent().unwrap_or_else(|| Path::new("")).join(path);
-    if let (false, Some(text)) = (file.is_file(), path.strip_suffix(".xml").and_then(missions::shipped)) {
-        return Ok((path.to_owned(), text.as_bytes().to_vec()));
+/// Finds included files beside the including one, or among the shipped. A file keeps the name by which it was found
+/// first, `main` the one that it was asked for by: however a path is written, it is the same file.
+pub(crate) fn includer(main: &str) -> impl FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + use<> {
+    let mut names: BTreeMap<PathBuf, String> = BTreeMap::new();
+    if let Ok(file) = Path::new(main).canonicalize() {
+        names.insert(file, main.to_owned());
     }
-    let name = file.display().to_string();
-    let limit = Limits::default().bytes as u64;
-    let text = files::text_within(&file, limit).map_err(|failure| failure.to_string())?;
-    Ok((name, text.into_bytes()))
+    move |from, path| {
+        let file = Path::new(from).parent().unwrap_or_else(|| Path::new("")).join(path);
+        if let (false, Some(text)) = (file.is_file(), path.strip_suffix(".xml").and_then(missions::shipped)) {
+            return Ok((path.to_owned(), text.as_bytes().to_vec()));
+        }
+        let limit = Limits::default().bytes as u64;
+        let text = files::text_within(&file, limit).map_err(|failure| failure.to_string())?;
+        let name = file.display().to_string();
+        let name = match file.canonicalize() {
+            Ok(file) => names.entry(file).or_insert(name).clone(),
+            Err(_) => name,
+        };
+        Ok((name, text.into_bytes()))
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -139,6 +147,8 @@ struct Validated {
     valid: bool,
     /// Nodes of each tree, SubTrees unfolded.
     trees: BTreeMap<String, u64>,
+    /// What a mission may refuse.
+    warnings: Vec<String>,
     errors: Vec<Mistake>,
     /// Errors beyond those.
     more: usize,
@@ -154,12 +164,13 @@ struct Mistake {
 }
 
 impl Validated {
-    fn new(file: String, checked: Result<BTreeMap<String, u64>, TreeErrors>) -> Self {
+    fn new(file: String, checked: Result<Summary, TreeErrors>) -> Self {
         match checked {
-            Ok(trees) => Self {
+            Ok(Summary { trees, warnings }) => Self {
                 file,
                 valid: true,
                 trees,
+                warnings,
                 errors: Vec::new(),
                 more: 0,
             },
@@ -175,6 +186,7 @@ impl Validated {
                     file,
                     valid: false,
                     trees: BTreeMap::new(),
+                    warnings: Vec::new(),
                     errors: errors.into_iter().map(mistake).collect(),
                     more,
                 }
@@ -194,7 +206,8 @@ impl Validated {
             } else {
                 trees.join(", ")
             };
-            return format!("{}: valid: {trees}", self.file);
+            let warnings: String = self.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
+            return format!("{}: valid: {trees}{warnings}", self.file);
         }
         let mut lines: Vec<String> = self
             .errors
@@ -219,10 +232,10 @@ fn validate(file: &str, format: Format) -> Outcome {
         &source.name,
         &source.text,
         missions::registry(),
-        &mut include,
+        &mut includer(&source.name),
         Limits::default(),
     );
-    let report = Validated::new(source.name, checked.map(|summary| summary.trees));
+    let report = Validated::new(source.name, checked);
     output::value(format, &report, Validated::text)?;
     Ok(if report.valid { exit_code::OK } else { exit_code::USAGE })
 }
@@ -234,6 +247,7 @@ fn bad_tree(errors: &TreeErrors) -> Failure {
 /// Drawn over the simulation's nodes: a tree for another robot can be looked at too.
 fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: Format) -> Outcome {
     let source = Source::read(file)?;
+    let mut include = includer(&source.name);
     let tree = trees::build(&source.name, &source.text, &simulate::registry(), id, &mut include)
         .map_err(|errors| bad_tree(&errors))?;
     let Some(out) = out else {
@@ -265,6 +279,7 @@ fn simulate(file: &str, script: Option<&Path>, id: Option<&str>, format: Format)
         None => simulate::Script::default(),
     };
     let source = Source::read(file)?;
+    let mut include = includer(&source.name);
     let outcome = simulate::simulate(&source.name, &source.text, id, &script, &mut include)
         .map_err(|errors| bad_tree(&errors))?;
     for warning in &outcome.warnings {
@@ -419,10 +434,49 @@ mod tests {
             "t.xml",
             text.as_bytes(),
             missions::registry(),
-            &mut include,
+            &mut includer("t.xml"),
             Limits::default(),
         );
-        Validated::new("t.xml".into(), checked.map(|summary| summary.trees))
+        Validated::new("t.xml".into(), checked)
+    }
+
+    #[test]
+    fn a_file_is_the_same_however_its_path_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let main = folder.path().join("main.xml");
+        std::os::unix::fs::symlink(folder.path(), folder.path().join("link")).unwrap();
+        let text = r#"<root BTCPP_format="4"><include path="././main.xml"/><include path="link/main.xml"/>
+            <BehaviorTree ID="M"><AlwaysSuccess/></BehaviorTree></root>"#;
+        std::fs::write(&main, text).unwrap();
+        let name = main.display().to_string();
+        let checked = trees::check(
+            &name,
+            text.as_bytes(),
+            missions::registry(),
+            &mut includer(&name),
+            Limits::default(),
+        );
+        let report = Validated::new(name.clone(), checked);
+        let expected = format!("warning: {name}:1:33: files include one another: {name} > {name}: each is read once");
+        assert_eq!(
+            report.text().lines().nth(1),
+            Some(expected.as_str()),
+            "{}",
+            report.text()
+        );
+        assert_eq!(report.warnings.len(), 1);
+    }
+
+    #[test]
+    fn what_only_the_file_describes_is_valid_with_a_warning() {
+        let report = check(
+            r#"<root BTCPP_format="4"><TreeNodesModel><Action ID="SaySomething"/></TreeNodesModel>
+            <BehaviorTree ID="T"><SaySomething/></BehaviorTree></root>"#,
+        );
+        assert_eq!(
+            report.text(),
+            "t.xml: valid: T (1 nodes)\nwarning: t.xml:2:34: nothing here implements `SaySomething`: a mission would refuse it"
+        );
     }
 
     #[test]

@@ -1,9 +1,9 @@
-//! What is the value of a script? Integers stay integers while they can, everything else that is
-//! numeric is a float; text joins with `..`.
+//! What is the value of a script? As in BehaviorTree.CPP, an integer is an integer only as it stands in the script;
+//! whatever is computed (sums, signs, comparisons, truth) and every named number is a float. Text joins with `..`.
 
-use super::{Assignment, Binary, Comparison, Expression, ScriptError, Unary, Variable};
+use super::{Assignment, Binary, Comparison, Enums, Expression, ScriptError, Unary, Variable};
 use crate::behaviour_tree::blackboard::Blackboard;
-use crate::behaviour_tree::value::Value;
+use crate::behaviour_tree::value::{Value, ValueType, truth_word};
 
 /// Longest text that a script may make, bytes: `s = s .. s` must not eat the memory.
 const TEXT: usize = 64 * 1024;
@@ -19,51 +19,62 @@ pub(crate) fn truth(value: &Value) -> Option<bool> {
     }
 }
 
-pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard) -> Computed {
+fn said(truth: bool) -> Value {
+    Value::Double(f64::from(u8::from(truth)))
+}
+
+pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard, enums: &Enums) -> Computed {
     match expression {
         Expression::Literal(value) => Ok(value.clone()),
         Expression::Variable(variable) => read(variable, board).cloned(),
-        Expression::Unary(operator, inner) => unary(*operator, evaluate(inner, board)?),
+        Expression::Unary(operator, inner) => unary(*operator, evaluate(inner, board, enums)?),
         Expression::Binary(Binary::And, left, right) => {
-            Ok(Value::Bool(condition(left, board)? && condition(right, board)?))
+            Ok(said(condition(left, board, enums)? && condition(right, board, enums)?))
         }
         Expression::Binary(Binary::Or, left, right) => {
-            Ok(Value::Bool(condition(left, board)? || condition(right, board)?))
+            Ok(said(condition(left, board, enums)? || condition(right, board, enums)?))
         }
         Expression::Binary(operator, left, right) => {
-            let left = evaluate(left, board)?;
-            binary(*operator, left, evaluate(right, board)?)
+            let left = evaluate(left, board, enums)?;
+            binary(*operator, left, evaluate(right, board, enums)?)
         }
         Expression::Compare(first, rest) => {
-            let mut left = evaluate(first, board)?;
+            let mut left = evaluate(first, board, enums)?;
             for (comparison, next) in rest {
-                let right = evaluate(next, board)?;
-                if !compare(*comparison, &left, &right)? {
-                    return Ok(Value::Bool(false));
+                let right = evaluate(next, board, enums)?;
+                if !compare(*comparison, &left, &right, enums)? {
+                    return Ok(said(false));
                 }
                 left = right;
             }
-            Ok(Value::Bool(true))
+            Ok(said(true))
         }
         Expression::Ternary(parts) => {
             let [question, yes, no] = &**parts;
-            evaluate(if condition(question, board)? { yes } else { no }, board)
+            let chosen = if condition(question, board, enums)? { yes } else { no };
+            evaluate(chosen, board, enums)
         }
         Expression::Assign { to, operator, value } => {
-            let mut value = evaluate(value, board)?;
-            match operator {
-                Assignment::Create => {}
+            let value = evaluate(value, board, enums)?;
+            let value = match operator {
+                Assignment::Create => value,
                 Assignment::Existing => {
                     read(to, board)?;
+                    value
                 }
-                Assignment::Update(binary_operator) => {
-                    value = binary(*binary_operator, read(to, board)?.clone(), value)?;
+                Assignment::Update(operator) => binary(*operator, read(to, board)?.clone(), value)?,
+            };
+            // Text for an entry that holds a number may name one.
+            let value = match (&value, board.kind(to.slot)) {
+                (Value::Text(text), Some(ValueType::Int | ValueType::Double)) => {
+                    enums.get(&**text).map_or(value, |number| Value::Int(*number))
                 }
-            }
+                _ => value,
+            };
             board
-                .write(to.slot, value.clone())
+                .write(to.slot, value)
                 .map_err(|wrong| ScriptError::Assign(to.name.to_string(), wrong))?;
-            Ok(value)
+            read(to, board).cloned()
         }
     }
 }
@@ -74,8 +85,8 @@ fn read<'b>(variable: &Variable, board: &'b Blackboard) -> Result<&'b Value, Scr
         .ok_or_else(|| ScriptError::Empty(variable.name.to_string()))
 }
 
-fn condition(expression: &Expression<Variable>, board: &mut Blackboard) -> Result<bool, ScriptError> {
-    let value = evaluate(expression, board)?;
+fn condition(expression: &Expression<Variable>, board: &mut Blackboard, enums: &Enums) -> Result<bool, ScriptError> {
+    let value = evaluate(expression, board, enums)?;
     truth(&value).ok_or_else(|| unfit(&value, "true or false"))
 }
 
@@ -89,66 +100,44 @@ fn unfit(value: &Value, expected: &'static str) -> ScriptError {
     ScriptError::Type(value.to_string().chars().take(60).collect(), kind, expected)
 }
 
-/// A number as the arithmetic sees it.
-enum Number {
-    Int(i64),
-    Double(f64),
+/// A value as the arithmetic sees it. Integers beyond 2^53 are rounded.
+fn number(value: &Value) -> Result<f64, ScriptError> {
+    match value {
+        Value::Int(value) => Ok(*value as f64),
+        other => other.as_double().ok_or_else(|| unfit(other, "a number")),
+    }
 }
 
-impl Number {
-    fn of(value: &Value) -> Result<Number, ScriptError> {
-        match value {
-            Value::Double(value) => Ok(Number::Double(*value)),
-            other => match other.as_int() {
-                Some(value) => Ok(Number::Int(value)),
-                None => other
-                    .as_double()
-                    .map(Number::Double)
-                    .ok_or_else(|| unfit(other, "a number")),
-            },
-        }
-    }
-
-    fn double(&self) -> f64 {
-        match self {
-            Number::Int(value) => *value as f64,
-            Number::Double(value) => *value,
-        }
-    }
+/// A value as bits.
+fn bits(value: &Value) -> Result<i64, ScriptError> {
+    value.as_int().ok_or_else(|| unfit(value, "an integer"))
 }
 
 fn unary(operator: Unary, value: Value) -> Computed {
     match operator {
         Unary::Not => truth(&value)
-            .map(|truth| Value::Bool(!truth))
+            .map(|truth| said(!truth))
             .ok_or_else(|| unfit(&value, "true or false")),
-        Unary::Complement => value
-            .as_int()
-            .map(|bits| Value::Int(!bits))
-            .ok_or_else(|| unfit(&value, "an integer")),
-        Unary::Minus => match Number::of(&value)? {
-            Number::Int(value) => value.checked_neg().map(Value::Int).ok_or(ScriptError::Overflow),
-            Number::Double(value) => Ok(Value::Double(-value)),
-        },
+        Unary::Complement => Ok(Value::Double(!bits(&value)? as f64)),
+        Unary::Minus => Ok(Value::Double(-number(&value)?)),
     }
 }
 
 fn binary(operator: Binary, left: Value, right: Value) -> Computed {
     let texts = matches!((&left, &right), (Value::Text(_), Value::Text(_)));
-    match operator {
-        Binary::Concatenate => join(&left, &right),
-        Binary::Add if texts => join(&left, &right),
-        Binary::BitAnd | Binary::BitOr | Binary::BitXor => {
-            let bits = |value: &Value| value.as_int().ok_or_else(|| unfit(value, "an integer"));
-            let (left, right) = (bits(&left)?, bits(&right)?);
-            Ok(Value::Int(match operator {
-                Binary::BitAnd => left & right,
-                Binary::BitOr => left | right,
-                _ => left ^ right,
-            }))
-        }
-        _ => arithmetic(operator, Number::of(&left)?, Number::of(&right)?),
-    }
+    Ok(Value::Double(match operator {
+        Binary::Concatenate => return join(&left, &right),
+        Binary::Add if texts => return join(&left, &right),
+        Binary::BitAnd => (bits(&left)? & bits(&right)?) as f64,
+        Binary::BitOr => (bits(&left)? | bits(&right)?) as f64,
+        Binary::BitXor => (bits(&left)? ^ bits(&right)?) as f64,
+        Binary::Add => number(&left)? + number(&right)?,
+        Binary::Subtract => number(&left)? - number(&right)?,
+        Binary::Multiply => number(&left)? * number(&right)?,
+        // By zero it is infinite, as in BehaviorTree.CPP.
+        Binary::Divide => number(&left)? / number(&right)?,
+        Binary::And | Binary::Or => return Err(unfit(&left, "a number")),
+    }))
 }
 
 fn join(left: &Value, right: &Value) -> Computed {
@@ -159,71 +148,62 @@ fn join(left: &Value, right: &Value) -> Computed {
     Ok(Value::from(joined))
 }
 
-fn arithmetic(operator: Binary, left: Number, right: Number) -> Computed {
-    if matches!(operator, Binary::Divide) && right.double() == 0.0 {
-        return Err(ScriptError::ZeroDivision);
+/// A side of a comparison as a number; text that is compared with one may be `true`, `false` or the name of a number.
+fn compared(value: &Value, enums: &Enums) -> Option<f64> {
+    match value {
+        Value::Text(text) => truth_word(text)
+            .map(|truth| f64::from(u8::from(truth)))
+            .or_else(|| enums.get(&**text).map(|number| *number as f64))
+            .or_else(|| value.as_double()),
+        other => number(other).ok(),
     }
-    if let (Number::Int(left), Number::Int(right)) = (&left, &right) {
-        let whole = match operator {
-            Binary::Add => left.checked_add(*right),
-            Binary::Subtract => left.checked_sub(*right),
-            Binary::Multiply => left.checked_mul(*right),
-            // As in BehaviorTree.CPP 5 / 2 is 2.5; what divides evenly stays an integer.
-            _ if left.checked_rem(*right) == Some(0) => left.checked_div(*right),
-            _ => return Ok(Value::Double(*left as f64 / *right as f64)),
-        };
-        return whole.map(Value::Int).ok_or(ScriptError::Overflow);
-    }
-    let (left, right) = (left.double(), right.double());
-    Ok(Value::Double(match operator {
-        Binary::Add => left + right,
-        Binary::Subtract => left - right,
-        Binary::Multiply => left * right,
-        _ => left / right,
-    }))
 }
 
-fn compare(comparison: Comparison, left: &Value, right: &Value) -> Result<bool, ScriptError> {
+fn compare(comparison: Comparison, left: &Value, right: &Value, enums: &Enums) -> Result<bool, ScriptError> {
     use std::cmp::Ordering;
     let order = match (left, right) {
         (Value::Text(left), Value::Text(right)) => Some(left.cmp(right)),
         (Value::Int(left), Value::Int(right)) => Some(left.cmp(right)),
-        _ => match (Number::of(left), Number::of(right)) {
-            (Ok(left), Ok(right)) => {
-                let (left, right) = (left.double(), right.double());
-                // Floats that differ by less are equal, as in BehaviorTree.CPP.
-                if (left - right).abs() < f64::from(f32::EPSILON) {
-                    Some(Ordering::Equal)
-                } else {
-                    left.partial_cmp(&right)
-                }
+        _ => match (compared(left, enums), compared(right, enums)) {
+            (Some(left), Some(right)) => match comparison {
+                Comparison::Equal => return Ok(is_same(left, right)),
+                Comparison::NotEqual => return Ok(!is_same(left, right)),
+                _ => left.partial_cmp(&right),
+            },
+            // Text that is no number equals none.
+            _ if matches!(comparison, Comparison::Equal | Comparison::NotEqual) => {
+                return Ok((left == right) == matches!(comparison, Comparison::Equal));
             }
-            _ => None,
+            (Some(_), None) => return Err(unfit(right, "comparable")),
+            (None, _) => return Err(unfit(left, "comparable")),
         },
     };
-    match (comparison, order) {
-        (Comparison::Equal, Some(order)) => Ok(order == Ordering::Equal),
-        (Comparison::NotEqual, Some(order)) => Ok(order != Ordering::Equal),
-        (Comparison::Equal, None) => Ok(left == right),
-        (Comparison::NotEqual, None) => Ok(left != right),
-        (Comparison::Less, Some(order)) => Ok(order == Ordering::Less),
-        (Comparison::LessOrEqual, Some(order)) => Ok(order != Ordering::Greater),
-        (Comparison::Greater, Some(order)) => Ok(order == Ordering::Greater),
-        (Comparison::GreaterOrEqual, Some(order)) => Ok(order != Ordering::Less),
-        (_, None) => Err(unfit(if Number::of(left).is_ok() { right } else { left }, "comparable")),
-    }
+    Ok(match comparison {
+        Comparison::Equal => order == Some(Ordering::Equal),
+        Comparison::NotEqual => order != Some(Ordering::Equal),
+        Comparison::Less => order == Some(Ordering::Less),
+        Comparison::LessOrEqual => matches!(order, Some(Ordering::Less | Ordering::Equal)),
+        Comparison::Greater => order == Some(Ordering::Greater),
+        Comparison::GreaterOrEqual => matches!(order, Some(Ordering::Greater | Ordering::Equal)),
+    })
+}
+
+/// Numbers that differ by no more than a 32-bit float can tell are the same, as in BehaviorTree.CPP.
+pub(crate) fn is_same(left: f64, right: f64) -> bool {
+    left == right || (left - right).abs() <= f64::from(f32::EPSILON)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use std::collections::BTreeMap;
+    use std::sync::Arc;
 
     use super::super::{Program, parse};
     use super::*;
 
     fn run(board: &mut Blackboard, script: &str) -> Result<Value, ScriptError> {
-        let enums = BTreeMap::from([("RED".to_owned(), 1)]);
+        let enums = Arc::new(BTreeMap::from([("RED".to_owned(), 1)]));
         let statements = parse(script).unwrap();
         Program::bind(script, statements, &enums, &mut |name| board.resolve(0, name)).run(board)
     }
@@ -234,19 +214,19 @@ mod tests {
 
     #[test]
     fn operators_bind_as_in_behaviortree_cpp() {
-        assert_eq!(value("1 + 2 * 3"), Value::Int(7));
-        assert_eq!(value("(1 + 2) * 3"), Value::Int(9));
-        assert_eq!(value("-2 * -3"), Value::Int(6));
+        assert_eq!(value("1 + 2 * 3"), Value::Double(7.0));
+        assert_eq!(value("(1 + 2) * 3"), Value::Double(9.0));
+        assert_eq!(value("-2 * -3"), Value::Double(6.0));
         assert_eq!(value("5 / 2"), Value::Double(2.5));
-        assert_eq!(value("6 / 2"), Value::Int(3));
-        assert_eq!(value("1 | 2 & 3"), Value::Int(3));
-        assert_eq!(value("~0 ^ 0xF"), Value::Int(-16));
-        assert_eq!(value("1 + 1 == 2 && !false"), Value::Bool(true));
-        assert_eq!(value("1 < 2 <= 2 < 3"), Value::Bool(true));
-        assert_eq!(value("1 < 2 < 2"), Value::Bool(false));
+        assert_eq!(value("6 / 2"), Value::Double(3.0));
+        assert_eq!(value("1 | 2 & 3"), Value::Double(3.0));
+        assert_eq!(value("~0 ^ 0xF"), Value::Double(-16.0));
+        assert_eq!(value("1 + 1 == 2 && !false"), Value::Double(1.0));
+        assert_eq!(value("1 < 2 <= 2 < 3"), Value::Double(1.0));
+        assert_eq!(value("1 < 2 < 2"), Value::Double(0.0));
         assert_eq!(value("'a' .. 1 + 2 .. 'b'"), Value::text("a3b"));
         assert_eq!(value("RED == 1 ? 'yes' : 'no'"), Value::text("yes"));
-        assert_eq!(value("0.1 + 0.2 == 0.3"), Value::Bool(true));
+        assert_eq!(value("0.1 + 0.2 == 0.3"), Value::Double(1.0));
         assert_eq!(value("1..2"), Value::text("12"));
         assert_eq!(value("1.5e1"), Value::Double(15.0));
     }
@@ -263,18 +243,71 @@ mod tests {
     }
 
     #[test]
+    fn what_is_computed_is_a_float_and_a_bare_integer_is_none() {
+        for script in [
+            "x := -1; x = 0.5",
+            "x := 1 + 1; x = 0.5",
+            "x := 7 / 7; x = 1.5",
+            "x := 3 > 2; x := 10",
+            "x := true; x := 5",
+            "x := !0; x = 0.5",
+            "x := 6 & 3; x = 0.5",
+            "x := RED; x = 0.5",
+            "x := 0.5; x = 'true'",
+            "x := 3; x = 'RED'",
+        ] {
+            assert!(run(&mut Blackboard::default(), script).is_ok(), "{script}");
+        }
+        let mut board = Blackboard::default();
+        assert!(run(&mut board, "x := 1; x = 0.5").is_err());
+        assert_eq!(run(&mut board, "x = 1 + 1"), Ok(Value::Int(2)));
+        run(&mut board, "sum := 1 + 2; yes := 3 > 2").unwrap();
+        assert_eq!(board.get("sum").and_then(Value::as_int), Some(3));
+        assert_eq!(board.get("yes").and_then(Value::as_bool), Some(true));
+        assert_eq!(value("1 / 0"), Value::Double(f64::INFINITY));
+        assert_eq!(value("-1 / 0 < 0"), Value::Double(1.0));
+        assert_eq!(value(&format!("{} + 1 > 9e18", i64::MAX)), Value::Double(1.0));
+    }
+
+    #[test]
+    fn text_beside_a_number_is_compared_as_the_number_that_it_stands_for() {
+        let mut board = Blackboard::default();
+        board.set("yes", "true").unwrap();
+        board.set("no", "false").unwrap();
+        board.set("color", "RED").unwrap();
+        board.set("flag", true).unwrap();
+        for script in [
+            "yes == true",
+            "no == false",
+            "false == no",
+            "yes != no",
+            "yes > 0",
+            "color == RED",
+            "color < 2",
+            "flag == yes",
+            "flag == 'true'",
+            "'3' == 3",
+            "'idle' != 3",
+            "!('idle' == 3)",
+        ] {
+            assert_eq!(run(&mut board, script), Ok(Value::Double(1.0)), "{script}");
+        }
+        // Equal is nearly equal; more and less are exact.
+        assert_eq!(value("0.3 < 0.1 + 0.2"), Value::Double(1.0));
+    }
+
+    #[test]
     fn the_other_side_of_a_decided_condition_is_not_computed() {
-        assert_eq!(value("false && missing"), Value::Bool(false));
-        assert_eq!(value("true || missing"), Value::Bool(true));
+        assert_eq!(value("false && missing"), Value::Double(0.0));
+        assert_eq!(value("true || missing"), Value::Double(1.0));
         assert_eq!(value("true ? 1 : missing"), Value::Int(1));
     }
 
     #[test]
     fn what_cannot_be_computed_is_an_error_not_a_panic() {
         let mut board = Blackboard::default();
-        assert_eq!(run(&mut board, "1 / 0"), Err(ScriptError::ZeroDivision));
-        let most = format!("{} + 1", i64::MAX);
-        assert_eq!(run(&mut board, &most), Err(ScriptError::Overflow));
+        assert!(run(&mut board, "1.5 | 1").is_err());
+        assert!(run(&mut board, "-'a'").is_err());
         assert!(run(&mut board, "'a' < 1").is_err());
         assert!(run(&mut board, "'a' && true").is_err());
         run(&mut board, "s := 'xxxxxxxxxxxxxxxx'").unwrap();

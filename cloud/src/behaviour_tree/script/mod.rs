@@ -9,11 +9,12 @@ mod parse;
 mod token;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::blackboard::{Blackboard, Slot};
 use super::value::Value;
 
-pub(crate) use evaluate::truth;
+pub(crate) use evaluate::{is_same, truth};
 pub(crate) use parse::parse;
 
 /// What a script consists of; `V` is how variables are named: text when parsed, slots when bound.
@@ -93,10 +94,6 @@ pub(crate) enum ScriptError {
     Empty(String),
     #[error("`{0}` is {1}: expected {2}")]
     Type(String, &'static str, &'static str),
-    #[error("division by zero")]
-    ZeroDivision,
-    #[error("a number leaves the range of 64 bits")]
-    Overflow,
     #[error("text of more than {0} bytes")]
     TooLong(usize),
     #[error("`{0}`: {1}")]
@@ -110,11 +107,16 @@ pub(crate) struct Variable {
     pub(crate) name: Box<str>,
 }
 
+/// Names of numbers.
+pub(crate) type Enums = BTreeMap<String, i64>;
+
 /// A script bound to a scope of a blackboard.
 #[derive(Debug, Clone)]
 pub(crate) struct Program {
     text: Box<str>,
     statements: Vec<Expression<Variable>>,
+    /// What text may stand for where a number is wanted.
+    enums: Arc<Enums>,
 }
 
 impl Program {
@@ -122,7 +124,7 @@ impl Program {
     pub(crate) fn bind(
         text: &str,
         statements: Vec<Expression<String>>,
-        enums: &BTreeMap<String, i64>,
+        enums: &Arc<Enums>,
         resolve: &mut dyn FnMut(&str) -> Slot,
     ) -> Program {
         let statements = statements
@@ -132,6 +134,7 @@ impl Program {
         Program {
             text: text.into(),
             statements,
+            enums: enums.clone(),
         }
     }
 
@@ -144,7 +147,7 @@ impl Program {
     pub(crate) fn run(&self, board: &mut Blackboard) -> Result<Value, ScriptError> {
         let mut last = Value::Bool(true);
         for statement in &self.statements {
-            last = evaluate::evaluate(statement, board)?;
+            last = evaluate::evaluate(statement, board, &self.enums)?;
         }
         Ok(last)
     }
@@ -157,15 +160,11 @@ fn variable(name: String, resolve: &mut dyn FnMut(&str) -> Slot) -> Variable {
     }
 }
 
-fn bind(
-    expression: Expression<String>,
-    enums: &BTreeMap<String, i64>,
-    resolve: &mut dyn FnMut(&str) -> Slot,
-) -> Expression<Variable> {
+fn bind(expression: Expression<String>, enums: &Enums, resolve: &mut dyn FnMut(&str) -> Slot) -> Expression<Variable> {
     match expression {
         Expression::Literal(value) => Expression::Literal(value),
         Expression::Variable(name) => match enums.get(&name) {
-            Some(number) => Expression::Literal(Value::Int(*number)),
+            Some(number) => Expression::Literal(Value::Double(*number as f64)),
             None => Expression::Variable(variable(name, resolve)),
         },
         Expression::Unary(operator, inner) => Expression::Unary(operator, Box::new(bind(*inner, enums, resolve))),

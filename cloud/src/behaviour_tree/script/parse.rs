@@ -199,8 +199,8 @@ impl Parser {
         }
         let expression = match self.words.get(self.next) {
             Some((Word::Name(name), _)) => match name.as_str() {
-                "true" => Expression::Literal(Value::Bool(true)),
-                "false" => Expression::Literal(Value::Bool(false)),
+                "true" => Expression::Literal(Value::Double(1.0)),
+                "false" => Expression::Literal(Value::Double(0.0)),
                 name => Expression::Variable(name.to_owned()),
             },
             Some((Word::Int(value), _)) => Expression::Literal(Value::Int(*value)),

@@ -101,6 +101,14 @@ fn every_mistake_of_a_node_is_told_with_its_place_and_what_was_expected() {
             "bad.xml:3:22: port `else` is `maybe`: expected SUCCESS, FAILURE, SKIPPED or RUNNING",
         ),
         (
+            "<LoopInt queue=\"1;x;3\"><T/></LoopInt>",
+            "bad.xml:3:10: port `queue` is `1;x;3`: expected integers separated by ;",
+        ),
+        (
+            "<RateController hz=\"-3\"><T/></RateController>",
+            "bad.xml:3:17: port `hz` is `-3`: expected a number above 0",
+        ),
+        (
             "<UnsetBlackboard key=\"\"/>",
             "bad.xml:3:18: port `key` is ``: expected the name of a blackboard entry",
         ),
@@ -123,6 +131,29 @@ fn all_errors_are_told_at_once_also_of_trees_that_are_not_used() {
 </root>",
     );
     assert_eq!(errors.len(), 5, "{errors:#?}");
+    // Of trees with too many children, of an id that is taken, and without an id.
+    let errors = errors_of(
+        "<root BTCPP_format=\"4\" main_tree_to_execute=\"A\">
+<BehaviorTree ID=\"A\"><Foo/><Sleep msec=\"x\"/></BehaviorTree>
+<BehaviorTree ID=\"A\"><Bar/></BehaviorTree>
+<BehaviorTree><Baz/></BehaviorTree>
+</root>",
+    );
+    for part in [
+        "2:1: tree `A` has 2 children",
+        "2:22: unknown node `Foo`",
+        "2:35: port `msec` is `x`",
+        "3:1: tree `A` is defined twice",
+        "3:22: unknown node `Bar`",
+        "4:1: <BehaviorTree> without ID",
+        "4:15: unknown node `Baz`",
+    ] {
+        let told = errors.iter().filter(|error| error.contains(part)).count();
+        assert_eq!(told, 1, "{part}: {errors:#?}");
+    }
+    assert_eq!(errors.len(), 7, "{errors:#?}");
+    let nameless = "<root main_tree_to_execute=\"B\"><BehaviorTree><T/></BehaviorTree><BehaviorTree ID=\"B\"><T/></BehaviorTree></root>";
+    assert!(errors_of(nameless)[0].contains("without ID"));
 }
 
 #[test]
@@ -153,6 +184,10 @@ fn the_frame_of_a_file_is_checked() {
         (
             "<root BTCPP_format=\"4\"><BehaviorTree ID=\"A\"><T/></BehaviorTree><BehaviorTree ID=\"A\"><T/></BehaviorTree></root>",
             "defined twice, first at bad.xml:1:24",
+        ),
+        (
+            "<root BTCPP_format=\"4\"><BehaviorTree ID=\"Sequence\"><T/></BehaviorTree></root>",
+            "tree `Sequence` has the name of a node",
         ),
         (
             "<root BTCPP_format=\"4\"><include path=\"b.xml\"/></root>",
@@ -282,10 +317,46 @@ fn ports_that_exclude_one_another_cannot_share_an_entry() {
         Err(String::new())
     })
     .unwrap_err();
-    assert_eq!(
-        errors.to_string(),
-        "bad.xml:2:38: port `wait_duration` and the port at bad.xml:2:20 share an entry: expected the same type, not a number and a Path"
+    let told = "bad.xml:2:38: port `wait_duration` and the port at bad.xml:2:20 share an entry: expected the same type, not a number and a Path";
+    assert_eq!(errors.to_string(), told);
+    // Checked alone too, once though the tree is unfolded twice, and beside other errors.
+    let text = String::from_utf8_lossy(text).replace("<root>", "<root main_tree_to_execute=\"M\">").replace(
+        "</root>",
+        "<BehaviorTree ID=\"M\"><Sequence><SubTree ID=\"A\"/><SubTree ID=\"A\"/><Sleep/></Sequence></BehaviorTree></root>",
     );
+    let none = &mut |_: &str, _: &str| Err(String::new());
+    let registry = simulate::registry();
+    let checked = check("bad.xml", text.as_bytes(), &registry, none, Limits::default()).unwrap_err();
+    let built = build("bad.xml", text.as_bytes(), &registry, None, none).unwrap_err();
+    for errors in [checked, built] {
+        assert_eq!(errors.errors.len(), 2, "{errors}");
+        assert!(errors.to_string().contains("`Sleep` without port") && errors.to_string().contains(told));
+    }
+}
+
+#[test]
+fn literals_of_poses_and_lists_are_checked_and_names_are_told() {
+    use crate::behaviour_tree::simulate;
+    let of = |node: &str| {
+        let text = format!("<root><BehaviorTree ID=\"A\">{node}</BehaviorTree></root>");
+        let none = &mut |_: &str, _: &str| Err(String::new());
+        let checked = check("p.xml", text.as_bytes(), &simulate::registry(), none, Limits::default());
+        checked
+            .map(|summary| summary.warnings)
+            .map_err(|errors| errors.to_string())
+    };
+    assert_eq!(
+        of("<ArePosesNear ref_pose=\"1;x\" target_pose=\"0;0;0\"/>"),
+        Err("p.xml:1:42: port `ref_pose` is `1;x`: expected a PoseStamped: `x;y`, `x;y;yaw`, the name of a place, or JSON".to_owned())
+    );
+    assert_eq!(of("<ComputePathToPose goal=\"1;2\"/>"), Ok(Vec::new()));
+    assert_eq!(
+        of("<ComputePathToPose goal=\"hello\"/>"),
+        Ok(vec![
+            "p.xml:1:47: port `goal`: `hello` is taken for the name of a place".to_owned()
+        ])
+    );
+    assert!(of("<ComputePathThroughPoses goals=\"1;2|3\"/>").is_err());
 }
 
 #[test]
@@ -302,6 +373,25 @@ fn includes_are_read_once_and_may_include_one_another() {
     });
     assert_eq!(built.unwrap().len(), 2);
     assert_eq!(asked, ["a.xml>b.xml", "a.xml>b.xml", "b.xml>a.xml"]);
+}
+
+#[test]
+fn files_that_include_one_another_are_named() {
+    let file = |other: &str| format!("<root><include path=\"{other}\"/></root>").into_bytes();
+    let mut include = |_: &str, path: &str| Ok((path.to_owned(), file(if path == "b" { "c" } else { "b" })));
+    let summary = check("a", &file("b"), &registry(), &mut include, Limits::default()).unwrap();
+    assert_eq!(
+        summary.warnings,
+        ["b:1:16: files include one another: b > c > b: each is read once"]
+    );
+}
+
+#[test]
+fn several_trees_of_which_none_is_the_main_one_are_worth_a_word() {
+    let text = "<root><BehaviorTree ID=\"A\"><T/></BehaviorTree><BehaviorTree ID=\"B\"><T/></BehaviorTree></root>";
+    let none = &mut |_: &str, _: &str| Err(String::new());
+    let summary = check("t", text.as_bytes(), &registry(), none, Limits::default()).unwrap();
+    assert!(summary.warnings[0].contains("no main_tree_to_execute"));
 }
 
 #[test]
@@ -331,6 +421,10 @@ fn a_model_makes_a_node_known_but_not_runnable() {
     let good = String::from_utf8(text.to_vec()).unwrap().replace("\"x\"", "\"1\"");
     let summary = check("m.xml", good.as_bytes(), &registry(), none, Limits::default()).unwrap();
     assert_eq!(summary.trees.get("A"), Some(&1));
+    assert_eq!(
+        summary.warnings,
+        ["m.xml:2:22: nothing here implements `Grab`: a mission would refuse it"]
+    );
     let errors = build("m.xml", good.as_bytes(), &registry(), None, none).unwrap_err();
     assert!(errors.to_string().contains("nothing here implements `Grab`"));
 }

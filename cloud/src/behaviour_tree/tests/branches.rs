@@ -51,6 +51,16 @@ fn switch_runs_the_matching_child_and_halts_it_when_another_matches() {
 }
 
 #[test]
+fn switch_takes_computed_numbers_for_what_they_nearly_are() {
+    let body = r#"<Sequence><Script code="sum := 0.1 + 0.2; three := 1 + 2"/>
+        <Switch2 variable="{sum}" case_1="0.4" case_2="0.3"><T name="1"/><T name="2"/><T name="other"/></Switch2>
+        <Switch2 variable="{three}" case_1="3" case_2="4"><T name="3"/><T name="4"/><T name="other"/></Switch2></Sequence>"#;
+    let mut rig = Rig::new(body);
+    rig.ticks(1);
+    assert_eq!(rig.log(), "2 3");
+}
+
+#[test]
 fn try_catch_cleans_up_and_fails() {
     plays(
         r#"<TryCatch><T name="a"/><T name="b" plan="RF"/><T name="catch" plan="RS"/></TryCatch>"#,

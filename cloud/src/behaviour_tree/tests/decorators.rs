@@ -180,7 +180,7 @@ fn leaves_write_and_forget_entries() {
     let mut rig = Rig::new(body);
     assert_eq!(rig.ticks(1), "S");
     let board = rig.tree.blackboard();
-    assert_eq!((board.get("x"), board.get("z")), (None, Some(&Value::Int(6))));
+    assert_eq!((board.get("x"), board.get("z")), (None, Some(&Value::Double(6.0))));
     plays(r#"<ScriptCondition code="1 == 2"/>"#, "F", "");
     plays("<AlwaysSuccess/>", "S", "");
     plays("<AlwaysFailure/>", "F", "");

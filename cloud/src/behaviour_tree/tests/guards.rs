@@ -32,7 +32,7 @@ fn conditions_are_not_asked_again_while_the_node_runs_except_while() {
     rig.tree.blackboard_mut().set("go", false).unwrap();
     assert_eq!(rig.ticks(1), "K");
     assert_eq!(rig.log(), "a a. a!");
-    assert_eq!(rig.tree.blackboard().get("halted"), Some(&Value::Bool(true)));
+    assert_eq!(rig.tree.blackboard().get("halted"), Some(&Value::Double(1.0)));
 }
 
 #[test]

@@ -216,6 +216,61 @@ fn a_script_is_checked_and_time_runs_out() {
 }
 
 #[test]
+fn what_a_script_sets_on_a_port_that_is_not_there_is_told() {
+    let tree = r#"<root><BehaviorTree ID="A"><Sequence><FollowPath path="{p}"/><Grab where="{w}"/></Sequence></BehaviorTree></root>"#;
+    let script = r#"{"leaves": {"FollowPath": {"set": {"bogus": 1, "error_code_id": 106}}, "Grab": {"set": {"where": 1, "what": 2}}}}"#;
+    let script: Script = serde_json::from_str(script).unwrap();
+    let none = &mut |_: &str, _: &str| Err("none".into());
+    let outcome = simulate("nav.xml", tree.as_bytes(), None, &script, none).unwrap();
+    assert_eq!(
+        outcome.warnings,
+        [
+            "`FollowPath` has no port `bogus`: nothing is set",
+            "`Grab` has no port `what`: nothing is set"
+        ]
+    );
+}
+
+#[test]
+fn conditions_that_the_blackboard_and_the_time_decide_are_decided() {
+    let of = |body: &str, script: &str| {
+        let tree = format!("<root><BehaviorTree ID=\"A\">{body}</BehaviorTree></root>");
+        let outcome = run(&tree, script);
+        (outcome.status, outcome.sim_time_ms)
+    };
+    let bounds = r#"<Sequence><ComputePathToPose goal="{goal}" path="{path}"/><ReactiveSequence>
+        <IsWithinPathTrackingBounds max_error_left="0.2" max_error_right="0.2" tracking_feedback="{t}"/>
+        <FollowPath path="{path}" tracking_feedback="{t}"/></ReactiveSequence></Sequence>"#;
+    let follow = r#""leaves": {"FollowPath": {"run_ms": 500}}"#;
+    assert_eq!(of(bounds, &format!("{{{follow}}}")), (Status::Success, 500));
+    let away = r#"{"position_tracking_error": -0.3, "heading_tracking_error": 0.0}"#;
+    assert_eq!(
+        of(bounds, &format!("{{{follow}, \"blackboard\": {{\"t\": {away}}}}}")),
+        (Status::Failure, 0)
+    );
+
+    let near = r#"<ArePosesNear ref_pose="{a}" target_pose="{b}" tolerance="0.5"/>"#;
+    let at = |b: &str| format!(r#"{{"blackboard": {{"a": "0;0;0", "b": "{b}"}}}}"#);
+    assert_eq!(of(near, &at("0.1;0;0")).0, Status::Success);
+    assert_eq!(of(near, &at("0.4;0.4;0")).0, Status::Failure);
+    assert_eq!(of(near, "{}").0, Status::Failure);
+
+    for timer in [
+        r#"PathExpiringTimer seconds="2" path="{p}""#,
+        r#"TimeExpired seconds="2""#,
+    ] {
+        let body =
+            format!("<ReactiveSequence><Inverter><{timer}/></Inverter><Sleep msec=\"9000\"/></ReactiveSequence>");
+        let expected = if timer.starts_with("Path") {
+            (Status::Failure, 2000)
+        } else {
+            (Status::Success, 9000)
+        };
+        assert_eq!(of(&body, "{}"), expected, "{timer}");
+    }
+}
+
+#[test]
 fn leaves_that_nobody_declares_are_actions_unless_called_conditions() {
     let tree = r#"<root><BehaviorTree ID="A"><Sequence><Grab/><Inverter><Condition ID="Seen"/></Inverter>
         <Action ID="Put" where="{place}"/></Sequence></BehaviorTree></root>"#;

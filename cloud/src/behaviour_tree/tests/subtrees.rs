@@ -26,8 +26,23 @@ fn names_are_remapped_both_ways_and_literals_are_entries() {
     );
     assert_eq!(rig.ticks(1), "S");
     assert_eq!(rig.log(), "1 hello 3");
-    assert_eq!(rig.tree.blackboard().get("y"), Some(&Value::Int(2)));
+    assert_eq!(rig.tree.blackboard().get("y"), Some(&Value::Double(2.0)));
     assert_eq!(rig.tree.blackboard().get("same"), Some(&Value::Int(7)));
+}
+
+#[test]
+fn a_literal_true_is_true_in_scripts_and_false_skips() {
+    let mut literal = rig(
+        r#"<SubTree ID="Sub" f="true" g="false"/>"#,
+        r#"<ScriptCondition code="f == true &amp;&amp; g == false"/>"#,
+    );
+    assert_eq!(literal.ticks(1), "S");
+    let mut written = Rig::new(
+        r#"<Sequence><SetBlackboard value="false" output_key="f"/><T name="a" _skipIf="f == false"/>
+        <Script code="f := true"/><SetBlackboard value="false" output_key="f"/><T name="b" _skipIf="f == false"/></Sequence>"#,
+    );
+    assert_eq!(written.ticks(1), "S");
+    assert_eq!(written.log(), "");
 }
 
 #[test]
@@ -128,8 +143,5 @@ fn a_file_as_groot2_writes_it_is_read() {
         answers.push(tree.tick(std::time::Duration::from_millis(ms), &mut world).unwrap());
     }
     assert_eq!(answers, [Status::Running, Status::Success]);
-    assert_eq!(
-        tree.blackboard().get("done").map(ToString::to_string).as_deref(),
-        Some("true")
-    );
+    assert_eq!(tree.blackboard().get("done").and_then(Value::as_bool), Some(true));
 }

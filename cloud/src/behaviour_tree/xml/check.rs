@@ -1,7 +1,7 @@
 //! Does every tree use nodes that exist, as they want to be used, and can it be unfolded?
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::Limits;
 use super::document::{Attribute, Element, ElementId, Forest};
@@ -9,6 +9,7 @@ use super::error::{Collector, shortened};
 use super::nearest::hint;
 use super::unfold::{Size, unfold};
 use crate::behaviour_tree::builtins;
+use crate::behaviour_tree::literals;
 use crate::behaviour_tree::ports::{Direction, PortSpec, PortType};
 use crate::behaviour_tree::registry::{Category, NodeSpec, Registry};
 use crate::behaviour_tree::script;
@@ -19,6 +20,18 @@ use crate::behaviour_tree::value::parse_bool;
 pub struct Summary {
     /// Id of every tree, and how many nodes it has with its SubTrees unfolded.
     pub trees: BTreeMap<String, u64>,
+    /// What is not wrong, but may be refused where the tree is to run: `file:line:column: what`.
+    pub warnings: Vec<String>,
+}
+
+/// What `check` has found of the trees.
+pub(super) struct Checked {
+    /// Nodes of each with its SubTrees unfolded.
+    pub(super) trees: BTreeMap<String, u64>,
+    /// Those that no other tree contains.
+    pub(super) roots: Vec<String>,
+    /// Whether all of them can be unfolded.
+    pub(super) is_bounded: bool,
 }
 
 /// The scripts around a node.
@@ -101,32 +114,20 @@ pub(super) fn specification<'f, C>(
 }
 
 /// Checks every tree, used or not.
-pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits, errors: &mut Collector) -> Summary {
+pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits, errors: &mut Collector) -> Checked {
     let mut sizes = BTreeMap::new();
     for (id, tree) in &forest.trees {
-        let mut size = Size::default();
-        let mut todo: Vec<(ElementId, usize)> = tree.root.map(|root| (root, 1)).into_iter().collect();
-        while let Some((element, depth)) = todo.pop() {
-            let Some(element) = forest.element(element) else {
-                continue;
-            };
-            size.nodes += 1;
-            let bytes = element.attributes.iter().map(|attribute| attribute.value.len() as u64);
-            size.bytes += bytes.sum::<u64>();
-            size.depth = size.depth.max(depth);
-            match specification(element, forest, registry, !errors.is_full()) {
-                Ok(spec) => {
-                    node(element, &spec, forest, errors);
-                    if spec.category == Category::SubTree {
-                        size.subtrees.push((spec.id.clone(), element.at, depth));
-                    }
-                }
-                Err((message, expected)) => errors.add(element.at, message, expected),
-            }
-            todo.extend(element.children.iter().rev().map(|child| (*child, depth + 1)));
+        // As in BehaviorTree.CPP: `<Sequence/>` could mean both.
+        if registry.spec(id).is_some() {
+            errors.add(
+                tree.at,
+                format!("tree `{id}` has the name of a node"),
+                "an ID of its own",
+            );
         }
-        sizes.insert(id.as_str(), size);
+        sizes.insert(id.as_str(), nodes(&tree.body, forest, registry, errors));
     }
+    nodes(&forest.stray, forest, registry, errors);
     if let Some((main, at)) = &forest.main
         && !forest.trees.contains_key(main)
     {
@@ -137,8 +138,48 @@ pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits,
             format!("the ID of a <BehaviorTree>{hint}"),
         );
     }
+    let before = errors.count();
     let trees = unfold(&sizes, forest, limits, errors);
-    Summary { trees }
+    let inner: BTreeSet<&str> = sizes
+        .values()
+        .flat_map(|size| size.subtrees.iter().map(|(id, _, _)| id.as_str()))
+        .collect();
+    let roots = trees
+        .keys()
+        .filter(|id| !inner.contains(id.as_str()))
+        .cloned()
+        .collect();
+    Checked {
+        roots,
+        is_bounded: errors.count() == before,
+        trees,
+    }
+}
+
+/// Checks what stands below a `<BehaviorTree>`.
+fn nodes<C>(body: &[ElementId], forest: &Forest, registry: &Registry<C>, errors: &mut Collector) -> Size {
+    let mut size = Size::default();
+    let mut todo: Vec<(ElementId, usize)> = body.iter().rev().map(|root| (*root, 1)).collect();
+    while let Some((element, depth)) = todo.pop() {
+        let Some(element) = forest.element(element) else {
+            continue;
+        };
+        size.nodes += 1;
+        let bytes = element.attributes.iter().map(|attribute| attribute.value.len() as u64);
+        size.bytes += bytes.sum::<u64>();
+        size.depth = size.depth.max(depth);
+        match specification(element, forest, registry, !errors.is_full()) {
+            Ok(spec) => {
+                node(element, &spec, forest, errors);
+                if spec.category == Category::SubTree {
+                    size.subtrees.push((spec.id.clone(), element.at, depth));
+                }
+            }
+            Err((message, expected)) => errors.add(element.at, message, expected),
+        }
+        todo.extend(element.children.iter().rev().map(|child| (*child, depth + 1)));
+    }
+    size
 }
 
 /// The tree to run.
@@ -327,10 +368,20 @@ fn port_value(attribute: &Attribute, port: &PortSpec, errors: &mut Collector) {
             "a blackboard entry, as in {key}",
         );
     } else if port.kind.parse(value).is_none() {
+        let form = match &port.kind {
+            PortType::Data(name) => literals::form(name).map(|form| format!(": {form}")),
+            _ => None,
+        };
         errors.add(
             attribute.at,
             format!("port `{}` is `{}`", port.name, shortened(value, 60)),
-            port.kind.expected(),
+            port.kind.expected() + &form.unwrap_or_default(),
         );
+    } else if let PortType::Data(name) = &port.kind
+        && let Some(place) = literals::named(name, value)
+    {
+        let place = shortened(place, 60);
+        let message = format!("port `{}`: `{place}` is taken for the name of a place", port.name);
+        errors.warn(attribute.at, &message);
     }
 }

@@ -39,6 +39,8 @@ pub(super) struct Definition {
     pub(super) at: Place,
     /// Its one child; `None` if that is wrong.
     pub(super) root: Option<ElementId>,
+    /// All its children.
+    pub(super) body: Vec<ElementId>,
 }
 
 /// All files together.
@@ -46,6 +48,8 @@ pub(super) struct Definition {
 pub(super) struct Forest {
     pub(super) elements: Vec<Element>,
     pub(super) trees: BTreeMap<String, Definition>,
+    /// Children of trees that have no id of their own: nothing can run them, but they are checked.
+    pub(super) stray: Vec<ElementId>,
     /// What `TreeNodesModel` says of nodes.
     pub(super) models: BTreeMap<String, NodeSpec>,
     /// What `TreeNodesModel` says of SubTrees.
@@ -75,6 +79,7 @@ pub(super) fn read(
     forest.start = Place { file: index, offset: 0 };
     let mut budget = limits.bytes;
     let mut includes = limits.includes;
+    let mut graph = Includes::default();
     // Files still to be read: name, index, bytes.
     let mut todo = vec![(file.to_owned(), index, bytes.to_vec())];
     while let Some((name, index, bytes)) = todo.pop() {
@@ -96,16 +101,68 @@ pub(super) fn read(
             includes -= 1;
             match include(&name, &path) {
                 Err(why) => errors.add(at, format!("include `{path}`: {why}"), "a file that can be read"),
-                // Included twice, or including one another: read once.
-                Ok((found, _)) if errors.file_index(&found).is_some() => {}
                 Ok((found, bytes)) => {
-                    let index = errors.add_file(&found);
-                    todo.push((found, index, bytes));
+                    // Included twice, or including one another: read once.
+                    let known = errors.file_index(&found);
+                    let target = known.unwrap_or_else(|| errors.add_file(&found));
+                    graph.edges.push((index, target, at));
+                    if known.is_none() {
+                        todo.push((found, target, bytes));
+                    }
                 }
             }
         }
     }
+    graph.tell_cycles(errors);
+    if let (Some(nameless), true) = (forest.trees.get(""), forest.trees.len() > 1) {
+        errors.add(nameless.at, NO_ID.0, NO_ID.1);
+    }
     forest
+}
+
+const NO_ID: (&str, &str) = ("<BehaviorTree> without ID", "an ID, where there are several trees");
+
+/// Which file includes which, and where.
+#[derive(Default)]
+struct Includes {
+    edges: Vec<(u16, u16, Place)>,
+}
+
+impl Includes {
+    /// Files from one to another, both of them named; `None` if the one does not lead to the other.
+    fn way(&self, from: u16, to: u16) -> Option<Vec<u16>> {
+        let mut ways = vec![vec![from]];
+        let mut seen = vec![from];
+        while let Some(way) = ways.pop() {
+            let end = way.last().copied()?;
+            if end == to {
+                return Some(way);
+            }
+            for (_, next, _) in self.edges.iter().filter(|(file, _, _)| *file == end) {
+                if !seen.contains(next) {
+                    seen.push(*next);
+                    ways.push(way.iter().copied().chain([*next]).collect());
+                }
+            }
+        }
+        None
+    }
+
+    /// Files that include one another are read once each, which is worth a word: BehaviorTree.CPP never ends on them.
+    fn tell_cycles(&self, errors: &mut Collector) {
+        let mut told: Vec<u16> = Vec::new();
+        for (from, to, at) in &self.edges {
+            if told.contains(from) {
+                continue;
+            }
+            if let Some(way) = self.way(*to, *from) {
+                let names: Vec<&str> = [*from].iter().chain(&way).map(|file| errors.file_name(*file)).collect();
+                let message = format!("files include one another: {}: each is read once", names.join(" > "));
+                errors.warn(*at, &message);
+                told.extend(way);
+            }
+        }
+    }
 }
 
 /// Reads one file into elements; the id of its root.
@@ -262,7 +319,8 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
         }
     }
     let name = element.attribute("ID").map(|id| id.value.clone()).unwrap_or_default();
-    let root = match element.children.as_slice() {
+    let body = element.children.clone();
+    let root = match body.as_slice() {
         [root] => Some(*root),
         children => {
             errors.add(
@@ -274,15 +332,17 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
         }
     };
     if name.is_empty() && !forest.trees.is_empty() {
-        errors.add(at, "<BehaviorTree> without ID", "an ID, where there are several trees");
+        errors.add(at, NO_ID.0, NO_ID.1);
+        forest.stray.extend(body);
         return;
     }
     if let Some(other) = forest.trees.get(&name) {
         let message = format!("tree `{name}` is defined twice, first at {}", errors.describe(other.at));
         errors.add(at, message, "one tree of an ID");
+        forest.stray.extend(body);
         return;
     }
-    forest.trees.insert(name, Definition { at, root });
+    forest.trees.insert(name, Definition { at, root, body });
 }
 
 fn models(id: ElementId, forest: &mut Forest, errors: &mut Collector) {

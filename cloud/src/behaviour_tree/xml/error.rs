@@ -1,5 +1,7 @@
 //! What is wrong with a tree file: where, what, and what was expected.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}:{line}:{column}: {message}: expected {expected}")]
@@ -44,7 +46,7 @@ impl std::error::Error for TreeErrors {}
 
 /// Where something stands; `file` is an index into the files read. Line and column are counted
 /// only for what is told.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Place {
     pub(super) file: u16,
     /// Byte of the file.
@@ -76,6 +78,10 @@ pub(super) struct Collector {
     files: Vec<File>,
     found: TreeErrors,
     limit: usize,
+    /// What is not wrong but worth a word, without its place; with it, at most `limit`.
+    doubts: BTreeMap<String, String>,
+    /// Pairs of ports that have been told.
+    clashes: BTreeSet<(Place, Place)>,
 }
 
 impl Collector {
@@ -88,6 +94,8 @@ impl Collector {
             files: Vec::new(),
             found,
             limit: limit.max(1),
+            doubts: BTreeMap::new(),
+            clashes: BTreeSet::new(),
         }
     }
 
@@ -117,6 +125,10 @@ impl Collector {
             .map(|index| index as u16)
     }
 
+    pub(super) fn file_name(&self, index: u16) -> &str {
+        self.files.get(usize::from(index)).map_or("", |file| &file.name)
+    }
+
     /// A place in words, for messages about another place.
     pub(super) fn describe(&self, at: Place) -> String {
         let Some(file) = self.files.get(usize::from(at.file)) else {
@@ -132,6 +144,25 @@ impl Collector {
             _ => (0, 0),
         };
         self.add_at(at.file, position, message, expected);
+    }
+
+    /// Keeps a word of warning; the same word about another place is not said again.
+    pub(super) fn warn(&mut self, at: Place, message: &str) {
+        let message = shortened(message, MESSAGE);
+        if self.doubts.len() < self.limit && !self.doubts.contains_key(&message) {
+            let told = format!("{}: {message}", self.describe(at));
+            self.doubts.insert(message, told);
+        }
+    }
+
+    /// The words of warning, sorted.
+    pub(super) fn warnings(&self) -> Vec<String> {
+        self.doubts.values().cloned().collect()
+    }
+
+    /// Whether this is the first word about these two ports: a SubTree that is used twice is unfolded twice.
+    pub(super) fn is_new_clash(&mut self, one: Place, other: Place) -> bool {
+        self.clashes.insert((one, other))
     }
 
     /// As `add`, where line and column are known.
@@ -162,6 +193,11 @@ impl Collector {
     /// Whether further errors are only counted: then no work should go into their words.
     pub(super) fn is_full(&self) -> bool {
         self.found.errors.len() >= self.limit
+    }
+
+    /// Errors so far, told or not.
+    pub(super) fn count(&self) -> usize {
+        self.found.errors.len() + self.found.more
     }
 
     pub(super) fn is_empty(&self) -> bool {

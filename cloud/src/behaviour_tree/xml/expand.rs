@@ -17,16 +17,19 @@ use crate::behaviour_tree::tick::Body;
 use crate::behaviour_tree::tree::Tree;
 use crate::behaviour_tree::value::parse_bool;
 
-/// Unfolds the tree `main`. The file has been checked: its depth and size are bounded.
+/// Unfolds the tree `main`. The file has been checked: its depth and size are bounded. What nothing implements is an
+/// error, or, where the tree is only `looked_at`, worth a warning. Errors that have been told are passed over.
 pub(super) fn expand<C>(
     forest: &Forest,
     registry: &Registry<C>,
     main: &str,
+    looked_at: bool,
     errors: &mut Collector,
 ) -> Option<Tree<C>> {
     let mut builder = Builder {
         forest,
         registry,
+        looked_at,
         enums: Arc::new(registry.enums().clone()),
         errors,
         board: Blackboard::default(),
@@ -72,6 +75,7 @@ impl Shape {
 struct Builder<'f, C> {
     forest: &'f Forest,
     registry: &'f Registry<C>,
+    looked_at: bool,
     enums: Arc<BTreeMap<String, i64>>,
     errors: &'f mut Collector,
     board: Blackboard,
@@ -89,7 +93,7 @@ impl<C> Builder<'_, C> {
         let forest = self.forest;
         let registry = self.registry;
         let element = forest.element(id)?;
-        let spec = specification(element, forest, registry, true).ok()?;
+        let spec = specification(element, forest, registry, false).ok()?;
         let node = self.nodes.len() as NodeId;
         let name = element
             .attribute("name")
@@ -187,7 +191,7 @@ impl<C> Builder<'_, C> {
 
     /// One entry must not serve ports of types that exclude one another.
     fn entry_of(&mut self, slot: Slot, kind: &PortType, port: &str, at: Place) {
-        if matches!(kind, PortType::Any | PortType::Text | PortType::Key) {
+        if matches!(kind, PortType::Any | PortType::Text | PortType::Key | PortType::List(_)) {
             return;
         }
         match self.kinds.get(&slot.index()) {
@@ -195,6 +199,9 @@ impl<C> Builder<'_, C> {
                 self.kinds.insert(slot.index(), (kind.clone(), at));
             }
             Some((other, first)) if !other.shares_entry_with(kind) => {
+                if !self.errors.is_new_clash(at, *first) {
+                    return;
+                }
                 let message = format!(
                     "port `{port}` and the port at {} share an entry",
                     self.errors.describe(*first)
@@ -253,9 +260,13 @@ impl<C> Site<'_, '_, C> {
             }
             _ => {
                 let message = format!("nothing here implements `{}`", spec.id);
-                self.builder
-                    .errors
-                    .add(self.element.at, message, "a node that this program can run");
+                let (at, builder) = (self.element.at, &mut *self.builder);
+                match builder.looked_at {
+                    true => builder
+                        .errors
+                        .warn(at, &format!("{message}: a mission would refuse it")),
+                    false => builder.errors.add(at, message, "a node that this program can run"),
+                }
                 (Kind::AlwaysFailure, ports)
             }
         }

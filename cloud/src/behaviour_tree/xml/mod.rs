@@ -63,8 +63,11 @@ impl Limits {
     }
 }
 
-/// Checks every tree of a file without making one. `file` is its name for messages. A node that
-/// the registry does not know but the file's `TreeNodesModel` describes is accepted.
+/// Most nodes that [`check`] unfolds, in trees of `Limits::nodes`: a file has many trees, and each may contain the largest.
+const UNFOLDED: u64 = 20;
+
+/// Checks every tree of a file as [`build`] would, whichever of them were to run. `file` is its name for messages. A node
+/// that the registry does not implement but it, or the file's `TreeNodesModel`, describes is accepted with a warning.
 ///
 /// # Errors
 /// Everything that is wrong with it.
@@ -77,7 +80,28 @@ pub fn check<C>(
 ) -> Result<Summary, TreeErrors> {
     let mut errors = error::Collector::new(limits.errors);
     let forest = document::read(file, bytes, include, &limits, &mut errors);
-    let summary = check::check(&forest, registry, &limits, &mut errors);
+    let checked = check::check(&forest, registry, &limits, &mut errors);
+    if forest.trees.len() > 1 && forest.main.is_none() {
+        let message = "several trees and no main_tree_to_execute: whoever runs one has to name it";
+        errors.warn(forest.start, message);
+    }
+    let mut left = UNFOLDED * limits.nodes();
+    for root in checked.roots.iter().filter(|_| checked.is_bounded) {
+        let size = checked.trees.get(root).copied().unwrap_or(0);
+        if size > left {
+            errors.warn(
+                forest.start,
+                "too many trees: not all entries that ports share were looked at",
+            );
+            break;
+        }
+        left -= size;
+        expand::expand(&forest, registry, root, true, &mut errors);
+    }
+    let summary = Summary {
+        trees: checked.trees,
+        warnings: errors.warnings(),
+    };
     errors.into_result(summary)
 }
 
@@ -110,12 +134,11 @@ pub fn build_within<C>(
 ) -> Result<Tree<C>, TreeErrors> {
     let mut errors = error::Collector::new(limits.errors);
     let forest = document::read(file, bytes, include, &limits, &mut errors);
-    check::check(&forest, registry, &limits, &mut errors);
-    let main = check::main_tree(&forest, tree_id, &mut errors);
-    if let (Some(main), true) = (main, errors.is_empty())
-        && let Some(tree) = expand::expand(&forest, registry, &main, &mut errors)
-    {
-        return errors.into_result(tree);
+    let checked = check::check(&forest, registry, &limits, &mut errors);
+    // A tree with errors is unfolded too, as long as it can be: all errors are told at once.
+    let main = check::main_tree(&forest, tree_id, &mut errors).filter(|_| checked.is_bounded);
+    match main.and_then(|main| expand::expand(&forest, registry, &main, false, &mut errors)) {
+        Some(tree) => errors.into_result(tree),
+        None => Err(errors.into_errors()),
     }
-    Err(errors.into_errors())
 }

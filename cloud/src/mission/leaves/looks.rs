@@ -1,4 +1,4 @@
-//! TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable: leaves that watch the clock or the robot.
+//! DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable: leaves that watch the clock or the robot.
 
 use nalgebra::Point2;
 
@@ -12,24 +12,6 @@ const BUMP_MEMORY: f64 = 1.0;
 
 fn status(holds: bool) -> Status {
     if holds { Status::Success } else { Status::Failure }
-}
-
-/// FAILURE until `seconds` have passed since its activation, then SUCCESS once, and again after as long.
-#[derive(Default)]
-pub struct TimeExpired {
-    since: Option<f64>,
-}
-
-impl AtOnce for TimeExpired {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
-        let (now, seconds) = (io.now().as_secs_f64(), number(io, "seconds", 1.0)?);
-        let since = self.since.filter(|_| io.previous().is_active());
-        let expired = since.is_some_and(|since| now - since >= seconds);
-        if expired || since.is_none() {
-            self.since = Some(now);
-        }
-        Ok(status(expired))
-    }
 }
 
 /// FAILURE until the robot is `distance` (straight) from where it was at its activation, then SUCCESS once, and again from

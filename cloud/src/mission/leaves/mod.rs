@@ -10,7 +10,7 @@
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
-//! | `looks` | TimeExpired, DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
+//! | `looks` | DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
 //! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
@@ -185,7 +185,6 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
         "TruncatePathLocal" => at_once(path_leaves::TruncatePathLocal::default()),
         "GetPoseFromPath" => at_once(path_leaves::GetPoseFromPath),
         "ConcatenatePaths" => at_once(path_leaves::ConcatenatePaths),
-        "PathExpiringTimer" => at_once(path_leaves::PathExpiringTimer::default()),
         "IsWithinPathTrackingBounds" => at_once(path_leaves::IsWithinPathTrackingBounds),
         "RemovePassedGoals" => at_once(goal_leaves::RemovePassedGoals),
         "RemoveInCollisionGoals" => at_once(goal_leaves::RemoveInCollisionGoals),
@@ -194,7 +193,6 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
         "GetCurrentPose" => at_once(goal_leaves::GetCurrentPose),
         "ArePosesNear" => at_once(goal_leaves::ArePosesNear),
         "CheckPoseOccupancy" => at_once(goal_leaves::CheckPoseOccupancy),
-        "TimeExpired" => at_once(looks::TimeExpired::default()),
         "DistanceTraveled" => at_once(looks::DistanceTraveled::default()),
         "IsStuck" => at_once(looks::IsStuck),
         "TransformAvailable" => at_once(looks::TransformAvailable),

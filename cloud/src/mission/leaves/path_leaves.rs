@@ -1,4 +1,4 @@
-//! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, PathExpiringTimer,
+//! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths,
 //! IsWithinPathTrackingBounds: what can be asked of a path and done with it.
 
 use nalgebra::Point2;
@@ -8,9 +8,8 @@ use zenav_protocol::messages::GoalPoint;
 
 use super::path::{self, Nearest};
 use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
-use super::tracking::TrackingFeedback;
 use super::{AtOnce, fail, step};
-use crate::behaviour_tree::{LeafIo, Status, Value};
+use crate::behaviour_tree::{LeafIo, Status, Value, beside_path};
 use crate::mission::context::Context;
 use crate::mission::motion::{Recheck, recheck};
 use crate::mission::route::RouteData;
@@ -253,41 +252,14 @@ impl AtOnce for ValidatePath {
     }
 }
 
-/// FAILURE until `seconds` have passed since `path` was written last; then SUCCESS once, and again after as long.
-#[derive(Default)]
-pub struct PathExpiringTimer {
-    began: Option<(u64, f64)>,
-}
-
-impl AtOnce for PathExpiringTimer {
-    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
-        let seconds = number(io, "seconds", 1.0)?;
-        let (sequence, now) = (io.sequence("path"), io.now().as_secs_f64());
-        let same = self.began.is_some_and(|(known, _)| known == sequence);
-        if same && self.began.is_some_and(|(_, began)| now - began < seconds) {
-            return Ok(Status::Failure);
-        }
-        self.began = Some((sequence, now));
-        Ok(if same { Status::Success } else { Status::Failure })
-    }
-}
-
 /// SUCCESS while FollowPath's tracking feedback lies within bounds, or there is none.
 pub struct IsWithinPathTrackingBounds;
 
 impl AtOnce for IsWithinPathTrackingBounds {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        if io.value("tracking_feedback").is_err() {
+        let Some(error) = beside_path(io)? else {
             return Ok(Status::Success);
-        }
-        let feedback: TrackingFeedback = io.get_data("tracking_feedback").map_err(|error| error.to_string())?;
-        let (left, right) = (number(io, "max_error_left", 0.5)?, number(io, "max_error_right", 0.5)?);
-        let heading = number(io, "max_error_heading", std::f64::consts::PI)?;
-        let error = feedback.position_tracking_error;
-        let aside = if error >= 0.0 { error <= left } else { -error <= right };
-        if aside && feedback.heading_tracking_error.abs() <= heading {
-            return Ok(Status::Success);
-        }
+        };
         Ok(fail(io, ctx, None, format!("{error:.2} m beside the path")))
     }
 }

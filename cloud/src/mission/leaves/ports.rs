@@ -1,5 +1,5 @@
 //! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a
-//! place, or JSON; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
+//! place, JSON, or as Nav2 writes them; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::robot::RobotModel;
 
 use super::path;
-use crate::behaviour_tree::{LeafIo, Status, Value};
+use crate::behaviour_tree::{LeafIo, Status, Value, nav2_list, pose, pose_of_json};
 use crate::mission::context::Context;
 use crate::mission::route::RouteData;
 use crate::space::ConfigurationSpace;
@@ -32,13 +32,14 @@ pub fn parse_goal(value: &Value, places: &Places) -> Result<GoalPoint, String> {
             .strip_prefix("json:")
             .or_else(|| text.trim_start().starts_with('{').then_some(text))
         {
-            Some(json) => serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?,
+            Some(json) => {
+                let json = serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?;
+                parse_json(&json)?
+            }
             None if !text.contains(';') => named(text.trim(), places)?,
             None => parse_numbers(text)?,
         },
-        Value::Data(data) => {
-            serde_json::from_value((**data).clone()).map_err(|error| format!("goal {data}: {error}"))?
-        }
+        Value::Data(data) => parse_json(data)?,
         other => return Err(format!("goal `{other}`: expected `x;y` or `x;y;yaw`")),
     };
     let finite = goal.x.is_finite() && goal.y.is_finite() && goal.yaw.is_none_or(f64::is_finite);
@@ -66,22 +67,17 @@ fn named(name: &str, places: &Places) -> Result<GoalPoint, String> {
 }
 
 fn parse_numbers(text: &str) -> Result<GoalPoint, String> {
-    let wrong = || {
-        format!(
-            "goal `{}`: expected `x;y` or `x;y;yaw`",
-            text.chars().take(60).collect::<String>()
-        )
-    };
-    let numbers: Vec<f64> = text
-        .split(';')
-        .map(|part| part.trim().parse())
-        .collect::<Result<_, _>>()
-        .map_err(|_| wrong())?;
-    match *numbers.as_slice() {
-        [x, y] => Ok(GoalPoint { x, y, yaw: None }),
-        [x, y, yaw] => Ok(GoalPoint { x, y, yaw: Some(yaw) }),
-        _ => Err(wrong()),
-    }
+    pose(text).ok_or_else(|| {
+        let text: String = text.chars().take(60).collect();
+        format!("goal `{text}`: expected `x;y` or `x;y;yaw`")
+    })
+}
+
+fn parse_json(json: &serde_json::Value) -> Result<GoalPoint, String> {
+    pose_of_json(json).ok_or_else(|| {
+        let text: String = json.to_string().chars().take(60).collect();
+        format!("goal `{text}`: expected x, y and perhaps yaw")
+    })
 }
 
 /// A goal as it stands in a tree.
@@ -126,6 +122,9 @@ pub fn parse_goals(value: &Value, places: &Places) -> Result<Vec<GoalPoint>, Str
                 let list: serde_json::Value = serde_json::from_str(json).map_err(|error| format!("goals: {error}"))?;
                 return parse_goals(&Value::from(list), places);
             }
+            if let Some(goals) = nav2_list(&text).filter(|goals| goals.len() <= MAX_POINTS) {
+                return Ok(goals);
+            }
             let goals = text.split('|').map(str::trim).filter(|goal| !goal.is_empty());
             goals
                 .take(MAX_POINTS + 1)
@@ -165,6 +164,10 @@ pub fn parse_path(value: &Value) -> Result<RouteData, String> {
     let data = value.to_json();
     let data = match &data {
         serde_json::Value::String(text) => {
+            if let Some(poses) = nav2_list(text).filter(|poses| poses.len() <= MAX_POINTS) {
+                let points = poses.iter().map(|pose| Point2::new(pose.x, pose.y)).collect();
+                return Ok(RouteData::of(points, poses.last().and_then(|pose| pose.yaw)));
+            }
             serde_json::from_str(text.trim_start().strip_prefix("json:").unwrap_or(text))
                 .map_err(|error| format!("path: {error}"))?
         }
@@ -349,6 +352,14 @@ mod tests {
             parse_goals(&Value::text(r#"[{"x":1,"y":-2.5},"0.1;0.2;-1.5"]"#), &Places::new()).unwrap(),
             goals
         );
+        let pose = |x: f64| format!("0;map;{x};0;0;0;0;0;1");
+        let nav2 = Value::text(format!("0;map;{};{}", pose(1.0), pose(2.0)));
+        let goals = parse_goals(&nav2, &Places::new()).unwrap();
+        assert_eq!(
+            goals.iter().map(|goal| (goal.x, goal.yaw)).collect::<Vec<_>>(),
+            [(1.0, Some(0.0)), (2.0, Some(0.0))]
+        );
+        assert_eq!(parse_path(&nav2).unwrap().length, 1.0);
         let path = parse_path(&Value::text("json:[[0,0],[3,4]]")).unwrap();
         assert_eq!((path.length, path.goal.x, path.route), (5.0, 3.0, 0));
         assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
