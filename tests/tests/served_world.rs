@@ -70,6 +70,10 @@ async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_di
         String::from_utf8_lossy(bytes).contains("robot"),
         "it names the missing field"
     );
+    // Of two worlds on one bus each robot would have a body.
+    let other = deployment.client(&["sim", "serve"]);
+    let said = String::from_utf8_lossy(&other.stderr);
+    assert!(!other.status.success() && said.contains("served"), "{said}");
     let mut robots = deployment.start_up_attached(TWO);
     // Of the two the bystander is nearer; sent again it is the same goal.
     let group = [

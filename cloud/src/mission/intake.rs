@@ -4,6 +4,7 @@ use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
+use zenav_protocol::written::Number;
 
 use super::context::Context;
 use super::trees;
@@ -131,7 +132,8 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
         return Err(Refusal::BadRequest {
             reason: format!(
                 "{name} ({}, {}): expected finite coordinates within {FARTHEST} m",
-                point.x, point.y
+                Number(point.x),
+                Number(point.y)
             ),
         });
     }

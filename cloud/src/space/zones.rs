@@ -15,7 +15,7 @@ use thiserror::Error;
 use toml::Spanned;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::polygon::{contains, simple};
-use zenav_protocol::written::Pair;
+use zenav_protocol::written::{Number, Pair};
 
 use super::raster::CellMask;
 
@@ -199,7 +199,10 @@ impl Source<'_> {
         }
         let outside = |value: &&f64| !(value.is_finite() && value.abs() <= MAX_COORDINATE);
         if let Some(value) = points.get_ref().iter().flat_map(|Pair(point)| point).find(outside) {
-            return Err(fail(format!("{value}: expected a number within {MAX_COORDINATE}, m")));
+            return Err(fail(format!(
+                "{}: expected a number within {MAX_COORDINATE}, m",
+                Number(*value)
+            )));
         }
         let corners: Vec<Point2<f64>> = points.get_ref().iter().copied().map(Point2::from).collect();
         let corners = simple(corners).map_err(|error| fail(error.to_string()))?;

@@ -138,10 +138,11 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
 /// The world with its robots, at the time asked for.
 fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let model = files::robot(&args.robot)?;
-    let others = bench::scatter(world, &model, args.robots.saturating_sub(1), 0.1, args.seed);
-    let first = [world.start()].into_iter().take(args.robots);
+    // Round the start there is no room for as many as this.
+    let others = bench::scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
     let apart = |pose: &Pose2| pose.distance(&world.start()) > 2.0 * model.footprint.circumscribed_radius();
-    let starts = first.chain(others.into_iter().filter(apart));
+    let others = others.into_iter().filter(apart);
+    let starts = [world.start()].into_iter().chain(others).take(args.robots);
     let specs = starts
         .enumerate()
         .map(|(index, start)| {
