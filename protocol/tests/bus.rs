@@ -619,6 +619,20 @@ async fn coming_and_going_is_seen() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_comes_right_after_another_left_is_told_of_everybody() {
+    let (_router, endpoint) = router().await;
+    let server = client(&endpoint, "server").await;
+    let serving = serve_stop(&server, "r1");
+    for turn in 0..6 {
+        let (bus, _) = robot(&endpoint).await;
+        let answer = stop(&bus, "r1", PATIENCE / 4).await;
+        assert_eq!(answer, Ok(StopReply { stopped: true }), "turn {turn}");
+        bus.close().await;
+    }
+    serving.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_command_fails_at_once_without_a_router_and_a_service_waits_for_it() {
     let (first, endpoint) = router().await;
     first.close().await;
