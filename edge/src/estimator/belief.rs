@@ -22,13 +22,13 @@ const SIDEWAYS: f64 = 1e-3;
 /// Wheels that have not turned for this long are at rest, s.
 const STILL: f64 = 0.5;
 /// Random walk of the gyro's bias, (rad/s)² for each s.
-const BIAS_WALK: f64 = 1e-10;
+const BIAS_WALK: f64 = 1e-11;
 /// How far a wheel's radius may be from what is stated, as a share (standard deviation).
 const RADIUS: f64 = 0.01;
 /// The same of the wheels' separation.
 const SEPARATION: f64 = 0.02;
 /// How those wander, 1/s.
-const WANDER: f64 = 1e-9;
+const WANDER: f64 = 1e-10;
 /// No measurement is better than this, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 

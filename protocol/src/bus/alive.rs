@@ -64,7 +64,8 @@ impl Bus {
         })
     }
 
-    /// The tokens that match now, in order; waits for `timeout` at most.
+    /// The tokens that match now, in order; waits for `timeout` at most. A session that watches the same tokens is now and then told of none
+    /// (Zenoh 1.10): ask in another.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -94,8 +95,8 @@ impl Bus {
 }
 
 impl AliveWatch {
-    /// Waits for the next change: the key, and whether it is there now. Changes that were not read yet are merged by key.
-    /// `None` when the bus was closed.
+    /// Waits for the next change: the key, and whether it is there now. Changes that were not read yet are merged by key,
+    /// and one may be told twice. `None` when the bus was closed.
     pub async fn next(&mut self) -> Option<(String, bool)> {
         let (key, up) = self.inbox.next().await?;
         Some((key.to_string(), up))
