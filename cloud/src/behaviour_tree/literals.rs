@@ -2,10 +2,20 @@
 //! writes them, `stamp;frame;x;y;z;qx;qy;qz;qw` (`nav2_behavior_tree/bt_utils.hpp`); or as JSON. Where a pose is wanted, a
 //! place may be named.
 
+use serde::Deserialize;
 use serde_json::Value as Json;
-use zenav_protocol::messages::GoalPoint;
 
 use super::value::Value;
+
+/// A pose as a tree has it: m, rad.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub(crate) struct Pose {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    /// Where one is wanted.
+    #[serde(default)]
+    pub(crate) yaw: Option<f64>,
+}
 
 /// Numbers and words of one of Nav2's poses.
 const FIELDS: usize = 9;
@@ -28,15 +38,15 @@ fn numbers(text: &str) -> Option<Vec<f64>> {
 }
 
 /// A pose that is written out; `None` for a name and for what is neither.
-pub(crate) fn pose(text: &str) -> Option<GoalPoint> {
+pub(crate) fn pose(text: &str) -> Option<Pose> {
     if let Some(json) = json_of(text) {
         return pose_of_json(&serde_json::from_str(json).ok()?);
     }
     let fields: Vec<&str> = text.split(';').collect();
     match fields.len() {
         2 | 3 => match *numbers(text)?.as_slice() {
-            [x, y] => Some(GoalPoint { x, y, yaw: None }),
-            [x, y, yaw] => Some(GoalPoint { x, y, yaw: Some(yaw) }),
+            [x, y] => Some(Pose { x, y, yaw: None }),
+            [x, y, yaw] => Some(Pose { x, y, yaw: Some(yaw) }),
             _ => None,
         },
         FIELDS => nav2_pose(&fields),
@@ -45,7 +55,7 @@ pub(crate) fn pose(text: &str) -> Option<GoalPoint> {
 }
 
 /// A pose on the blackboard.
-pub(crate) fn pose_of(value: &Value) -> Option<GoalPoint> {
+pub(crate) fn pose_of(value: &Value) -> Option<Pose> {
     match value {
         Value::Text(text) => pose(text),
         Value::Data(data) => pose_of_json(data),
@@ -54,7 +64,7 @@ pub(crate) fn pose_of(value: &Value) -> Option<GoalPoint> {
 }
 
 /// `{"x": .., "y": .., "yaw": ..}`, or Nav2's, in which `position` and `orientation` stand below `pose`.
-pub(crate) fn pose_of_json(json: &Json) -> Option<GoalPoint> {
+pub(crate) fn pose_of_json(json: &Json) -> Option<Pose> {
     let pose = json.get("pose").unwrap_or(json);
     let found = match pose.get("position") {
         Some(position) => {
@@ -65,7 +75,7 @@ pub(crate) fn pose_of_json(json: &Json) -> Option<GoalPoint> {
                 [Some(x), Some(y), Some(z), Some(w)] => Some(heading([x, y, z, w])),
                 _ => None,
             };
-            GoalPoint {
+            Pose {
                 x: of(position, "x")?,
                 y: of(position, "y")?,
                 yaw,
@@ -82,12 +92,12 @@ fn heading([x, y, z, w]: [f64; 4]) -> f64 {
     (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
-fn nav2_pose(fields: &[&str]) -> Option<GoalPoint> {
+fn nav2_pose(fields: &[&str]) -> Option<Pose> {
     let [stamp, _, numbers @ ..] = fields else { return None };
     stamp.trim().parse::<i64>().ok()?;
     let numbers: Option<Vec<f64>> = numbers.iter().copied().map(number).collect();
     match *numbers?.as_slice() {
-        [x, y, _, qx, qy, qz, qw] => Some(GoalPoint {
+        [x, y, _, qx, qy, qz, qw] => Some(Pose {
             x,
             y,
             yaw: Some(heading([qx, qy, qz, qw])),
@@ -97,7 +107,7 @@ fn nav2_pose(fields: &[&str]) -> Option<GoalPoint> {
 }
 
 /// A list as Nav2 writes it: poses one after the other, perhaps with a stamp and a frame before the first.
-pub(crate) fn nav2_list(text: &str) -> Option<Vec<GoalPoint>> {
+pub(crate) fn nav2_list(text: &str) -> Option<Vec<Pose>> {
     let fields: Vec<&str> = text.split(';').collect();
     let poses = match fields.as_slice() {
         [stamp, _, poses @ ..] if poses.len() >= FIELDS && poses.len() % FIELDS == 0 => {

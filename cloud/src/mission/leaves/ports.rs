@@ -10,7 +10,7 @@ use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::robot::RobotModel;
 
 use super::path;
-use crate::behaviour_tree::{LeafIo, Status, Value, nav2_list, pose, pose_of_json};
+use crate::behaviour_tree::{LeafIo, Pose, Status, Value, nav2_list, pose, pose_of_json};
 use crate::mission::context::Context;
 use crate::mission::route::RouteData;
 use crate::space::ConfigurationSpace;
@@ -66,15 +66,19 @@ fn named(name: &str, places: &Places) -> Result<GoalPoint, String> {
     ))
 }
 
+fn goal_of(Pose { x, y, yaw }: Pose) -> GoalPoint {
+    GoalPoint { x, y, yaw }
+}
+
 fn parse_numbers(text: &str) -> Result<GoalPoint, String> {
-    pose(text).ok_or_else(|| {
+    pose(text).map(goal_of).ok_or_else(|| {
         let text: String = text.chars().take(60).collect();
         format!("goal `{text}`: expected `x;y` or `x;y;yaw`")
     })
 }
 
 fn parse_json(json: &serde_json::Value) -> Result<GoalPoint, String> {
-    pose_of_json(json).ok_or_else(|| {
+    pose_of_json(json).map(goal_of).ok_or_else(|| {
         let text: String = json.to_string().chars().take(60).collect();
         format!("goal `{text}`: expected x, y and perhaps yaw")
     })
@@ -123,7 +127,7 @@ pub fn parse_goals(value: &Value, places: &Places) -> Result<Vec<GoalPoint>, Str
                 return parse_goals(&Value::from(list), places);
             }
             if let Some(goals) = nav2_list(&text).filter(|goals| goals.len() <= MAX_POINTS) {
-                return Ok(goals);
+                return Ok(goals.into_iter().map(goal_of).collect());
             }
             let goals = text.split('|').map(str::trim).filter(|goal| !goal.is_empty());
             goals
