@@ -9,11 +9,12 @@ const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// The nodes and the shape of Nav2's default tree.
 const TREE: &str = include_str!("../../cloud/src/behaviour_tree/tests/navigate.xml");
 
-/// Plans once and fails as soon as the robot is 0.2 m beside its path, as a tree of Nav2's does.
+/// Plans once and fails as soon as the robot is 0.2 m beside its path, as a tree of Nav2's does. It may look anywhere: the way back begins
+/// with a turn about.
 const BOUNDS: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <ComputePathToPose goal="{goal}" path="{path}"/>
     <ReactiveSequence>
-      <IsWithinPathTrackingBounds max_error_left="0.2" max_error_right="0.2" max_error_heading="3.14" tracking_feedback="{tracking}"/>
+      <IsWithinPathTrackingBounds max_error_left="0.2" max_error_right="0.2" max_error_heading="3.2" tracking_feedback="{tracking}"/>
       <FollowPath path="{path}" tracking_feedback="{tracking}"/>
     </ReactiveSequence>
 </Sequence></BehaviorTree></root>"#;
