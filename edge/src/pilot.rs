@@ -31,6 +31,8 @@ use crate::wall_follower::{Sight, WallFollower};
 
 /// A tick longer than this is not integrated by controllers and limiters, s.
 const LONGEST_TICK: f64 = 0.1;
+/// After so many ticks without one the wheels may have come to rest.
+const SILENT_TICKS: f64 = 5.0;
 /// A recovery may back up at this speed over floor that was seen before, m/s: its way was checked when it began.
 const RECOVERY_BLIND_SPEED: f64 = 0.15;
 /// A low battery counts as charged again once it has so much more, as a share.
@@ -108,14 +110,14 @@ impl Pilot {
     /// One control tick at `now` (the stamp of the readings, on the edge's own clock).
     pub fn step(&mut self, now: Stamp, readings: &Readings, inbox: Inbox) -> Outbox {
         let mut out = Outbox::default();
-        let dt = match self.last.replace(now) {
-            None => {
-                self.journal.tell(now, EventKind::Started);
-                0.0
-            }
-            Some(last) => now.secs_since(last).clamp(0.0, LONGEST_TICK),
-        };
-        if readings.bump.pressed || dt >= LONGEST_TICK {
+        let last = self.last.replace(now);
+        if last.is_none() {
+            self.journal.tell(now, EventKind::Started);
+        }
+        let gap = last.map_or(0.0, |last| now.secs_since(last));
+        let dt = gap.clamp(0.0, LONGEST_TICK);
+        // A body that hears nothing for some ticks stops its wheels, as contact does.
+        if readings.bump.pressed || gap >= SILENT_TICKS * self.config.tick {
             self.motors.may_rest();
         }
         self.missed_ticks = inbox.missed_ticks;
@@ -148,9 +150,6 @@ impl Pilot {
                 self.estimator.odom_from_base(),
                 &mut self.journal,
             );
-        }
-        if self.mode != Mode::ReturnHome {
-            self.homing.note(self.estimator.map_from_base().position());
         }
         out.wheels = self.command(now, dt, wanted, braking, readings);
         self.notice(now);
@@ -334,6 +333,9 @@ impl Pilot {
     fn choose(&mut self, now: Stamp, dt: f64, bump: &Bump) -> (Twist2, Braking) {
         let plan_valid = self.course.as_ref().is_some_and(|course| course.is_valid(now));
         let motive = self.authority.motive(now, plan_valid);
+        if motive != Motive::ReturnHome {
+            self.homing.note(self.estimator.map_from_base().position());
+        }
         if self.behaviours.running().is_some() {
             // A behaviour moves under a live lease only; whose it is was checked when it began.
             let live = self.authority.lease_state(now).live;

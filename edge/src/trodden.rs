@@ -110,7 +110,8 @@ impl Trodden {
                 // A lost beam between two that met something is not a free one.
                 range = f64::from(at(beam.saturating_sub(1)).min(at(beam + 1)).max(0.0));
             }
-            if range < self.lidar.range_min {
+            // What is not a number tells nothing.
+            if range.is_nan() || range < self.lidar.range_min {
                 continue;
             }
             // From column to column, or from row to row.
@@ -253,6 +254,19 @@ mod tests {
         assert_eq!(floor(turned, -0.6), Floor::Free, "seen before the turn");
         assert_eq!(floor(turned, -2.21), Floor::Met);
         assert_eq!(floor(turned, -2.5), Floor::Unknown, "beyond what was met");
+    }
+
+    #[test]
+    fn a_range_that_is_no_number_frees_nothing() {
+        let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
+        let mut trodden = Trodden::new(&lidar, &jackal().footprint);
+        let sweep = Sweep {
+            stamp: Stamp(1),
+            ranges: vec![f32::NAN; lidar.beams],
+        };
+        trodden.insert(&Caster::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
+        let turned = rigid(Pose2::new(0.0, 0.0, PI));
+        assert_eq!(trodden.floor(&turned, Point2::new(-1.5, 0.0)), Floor::Unknown);
     }
 
     #[test]
