@@ -72,6 +72,8 @@ pub enum GridError {
 
 /// Largest side of a grid, cells.
 pub const MAX_SIDE: u32 = 32_768;
+/// Most cells of a map.
+pub const MAX_CELLS: u64 = 1 << 28;
 
 impl GridSpec {
     /// Checks a description.

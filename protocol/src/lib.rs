@@ -11,6 +11,7 @@
 //! | [`gains`] | how a robot follows its plan: tracker, gains and their bounds |
 //! | [`energy`] | motors, and what it costs a battery to move a robot |
 //! | [`readings`] | what a body gives its pilot |
+//! | [`map_replica`], [`padding`] | a copy of a map, kept by patches |
 //! | [`messages`] | everything that crosses the wire |
 //! | [`lease`] | who may command a robot |
 //! | [`topics`] | the key table |
@@ -28,7 +29,9 @@ pub mod geometry;
 pub mod grid;
 pub mod id;
 pub mod lease;
+pub mod map_replica;
 pub mod messages;
+pub mod padding;
 pub mod polygon;
 pub mod readings;
 pub mod robot;

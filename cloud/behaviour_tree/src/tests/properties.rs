@@ -1,0 +1,136 @@
+//! Claims about every tree.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use super::rig::Rig;
+use crate::Status;
+
+/// A random tree in which every leaf has its own name and plan.
+fn tree() -> impl Strategy<Value = String> {
+    let leaf = "[SFRK]{1,5}".prop_map(|plan| format!("<T name=\"?\" plan=\"{plan}\"/>"));
+    leaf.prop_recursive(5, 40, 4, |inner| {
+        let control = prop::sample::select(vec![
+            "Sequence",
+            "AsyncSequence",
+            "SequenceWithMemory",
+            "ReactiveSequence",
+            "Fallback",
+            "AsyncFallback",
+            "ReactiveFallback",
+            "Parallel",
+            "ParallelAll",
+            "ParallelAny",
+            "PipelineSequence",
+            "RoundRobin",
+        ]);
+        let fixed = prop::sample::select(vec![
+            ("RecoveryNode", 2),
+            ("IfThenElse", 3),
+            ("WhileDoElse", 3),
+            ("TryCatch", 3),
+        ]);
+        let decorator = prop::sample::select(vec![
+            "Inverter",
+            "ForceSuccess",
+            "RetryUntilSuccessful num_attempts=\"3\"",
+            "Repeat num_cycles=\"3\"",
+            "Timeout msec=\"25\"",
+            "Delay delay_msec=\"15\"",
+            "RateController hz=\"40\"",
+            "RunOnce",
+            "SingleTrigger",
+            "KeepRunningUntilFailure",
+        ]);
+        let close = |open: &str, inside: String| {
+            let name = open.split(' ').next().unwrap_or(open).to_owned();
+            format!("<{open}>{inside}</{name}>")
+        };
+        prop_oneof![
+            (control, prop::collection::vec(inner.clone(), 1..4))
+                .prop_map(move |(name, children)| close(name, children.concat())),
+            (fixed, prop::collection::vec(inner.clone(), 3))
+                .prop_map(move |((name, count), children)| close(name, children[..count].concat())),
+            (decorator, inner).prop_map(move |(name, child)| close(name, child)),
+        ]
+    })
+    .prop_map(|text| {
+        let mut number = 0;
+        text.split('?').fold(String::new(), |mut named, part| {
+            if !named.is_empty() {
+                named += &format!("t{number}");
+                number += 1;
+            }
+            named + part
+        })
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+    /// A leaf that was started ends, or is halted exactly once; nothing else is ever halted.
+    #[test]
+    fn every_start_ends_once(body in tree(), ticks in 1_usize..12) {
+        let mut rig = Rig::new(&body);
+        let answers = rig.ticks(ticks);
+        rig.halt();
+        rig.halt();
+        let mut running: BTreeMap<String, bool> = BTreeMap::new();
+        let mut calls: BTreeMap<String, usize> = BTreeMap::new();
+        for event in rig.world.log.clone() {
+            let name = event.trim_end_matches(['.', '!']).to_owned();
+            let runs = running.entry(name.clone()).or_default();
+            match event.as_bytes().last() {
+                Some(b'!') => {
+                    prop_assert!(*runs, "{event} of what does not run: {body} {answers}");
+                    *runs = false;
+                }
+                Some(b'.') => prop_assert!(*runs, "{event} of what does not run: {body}"),
+                _ => prop_assert!(!*runs, "{event} of what runs: {body}"),
+            }
+            if !event.ends_with('!') {
+                let plan = body.split(&format!("name=\"{name}\" plan=\"")).nth(1).unwrap();
+                let plan: Vec<char> = plan.chars().take_while(|letter| *letter != '"').collect();
+                let call = calls.entry(name.clone()).or_default();
+                let letter = plan.get(*call).or(plan.last());
+                *call += 1;
+                running.insert(name, letter == Some(&'R'));
+            }
+        }
+        prop_assert!(running.values().all(|runs| !runs), "left running: {body}");
+        prop_assert!(rig.tree.statuses().all(|(_, status, _)| status == Status::Idle));
+    }
+
+    /// Stored and restored after any tick, a tree goes on as if nothing had happened.
+    #[test]
+    fn a_restart_changes_nothing(body in tree(), before in 1_usize..8, after in 1_usize..8) {
+        let mut whole = Rig::new(&body);
+        whole.ticks(before);
+        let stored = serde_json::to_string(&whole.tree.snapshot()).unwrap();
+        let mut fresh = Rig::new(&body);
+        fresh.tree.restore(serde_json::from_str(&stored).unwrap()).unwrap();
+        fresh.now_ms = whole.now_ms;
+        std::mem::swap(&mut fresh.world, &mut whole.world);
+        let log = fresh.world.log.len();
+        let answers = fresh.ticks(after);
+        let resumed: Vec<String> = fresh.world.log.drain(log..).map(|event| event.replace('~', ".")).collect();
+        fresh.world.log.clear();
+        // The same ticks without a restart, from the beginning.
+        let mut again = Rig::new(&body);
+        again.ticks(before);
+        let log = again.world.log.len();
+        prop_assert_eq!(answers, again.ticks(after));
+        prop_assert_eq!(resumed, again.world.log.split_off(log));
+    }
+
+    /// Nothing that looks like a tree file makes the reader panic.
+    #[test]
+    fn a_damaged_file_is_read_or_refused(body in tree(), at in 0_usize..2000, byte in any::<u8>(), cut in any::<bool>()) {
+        let mut bytes = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{body}</BehaviorTree></root>").into_bytes();
+        let at = at % bytes.len();
+        if cut { bytes.truncate(at) } else { bytes[at] = byte }
+        let _ = crate::build("x.xml", &bytes, &super::rig::registry(), None, &mut |_, _| Err(String::new()));
+    }
+}

@@ -1,0 +1,389 @@
+//! How does a checked file become an arena of nodes? Depth first, SubTrees unfolded, names of
+//! entries resolved to slots of the blackboard.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::check::{pointer, specification};
+use super::document::{Attribute, Element, ElementId, Forest};
+use super::error::{Collector, Place};
+use crate::blackboard::{Blackboard, ScopeId, Slot};
+use crate::builtins::{self, Ports};
+use crate::node::{Guards, Info, Kind, Memory, Node, NodeId, NodeState};
+use crate::ports::{BoundPort, PortType, Source};
+use crate::registry::{Category, Known, LeafSite, Make, NodeSpec, Registry};
+use crate::script::{self, Program};
+use crate::tick::Body;
+use crate::tree::Tree;
+use crate::value::parse_bool;
+
+/// Unfolds the tree `main`. The file has been checked: its depth and size are bounded. What nothing implements is an
+/// error, or, where the tree is only `looked_at`, worth a warning. Errors that have been told are passed over.
+pub(super) fn expand<C>(
+    forest: &Forest,
+    registry: &Registry<C>,
+    main: &str,
+    looked_at: bool,
+    errors: &mut Collector,
+) -> Option<Tree<C>> {
+    let mut builder = Builder {
+        forest,
+        registry,
+        looked_at,
+        enums: Arc::new(registry.enums().clone()),
+        errors,
+        board: Blackboard::default(),
+        kinds: BTreeMap::new(),
+        nodes: Vec::new(),
+        infos: Vec::new(),
+        children: Vec::new(),
+        bodies: Vec::new(),
+        shape: Shape::new(),
+    };
+    let root = forest.trees.get(main)?.root?;
+    builder.node(root, None, 0, 0);
+    let count = builder.nodes.len();
+    Some(Tree {
+        id: main.to_owned(),
+        nodes: builder.nodes,
+        infos: builder.infos,
+        children: builder.children,
+        states: vec![NodeState::default(); count],
+        memories: vec![Memory::default(); count],
+        bodies: builder.bodies,
+        board: builder.board,
+        shape: builder.shape.0,
+        changes: 0,
+    })
+}
+
+/// Hash of everything that a snapshot relies on (FNV-1a, 64 bits: the same on every machine).
+struct Shape(u64);
+
+impl Shape {
+    fn new() -> Shape {
+        Shape(0xcbf2_9ce4_8422_2325)
+    }
+
+    fn add(&mut self, text: &str) {
+        for byte in text.bytes().chain([0xff]) {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+}
+
+struct Builder<'f, C> {
+    forest: &'f Forest,
+    registry: &'f Registry<C>,
+    looked_at: bool,
+    enums: Arc<BTreeMap<String, i64>>,
+    errors: &'f mut Collector,
+    board: Blackboard,
+    /// What the first port that uses an entry says it holds.
+    kinds: BTreeMap<u32, (PortType, Place)>,
+    nodes: Vec<Node>,
+    infos: Vec<Info>,
+    children: Vec<NodeId>,
+    bodies: Vec<Body<C>>,
+    shape: Shape,
+}
+
+impl<C> Builder<'_, C> {
+    fn node(&mut self, id: ElementId, parent: Option<NodeId>, depth: u16, scope: ScopeId) -> Option<NodeId> {
+        let forest = self.forest;
+        let registry = self.registry;
+        let element = forest.element(id)?;
+        let spec = specification(element, forest, registry, false).ok()?;
+        let node = self.nodes.len() as NodeId;
+        let name = element
+            .attribute("name")
+            .map_or(spec.id.as_str(), |name| name.value.as_str());
+        self.hash(element, &spec.id, depth);
+        let mut site = Site {
+            builder: self,
+            element,
+            spec: &spec,
+            scope,
+        };
+        let guards = site.guards();
+        let (kind, ports) = site.kind(node, name);
+        self.nodes.push(Node {
+            kind,
+            guards,
+            first_child: 0,
+            child_count: 0,
+        });
+        self.infos.push(Info {
+            name: Arc::from(name),
+            id: Arc::from(spec.id.as_str()),
+            category: spec.category,
+            parent,
+            depth,
+            scope,
+            ports,
+        });
+        let below: Vec<NodeId> = if spec.category == Category::SubTree {
+            let inner = self.scope(element, &spec.id, name, scope);
+            let root = forest.trees.get(&spec.id).and_then(|tree| tree.root);
+            root.and_then(|root| self.node(root, Some(node), depth + 1, inner))
+                .into_iter()
+                .collect()
+        } else {
+            let children = element.children.iter();
+            children
+                .filter_map(|child| self.node(*child, Some(node), depth + 1, scope))
+                .collect()
+        };
+        if let Some(made) = self.nodes.get_mut(node as usize) {
+            made.first_child = self.children.len() as u32;
+            made.child_count = below.len() as u32;
+        }
+        self.children.extend(below);
+        Some(node)
+    }
+
+    fn hash(&mut self, element: &Element, id: &str, depth: u16) {
+        self.shape.add(id);
+        self.shape.add(&depth.to_string());
+        for attribute in &element.attributes {
+            self.shape.add(&attribute.name);
+            self.shape.add(&attribute.value);
+        }
+    }
+
+    /// The scope of a SubTree: remapped names, and literals as entries of its own.
+    fn scope(&mut self, element: &Element, tree: &str, name: &str, outer: ScopeId) -> ScopeId {
+        let autoremap = element
+            .attribute("_autoremap")
+            .and_then(|remap| parse_bool(&remap.value))
+            .unwrap_or(false);
+        let inner = self.board.add_scope(name.to_owned(), outer, autoremap);
+        let mut remapped: Vec<(&str, &str)> = element
+            .attributes
+            .iter()
+            .filter(|attribute| !matches!(attribute.name.as_str(), "ID" | "name") && !attribute.name.starts_with('_'))
+            .map(|attribute| (attribute.name.as_str(), attribute.value.as_str()))
+            .collect();
+        let forest = self.forest;
+        if let Some(model) = forest.subtree_models.get(tree)
+            && !autoremap
+        {
+            for port in &model.ports {
+                if let (Some(default), None) = (&port.default, element.attribute(&port.name)) {
+                    remapped.push((&port.name, default));
+                }
+            }
+        }
+        for (key, value) in remapped {
+            match pointer(value, key) {
+                Some(outer_key) => {
+                    let slot = self.board.resolve(outer, outer_key);
+                    self.board.alias(inner, key, slot);
+                }
+                None => {
+                    let slot = self.board.add_entry(inner, key);
+                    self.board.write_literal(slot, value);
+                }
+            }
+        }
+        inner
+    }
+
+    /// One entry must not serve ports of types that exclude one another.
+    fn entry_of(&mut self, slot: Slot, kind: &PortType, port: &str, at: Place) {
+        if matches!(kind, PortType::Any | PortType::Text | PortType::Key | PortType::List(_)) {
+            return;
+        }
+        match self.kinds.get(&slot.index()) {
+            None => {
+                self.kinds.insert(slot.index(), (kind.clone(), at));
+            }
+            Some((other, first)) if !other.shares_entry_with(kind) => {
+                if !self.errors.is_new_clash(at, *first) {
+                    return;
+                }
+                let message = format!(
+                    "port `{port}` and the port at {} share an entry",
+                    self.errors.describe(*first)
+                );
+                let expected = format!("the same type, not {} and {}", kind.expected(), other.expected());
+                self.errors.add(at, message, expected);
+            }
+            Some(_) => {}
+        }
+    }
+}
+
+/// One node in the making.
+struct Site<'s, 'f, C> {
+    builder: &'s mut Builder<'f, C>,
+    element: &'s Element,
+    spec: &'s NodeSpec,
+    scope: ScopeId,
+}
+
+impl<C> Site<'_, '_, C> {
+    fn kind(&mut self, node: NodeId, name: &str) -> (Kind, Box<[BoundPort]>) {
+        if self.spec.category == Category::SubTree {
+            return (Kind::SubTree, Box::default());
+        }
+        let registry = self.builder.registry;
+        let spec = self.spec;
+        let make = match registry.find(&spec.id) {
+            Some(Known::Builtin(_)) => {
+                let kind = builtins::kind(&spec.id, self).unwrap_or(Kind::AlwaysFailure);
+                return (kind, Box::default());
+            }
+            Some(Known::Registered(_, make)) => Some(make),
+            None => None,
+        };
+        let ports = self.bound_ports();
+        let body = self.builder.bodies.len() as u32;
+        let site = LeafSite {
+            id: &spec.id,
+            name,
+            uid: (node + 1) as u16,
+            spec,
+        };
+        match (make, registry.inventor()) {
+            (Some(Make::Leaf(make)), _) => {
+                self.builder.bodies.push(Body::Leaf(make(site)));
+                (Kind::Leaf(body), ports)
+            }
+            (Some(Make::Gate(make)), _) => {
+                self.builder.bodies.push(Body::Gate(make(site)));
+                (Kind::Gate(body), ports)
+            }
+            (_, Some(invent)) if spec.category.is_leaf() => {
+                self.builder.bodies.push(Body::Leaf(invent(site)));
+                (Kind::Leaf(body), ports)
+            }
+            _ => {
+                let message = format!("nothing here implements `{}`", spec.id);
+                let (at, builder) = (self.element.at, &mut *self.builder);
+                match builder.looked_at {
+                    true => builder
+                        .errors
+                        .warn(at, &format!("{message}: a mission would refuse it")),
+                    false => builder.errors.add(at, message, "a node that this program can run"),
+                }
+                (Kind::AlwaysFailure, ports)
+            }
+        }
+    }
+
+    fn bound_ports(&mut self) -> Box<[BoundPort]> {
+        let spec = self.spec;
+        let mut ports: Vec<BoundPort> = spec
+            .ports
+            .iter()
+            .map(|port| BoundPort {
+                name: Arc::from(port.name.as_str()),
+                kind: port.kind.clone(),
+                source: self.source(&port.name),
+            })
+            .collect();
+        if spec.open {
+            let element = self.element;
+            let extra = element.attributes.iter().filter(|attribute| {
+                !matches!(attribute.name.as_str(), "ID" | "name")
+                    && !attribute.name.starts_with('_')
+                    && spec.find_port(&attribute.name).is_none()
+            });
+            for attribute in extra {
+                let source = self.source_of(&attribute.name, &attribute.value, &PortType::Any, attribute.at);
+                ports.push(BoundPort {
+                    name: Arc::from(attribute.name.as_str()),
+                    kind: PortType::Any,
+                    source,
+                });
+            }
+        }
+        ports.retain(|port| port.source != Source::Unset);
+        ports.into()
+    }
+
+    /// What the tree file or the specification puts on a port.
+    fn text(&self, port: &str) -> Option<(String, Place)> {
+        if let Some(attribute) = self.element.attribute(port) {
+            return Some((attribute.value.clone(), attribute.at));
+        }
+        let default = self.spec.find_port(port)?.default.clone()?;
+        Some((default, self.element.at))
+    }
+
+    fn source_of(&mut self, port: &str, value: &str, kind: &PortType, at: Place) -> Source {
+        match pointer(value, port) {
+            Some(key) => {
+                let slot = self.builder.board.resolve(self.scope, key);
+                self.builder.entry_of(slot, kind, port, at);
+                Source::Slot(slot)
+            }
+            None => kind.parse(value).map_or(Source::Unset, Source::Literal),
+        }
+    }
+
+    fn guards(&mut self) -> Option<Box<Guards>> {
+        let mut guards = Guards::default();
+        let mut any = false;
+        let element = self.element;
+        let filled = |attribute: &&Attribute| !attribute.value.trim().is_empty();
+        for attribute in element.attributes.iter().filter(filled) {
+            let place = match attribute.name.as_str() {
+                "_failureIf" => &mut guards.failure_if,
+                "_successIf" => &mut guards.success_if,
+                "_skipIf" => &mut guards.skip_if,
+                "_while" => &mut guards.while_true,
+                "_onSuccess" => &mut guards.on_success,
+                "_onFailure" => &mut guards.on_failure,
+                "_onHalted" => &mut guards.on_halted,
+                "_post" => &mut guards.post,
+                _ => continue,
+            };
+            *place = Some(self.bind(&attribute.value));
+            any = true;
+        }
+        any.then(|| Box::new(guards))
+    }
+
+    fn bind(&mut self, text: &str) -> Program {
+        let statements = script::parse(text).unwrap_or_default();
+        let enums = self.builder.enums.clone();
+        let (board, scope) = (&mut self.builder.board, self.scope);
+        Program::bind(text, statements, &enums, &mut |name| board.resolve(scope, name))
+    }
+}
+
+impl<C> Ports for Site<'_, '_, C> {
+    fn source(&mut self, port: &str) -> Source {
+        let kind = self
+            .spec
+            .find_port(port)
+            .map_or(PortType::Any, |port| port.kind.clone());
+        match self.text(port) {
+            Some((value, at)) => self.source_of(port, &value, &kind, at),
+            None => Source::Unset,
+        }
+    }
+
+    fn slot(&mut self, port: &str) -> Slot {
+        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
+        let key = pointer(&text, port).unwrap_or(text.trim());
+        self.builder.board.resolve(self.scope, key)
+    }
+
+    fn root_slot(&mut self, port: &str) -> Slot {
+        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
+        let key = pointer(&text, port).unwrap_or(text.trim());
+        self.builder.board.resolve(0, key.trim_start_matches('@'))
+    }
+
+    fn program(&mut self, port: &str) -> Program {
+        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
+        self.bind(&text)
+    }
+
+    fn enums(&self) -> Arc<BTreeMap<String, i64>> {
+        self.builder.enums.clone()
+    }
+}

@@ -1,0 +1,210 @@
+//! How do recorded scans at known poses become a map, and how far do two ways of drawing them agree?
+
+use nalgebra::Point2;
+use serde::Serialize;
+use thiserror::Error;
+use zenav_protocol::grid::{MAX_SIDE, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::Scan;
+
+use super::beams::{BeamOptions, BeamReader, CellFrame};
+use super::evidence::SensorModel;
+use super::occupancy::{InsertMode, LogOddsGrid};
+use zenav_protocol::grid::MAX_CELLS;
+
+/// Why no map was built.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum BuildError {
+    /// The side of a cell is no length.
+    #[error("resolution {0} m: expected a positive number")]
+    Resolution(f64),
+    /// The map would be too large.
+    #[error(
+        "{:.3} m by {:.3} m in cells of {resolution} m: expected at most {MAX_SIDE} cells a side and {MAX_CELLS} in all ({} MiB); the finest resolution for these scans is {finest} m",
+        size[0], size[1], MAX_CELLS >> 20
+    )]
+    TooLarge {
+        /// What the scans saw, along x and y, m.
+        size: [f64; 2],
+        /// Side of a cell that was asked for, m.
+        resolution: f64,
+        /// Side of a cell that the largest map has room for, m.
+        finest: f64,
+    },
+}
+
+/// A map of scans.
+#[derive(Clone, Debug)]
+pub struct Built {
+    /// The map.
+    pub map: LogOddsGrid,
+    /// Beams drawn.
+    pub beams: u64,
+}
+
+/// Builds a map of scans at known poses, in their order; nothing fades.
+///
+/// # Errors
+/// [`BuildError`]; nothing is ever left out of the map.
+pub fn build_map(
+    scans: &[Scan],
+    resolution: f64,
+    mode: InsertMode,
+    options: &BeamOptions,
+) -> Result<Built, BuildError> {
+    if !(resolution.is_finite() && resolution > 0.0) {
+        return Err(BuildError::Resolution(resolution));
+    }
+    let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
+    let mut beams = 0;
+    for scan in scans {
+        match map.insert(scan, options, mode, None) {
+            Some(drawn) if drawn.left_out == 0 => beams += drawn.beams as u64,
+            _ => return Err(too_large(scans, resolution, options)),
+        }
+    }
+    Ok(Built { map, beams })
+}
+
+fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildError {
+    // In metres.
+    let frame = CellFrame {
+        anchor: Point2::origin(),
+        resolution: 1.0,
+    };
+    let mut beams = Vec::new();
+    let mut reader = BeamReader::default();
+    for scan in scans {
+        reader.read(scan, options, &frame, &mut beams);
+    }
+    let ends = beams.iter().map(|beam| beam.end);
+    let points = ends.chain(scans.iter().map(|scan| scan.map_from_laser().position()));
+    let (mut low, mut high) = (Point2::from([f64::INFINITY; 2]), Point2::from([f64::NEG_INFINITY; 2]));
+    for p in points {
+        (low, high) = (low.inf(&p), high.sup(&p));
+    }
+    let size = [high.x - low.x, high.y - low.y];
+    let finest = (size[0].max(size[1]) / f64::from(MAX_SIDE)).max((size[0] * size[1] / MAX_CELLS as f64).sqrt());
+    // Room for whole tiles, and two digits, rounded up.
+    let digit = 10.0_f64.powf((1.02 * finest).log10().floor() - 1.0);
+    let rounded = (1.02 * finest / digit).ceil() * digit;
+    BuildError::TooLarge {
+        size,
+        resolution,
+        finest: format!("{rounded:.1e}").parse().unwrap_or(rounded),
+    }
+}
+
+/// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Agreement {
+    /// On occupied cells.
+    pub occupied: f64,
+    /// On free cells.
+    pub free: f64,
+}
+
+/// Compares maps cell by cell, in the reference's cells.
+#[must_use]
+pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
+    let share = |class: Occupancy| {
+        let spec = reference.spec();
+        let (mut both, mut in_reference) = (0_u64, 0_u64);
+        for (index, value) in reference
+            .values()
+            .iter()
+            .enumerate()
+            .filter(|(_, value)| Occupancy::of(**value) == class)
+        {
+            in_reference += 1;
+            let theirs = if other.spec() == spec {
+                other.values().get(index)
+            } else {
+                other.at(spec.center(spec.cell(index)))
+            };
+            both += u64::from(theirs.is_some_and(|theirs| Occupancy::of(*theirs) == Occupancy::of(*value)));
+        }
+        let in_other = other
+            .values()
+            .iter()
+            .filter(|value| Occupancy::of(**value) == class)
+            .count() as u64;
+        let most = in_reference.max(in_other);
+        if most == 0 { 1.0 } else { both as f64 / most as f64 }
+    };
+    Agreement {
+        occupied: share(Occupancy::Occupied),
+        free: share(Occupancy::Free),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    const BEAMS: BeamOptions = BeamOptions {
+        trim: 0,
+        max_range: None,
+        clear_without_return: false,
+    };
+
+    /// Two scans that see four things.
+    fn scans() -> Vec<Scan> {
+        [0.1, 1.3]
+            .map(|yaw| Scan {
+                stamp: Stamp(1),
+                angle_min: -0.5,
+                angle_increment: 0.4,
+                range_min: 0.02,
+                range_max: 20.0,
+                ranges: vec![1.0, 2.5, f32::INFINITY],
+                base_from_laser: Pose2::IDENTITY,
+                map_from_odom: Pose2::IDENTITY,
+                odom_from_base: Pose2::new(0.5, -0.5, yaw),
+            })
+            .to_vec()
+    }
+
+    #[test]
+    fn a_map_agrees_with_itself_and_not_with_an_empty_one() {
+        let scans = scans();
+        let build = |scans: &[Scan]| build_map(scans, 0.05, InsertMode::Reference, &BEAMS).unwrap();
+        assert_eq!(build(&scans).beams, 4);
+        let map = build(&scans).map.to_occupancy();
+        assert_eq!(
+            agreement(&map, &map),
+            Agreement {
+                occupied: 1.0,
+                free: 1.0
+            }
+        );
+        let empty = build(&[]).map.to_occupancy();
+        assert!(empty.spec().is_empty());
+        assert_eq!(
+            agreement(&map, &empty),
+            Agreement {
+                occupied: 0.0,
+                free: 0.0
+            }
+        );
+    }
+
+    #[test]
+    fn a_map_that_would_be_too_large_is_refused_with_the_finest_resolution_there_is_room_for() {
+        let scans = scans();
+        let build = |resolution| build_map(&scans, resolution, InsertMode::Fast, &BEAMS).map(|built| built.beams);
+        let refused = build(1e-5).unwrap_err();
+        assert!(refused.to_string().contains("268435456 in all"), "{refused}");
+        let BuildError::TooLarge { finest, .. } = refused else {
+            panic!("{refused}");
+        };
+        assert!(finest > 1e-5 && finest < 1e-3 && refused.to_string().ends_with(&format!("is {finest} m")));
+        assert_eq!(build(finest), Ok(4));
+        for senseless in [0.0, -0.05, f64::NAN, f64::INFINITY] {
+            assert!(matches!(build(senseless), Err(BuildError::Resolution(_))));
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! How are maps kept in files that every map tool of the field reads? ROS `map_server` pictures with their description,
+//! after Nav2's `map_io`; plain pictures and Moving AI maps are read as well.
+
+use std::fs::File;
+use std::io::{Read, Write as _};
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point2;
+use thiserror::Error;
+use zenav_protocol::grid::{GridError, GridSpec, OccupancyGrid};
+
+use super::atomic::Prepared;
+use super::image::{self, GrayImage, ImageError};
+use super::map_image::{shade, to_grid, to_yaml};
+use super::map_yaml::{MapMode, MapYaml, MapYamlError};
+use super::moving_ai::{self, MovingAiError};
+use zenav_protocol::grid::MAX_CELLS;
+
+/// Largest picture file that is read, bytes: the largest map as text.
+const MAX_FILE: u64 = 4 * MAX_CELLS + (1 << 20);
+/// Largest description that is read, bytes.
+const MAX_YAML: u64 = 1 << 20;
+
+/// Why a map could not be read or written. Every message names the file.
+#[derive(Debug, Error)]
+pub enum MapFileError {
+    /// The file system's answer.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// A file beyond all reason.
+    #[error("{}: larger than {limit} bytes", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// The limit.
+        limit: u64,
+    },
+    /// The description.
+    #[error("{}: {source}", path.display())]
+    Yaml {
+        /// The file.
+        path: PathBuf,
+        /// What was expected, and where.
+        source: MapYamlError,
+    },
+    /// The picture.
+    #[error("{}: {source}", path.display())]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// What was expected.
+        source: ImageError,
+    },
+    /// The Moving AI map.
+    #[error("{}: {source}", path.display())]
+    MovingAi {
+        /// The file.
+        path: PathBuf,
+        /// What was expected, and where.
+        source: MovingAiError,
+    },
+    /// The grid.
+    #[error("{}: {source}", path.display())]
+    Grid {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: GridError,
+    },
+    /// A file that is no map by its name.
+    #[error("{}: expected a map: .yaml, .pgm, .png or .map", path.display())]
+    Kind {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Reads a map: a `map_server` description (`.yaml`), a plain picture (`.pgm`, `.png`: usual thresholds, origin zero), or a
+/// Moving AI map (`.map`). Files that say nothing of their scale get `resolution` metres a cell.
+///
+/// Takes a byte a cell: a binary graymap becomes the grid in place. Others are in memory beside their grid for a while.
+///
+/// # Errors
+/// [`MapFileError`], naming the file and what was expected.
+pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileError> {
+    let extension = path
+        .extension()
+        .and_then(|extension| extension.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
+    match extension.as_str() {
+        "yaml" | "yml" => read_described(path),
+        "pgm" | "png" => {
+            to_grid(read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
+                MapFileError::Grid {
+                    path: path.to_owned(),
+                    source,
+                }
+            })
+        }
+        "map" => {
+            let text = read_bytes(path, MAX_FILE)?;
+            moving_ai::parse_map(&text, resolution).map_err(|source| MapFileError::MovingAi {
+                path: path.to_owned(),
+                source,
+            })
+        }
+        _ => Err(MapFileError::Kind { path: path.to_owned() }),
+    }
+}
+
+fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
+    let text = read_bytes(path, MAX_YAML)?;
+    let text = String::from_utf8_lossy(&text);
+    let mut yaml = MapYaml::parse(&text).map_err(|source| MapFileError::Yaml {
+        path: path.to_owned(),
+        source,
+    })?;
+    // `join` keeps an absolute path as it is.
+    let image_path = path.parent().unwrap_or_else(|| Path::new("")).join(&yaml.image);
+    let image = read_image(&image_path)?;
+    // Our own pictures tell their place too: one that was replaced before a crash is not read with an older place.
+    if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
+        && !text
+            .lines()
+            .filter_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
+            .any(|other| other == tag)
+        && text.contains(TAG)
+    {
+        (yaml.resolution, yaml.origin) = (tag.resolution, tag.origin);
+    }
+    to_grid(image, &yaml).map_err(|source| MapFileError::Grid {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
+    image::decode(read_bytes(path, MAX_FILE)?).map_err(|source| MapFileError::Image {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Reads a file up to a limit.
+pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileError> {
+    let failed = |source| MapFileError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let file = File::open(path).map_err(failed)?;
+    let mut bytes = Vec::new();
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(failed)?;
+    if bytes.len() as u64 > limit {
+        return Err(MapFileError::TooLarge {
+            path: path.to_owned(),
+            limit,
+        });
+    }
+    Ok(bytes)
+}
+
+/// Marks our own files; the picture and the description of one write have the same tag.
+const TAG: &str = "zenav:";
+
+/// Place and write of a picture, kept in a comment of the picture itself.
+#[derive(Clone, Debug, PartialEq)]
+struct Tag {
+    resolution: f64,
+    origin: Point2<f64>,
+    write: String,
+}
+
+impl Tag {
+    fn parse(comment: &str) -> Option<Self> {
+        let mut words = comment.strip_prefix(TAG)?.split_whitespace();
+        let mut number = || words.next()?.parse().ok().filter(|value: &f64| value.is_finite());
+        let (resolution, x, y) = (number()?, number()?, number()?);
+        Some(Self {
+            resolution,
+            origin: Point2::new(x, y),
+            write: words.collect::<Vec<_>>().join(" "),
+        })
+    }
+
+    fn text(&self) -> String {
+        format!(
+            "{TAG} {} {} {} {}",
+            self.resolution, self.origin.x, self.origin.y, self.write
+        )
+    }
+}
+
+/// Writes `STEM.pgm` and `STEM.yaml` (trinary) into a folder, which is made where it is missing. `label` names this state
+/// of the map (its revision, say). A half-written file never replaces a good one; if the machine fails between both
+/// renames, the newer picture is still read with its own place. Returns the description's path.
+///
+/// # Errors
+/// [`MapFileError::Io`].
+pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -> Result<PathBuf, MapFileError> {
+    std::fs::create_dir_all(folder).map_err(|source| MapFileError::Io {
+        path: folder.to_owned(),
+        source,
+    })?;
+    let tag = Tag {
+        resolution: grid.spec().resolution,
+        origin: grid.spec().origin,
+        write: label.split_whitespace().collect::<Vec<_>>().join(" "),
+    }
+    .text();
+    let (image_name, yaml_path) = (format!("{stem}.pgm"), folder.join(format!("{stem}.yaml")));
+    let yaml = to_yaml(grid, MapMode::Trinary, &image_name).to_text(std::slice::from_ref(&tag));
+    let GridSpec { width, height, .. } = *grid.spec();
+    let image = Prepared::new(&folder.join(&image_name), |file| {
+        file.write_all(image::pgm_header(width, height, &[tag]).as_bytes())?;
+        // Row by row: the whole picture would double what a large map takes.
+        let mut line = Vec::with_capacity(width as usize);
+        for row in grid.values().chunks_exact((width as usize).max(1)).rev() {
+            line.clear();
+            line.extend(row.iter().map(|value| shade(*value, MapMode::Trinary)));
+            file.write_all(&line)?;
+        }
+        Ok(())
+    })?;
+    let yaml = Prepared::new(&yaml_path, |file| file.write_all(yaml.as_bytes()))?;
+    image.publish()?;
+    yaml.publish()?;
+    Ok(yaml_path)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn grid(width: u32, height: u32, values: Vec<i8>) -> OccupancyGrid {
+        OccupancyGrid::from_values(
+            GridSpec {
+                origin: Point2::new(-1.25, 3.1),
+                resolution: 0.05,
+                width,
+                height,
+            },
+            values,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn maps_of_one_cell_and_of_none_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        for map in [grid(1, 1, vec![100]), grid(0, 0, Vec::new()), grid(5, 0, Vec::new())] {
+            let path = write_map(folder.path(), "map", &map, "1").unwrap();
+            assert_eq!(read_map(&path, 1.0).unwrap(), map);
+            assert!(!super::super::map_image::to_png(&map).unwrap().is_empty());
+        }
+    }
+
+    #[test]
+    fn a_written_map_is_read_back_and_nothing_else_is_left_in_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = grid(3, 2, vec![0, 100, -1, 100, 0, 0]);
+        let path = write_map(folder.path(), "map", &map, "kitchen 7").unwrap();
+        assert_eq!(read_map(&path, 1.0).unwrap(), map);
+        write_map(folder.path(), "map", &map, "kitchen 8").unwrap();
+        let mut names: Vec<String> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        assert_eq!(names, ["map.pgm", "map.yaml"]);
+    }
+
+    #[test]
+    fn a_crash_between_both_renames_leaves_a_picture_in_its_own_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let old = grid(3, 2, vec![0; 6]);
+        let path = write_map(folder.path(), "map", &old, "1").unwrap();
+        let old_yaml = std::fs::read(&path).unwrap();
+        let grown = OccupancyGrid::from_values(
+            GridSpec {
+                origin: Point2::new(-9.0, -9.0),
+                resolution: 0.05,
+                width: 4,
+                height: 2,
+            },
+            vec![100; 8],
+        )
+        .unwrap();
+        write_map(folder.path(), "map", &grown, "2").unwrap();
+        std::fs::write(&path, old_yaml).unwrap();
+        assert_eq!(read_map(&path, 1.0).unwrap(), grown);
+        // A place that somebody corrected by hand, or a description of another tool, is taken at its word.
+        std::fs::write(&path, "image: map.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n").unwrap();
+        assert_eq!(read_map(&path, 1.0).unwrap().spec().resolution, 0.1);
+    }
+
+    #[test]
+    fn an_error_names_the_file_and_what_was_expected() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = write_map(folder.path(), "map", &grid(3, 2, vec![0; 6]), "1").unwrap();
+        let picture = folder.path().join("map.pgm");
+        let whole = std::fs::read(&picture).unwrap();
+        std::fs::write(&picture, &whole[..whole.len() - 2]).unwrap();
+        let message = read_map(&path, 1.0).unwrap_err().to_string();
+        assert!(
+            message.ends_with("map.pgm: truncated: 6 pixels expected, 4 found"),
+            "{message}"
+        );
+        assert!(matches!(
+            read_map(&folder.path().join("none.yaml"), 1.0),
+            Err(MapFileError::Io { .. })
+        ));
+        assert!(matches!(
+            read_map(&folder.path().join("map.txt"), 1.0),
+            Err(MapFileError::Kind { .. })
+        ));
+        assert!(matches!(
+            read_map(&picture, f64::NAN),
+            Err(MapFileError::Image { .. } | MapFileError::Grid { .. })
+        ));
+    }
+}

@@ -1,0 +1,72 @@
+//! What can be set at a mission? Every tunable in one place.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{DrivingProfile, GoalPoint};
+
+use zenav_space::Zones;
+
+/// Settings of one robot's mission.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MissionConfig {
+    /// The robot.
+    pub robot: Id,
+    /// The orchestrator's name, as holder of the robot's lease; no two may share it.
+    pub holder: String,
+    /// Named goals, map frame.
+    pub places: BTreeMap<String, GoalPoint>,
+    /// Planner that is asked for (`astar`, …).
+    pub planner: String,
+    /// Time a search may take, ms.
+    pub search_budget_ms: u64,
+    /// Whether ways may lead through unknown cells. Cells that turn out to be occupied lead to another plan.
+    pub unknown_is_free: bool,
+    /// Goals may lie so far outside a map that is still growing, m.
+    pub explore: f64,
+    /// How far ahead of the robot a replan begins, s.
+    pub latency_budget: f64,
+    /// Validity of a plan, s.
+    pub plan_valid: f64,
+    /// Age at which a plan is rechecked and renewed, s.
+    pub renew_period: f64,
+    /// Distance that counts as reached where a goal does not say, m.
+    pub tolerance: f64,
+    /// What motions are to be good at where a goal does not say.
+    pub profile: DrivingProfile,
+    /// Without this much progress (m or rad) …
+    pub progress: (f64, f64),
+    /// … within this time a drive has failed, s.
+    pub progress_secs: f64,
+    /// Zones of the map.
+    pub zones: Arc<Zones>,
+    /// The file that keeps goals; used by the service alone.
+    pub store: PathBuf,
+}
+
+impl MissionConfig {
+    /// The defaults for a robot.
+    #[must_use]
+    pub fn new(robot: Id, holder: impl Into<String>, store: PathBuf) -> Self {
+        Self {
+            robot,
+            holder: holder.into(),
+            places: BTreeMap::new(),
+            planner: "astar".to_owned(),
+            search_budget_ms: 2000,
+            unknown_is_free: true,
+            explore: 20.0,
+            latency_budget: 0.5,
+            plan_valid: 5.0,
+            renew_period: 1.0,
+            tolerance: 0.15,
+            profile: DrivingProfile::default(),
+            progress: (0.2, 0.2),
+            progress_secs: 10.0,
+            zones: Arc::default(),
+            store,
+        }
+    }
+}

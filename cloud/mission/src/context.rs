@@ -1,0 +1,309 @@
+//! What do the leaves of a tree act on? One robot, its map, its lease, the plan in force, the goal in hand.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+
+use super::config::MissionConfig;
+use super::exchange::{Answer, Ask, NoAnswer, Ticket};
+use super::lease::{LeaseKeeper, newer};
+use super::map::MapBook;
+use super::motion::MotionKeeper;
+use super::records::Restored;
+use super::robot::RobotView;
+use super::route::Route;
+
+/// Asks that wait for their answers; beyond that the oldest is given up.
+const MAX_ASKS: usize = 256;
+/// Routes that are kept for whoever follows them.
+const MAX_ROUTES: usize = 16;
+/// Drives of a goal that are kept.
+const MAX_LEGS: usize = 64;
+
+/// Tickets of asks and their answers.
+#[derive(Debug)]
+pub struct Asks {
+    incarnation: u64,
+    count: u64,
+    new: Vec<(Ticket, Ask)>,
+    waiting: BTreeMap<Ticket, Option<Result<Answer, NoAnswer>>>,
+}
+
+impl Asks {
+    /// None yet.
+    #[must_use]
+    pub fn new(incarnation: u64) -> Self {
+        Self {
+            incarnation,
+            count: 0,
+            new: Vec::new(),
+            waiting: BTreeMap::new(),
+        }
+    }
+
+    /// Asks.
+    pub fn ask(&mut self, ask: Ask) -> Ticket {
+        self.count += 1;
+        let ticket = Ticket(newer(self.incarnation, self.count));
+        self.waiting.insert(ticket, None);
+        if self.waiting.len() > MAX_ASKS {
+            self.waiting.pop_first();
+        }
+        self.new.push((ticket, ask));
+        ticket
+    }
+
+    /// Takes an answer in; one that nobody waits for is dropped.
+    pub fn answer(&mut self, ticket: Ticket, answer: Result<Answer, NoAnswer>) {
+        if let Some(slot) = self.waiting.get_mut(&ticket) {
+            *slot = Some(answer);
+        }
+    }
+
+    /// The answer, once; `None` while it is awaited. A ticket that is not known (given up) counts as not answered.
+    pub fn take(&mut self, ticket: Ticket) -> Option<Result<Answer, NoAnswer>> {
+        match self.waiting.get_mut(&ticket) {
+            None => Some(Err(NoAnswer::Silent("the ask was given up".to_owned()))),
+            Some(slot) => {
+                let answer = slot.take()?;
+                self.waiting.remove(&ticket);
+                Some(answer)
+            }
+        }
+    }
+
+    /// Waits no longer.
+    pub fn forget(&mut self, ticket: Ticket) {
+        self.waiting.remove(&ticket);
+    }
+
+    /// What is to be sent, once.
+    pub fn take_new(&mut self) -> Vec<(Ticket, Ask)> {
+        std::mem::take(&mut self.new)
+    }
+}
+
+/// The goal whose tree runs, as far as its leaves write to it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GoalInHand {
+    /// Its name.
+    pub id: String,
+    /// Distance that counts as reached, m.
+    pub tolerance: f64,
+    /// What its motions are to be good at.
+    pub profile: DrivingProfile,
+    /// How it goes.
+    pub feedback: GoalFeedback,
+    /// Its drives.
+    pub legs: Vec<Leg>,
+    /// Counts the changes of the drives.
+    pub leg_changes: u64,
+    /// What failed last, in words.
+    pub failure: Option<String>,
+}
+
+/// What the leaves of one robot's trees act on.
+#[derive(Debug)]
+pub struct Context {
+    /// Settings.
+    pub config: Arc<MissionConfig>,
+    /// Now.
+    pub now: Stamp,
+    /// The robot.
+    pub robot: RobotView,
+    /// Its map.
+    pub map: MapBook,
+    /// The right to command it.
+    pub lease: LeaseKeeper,
+    /// The plan in force.
+    pub motion: MotionKeeper,
+    /// Questions to others.
+    pub asks: Asks,
+    /// The goal in hand; an empty one between goals.
+    pub goal: GoalInHand,
+    /// Plans to publish, in order.
+    pub plans: Vec<Plan>,
+    /// How many trees the leaf being ticked stands inside of, besides the goal's own.
+    pub nested: u32,
+    /// How often a tree has asked to cancel what leaves of this registration id do.
+    cancels: BTreeMap<&'static str, u64>,
+    routes: VecDeque<Arc<Route>>,
+    route_count: u64,
+    incarnation: u64,
+    /// Name of the store, if there is one.
+    store: Option<String>,
+}
+
+impl Context {
+    /// Asks every running leaf of a registration id to end.
+    pub fn cancel(&mut self, id: &'static str) {
+        *self.cancels.entry(id).or_default() += 1;
+    }
+
+    /// How often leaves of a registration id have been asked to end: a change since its start asks a leaf.
+    #[must_use]
+    pub fn cancels(&self, id: &str) -> u64 {
+        self.cancels.get(id).copied().unwrap_or(0)
+    }
+
+    /// Knows nothing yet.
+    #[must_use]
+    pub fn new(config: MissionConfig, restored: &Restored) -> Self {
+        let incarnation = restored.incarnation;
+        let map = MapBook::new(Arc::clone(&config.zones));
+        Self {
+            lease: LeaseKeeper::new(&config.holder, incarnation, restored.store.clone(), restored.standing),
+            motion: MotionKeeper::new(incarnation),
+            asks: Asks::new(incarnation),
+            config: Arc::new(config),
+            now: Stamp::ZERO,
+            robot: RobotView::default(),
+            map,
+            goal: GoalInHand::default(),
+            plans: Vec::new(),
+            nested: 0,
+            cancels: BTreeMap::new(),
+            routes: VecDeque::new(),
+            route_count: 0,
+            incarnation,
+            store: restored.store.clone(),
+        }
+    }
+
+    /// A name for an execution that no other execution has: of this robot or another, of this life, store or another.
+    pub fn execution_id(&mut self) -> String {
+        self.route_count += 1;
+        let (robot, store) = (&self.config.robot, self.store.as_deref().unwrap_or("unstored"));
+        format!("{robot}-{store}-{}-{}", self.incarnation, self.route_count)
+    }
+
+    /// Keeps a route for whoever follows it; returns its name.
+    pub fn keep_route(&mut self, mut route: Route) -> u64 {
+        self.route_count += 1;
+        route.id = newer(self.incarnation, self.route_count);
+        let id = route.id;
+        if self.routes.len() == MAX_ROUTES {
+            self.routes.pop_front();
+        }
+        self.routes.push_back(Arc::new(route));
+        id
+    }
+
+    /// A route by its name; routes do not outlive a restart.
+    #[must_use]
+    pub fn route(&self, id: u64) -> Option<Arc<Route>> {
+        self.routes.iter().find(|route| route.id == id).cloned()
+    }
+
+    /// Why the robot cannot be driven now, if so.
+    #[must_use]
+    pub fn obstacle_to_driving(&self) -> Option<String> {
+        if self.lease.epoch().is_none() {
+            return Some(format!("waits for the lease: {}", self.lease.why_not()));
+        }
+        if !self.robot.is_heard(self.now) || self.robot.pose().is_none() {
+            return Some("waits for the robot".to_owned());
+        }
+        match self.robot.state().map(|state| state.mode) {
+            Some(Mode::Stopped) => Some("the robot is stopped by hand".to_owned()),
+            Some(Mode::Teleop) => Some("the robot is driven by hand".to_owned()),
+            Some(Mode::Behaviour) => Some("a behaviour of the robot's own runs".to_owned()),
+            _ => None,
+        }
+    }
+
+    /// Publishes a new motion for the goal in hand.
+    pub fn drive(&mut self, course: super::motion::Course) {
+        let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
+            return;
+        };
+        let replaces = self.motion.was_begun_for_leg;
+        let plan = self
+            .motion
+            .begin(course, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
+        self.goal.feedback.plans += 1;
+        self.goal.feedback.replans += u64::from(replaces);
+        if let Some(leg) = self.goal.legs.last_mut() {
+            leg.plans += 1;
+            leg.replans += u64::from(replaces);
+            self.goal.leg_changes += 1;
+        }
+        self.plans.push(plan);
+    }
+
+    /// Renews the plan in force.
+    pub fn renew(&mut self) {
+        if let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on())
+            && let Some(plan) = self.motion.renew(epoch, based_on, self.config.plan_valid, self.now)
+        {
+            self.plans.push(plan);
+        }
+    }
+
+    /// Lets the plan in force run out as soon as the robot can brake: it comes to rest on the way that was checked.
+    pub fn hold(&mut self) {
+        if let (Some(epoch), Some(based_on), Some(model)) =
+            (self.lease.epoch(), self.robot.based_on(), self.robot.model())
+        {
+            let twist = self.robot.velocity();
+            let limits = zenav_smoothing::timing::Limits::of(model);
+            let valid_for = 0.5 + 1.4 * limits.braking_time(twist);
+            if let Some(plan) = self
+                .motion
+                .hold(epoch, based_on, valid_for.min(self.config.plan_valid), self.now)
+            {
+                self.plans.push(plan);
+            }
+        }
+    }
+
+    /// A drive begins, or the one that failed last begins again.
+    pub fn begin_leg(&mut self, name: &str, goal: Option<GoalPoint>, planned_length: f64) {
+        if let Some(leg) = self
+            .goal
+            .legs
+            .last_mut()
+            .filter(|leg| leg.name == name && leg.goal == goal && leg.state == GoalPhase::Aborted)
+        {
+            // The same drive, tried again.
+            (leg.state, leg.reason, leg.ended) = (GoalPhase::Active, None, None);
+            self.goal.leg_changes += 1;
+            self.goal.feedback.recoveries += 1;
+            return;
+        }
+        self.motion.was_begun_for_leg = false;
+        if self.goal.legs.len() == MAX_LEGS {
+            self.goal.legs.remove(0);
+        }
+        self.goal.legs.push(Leg {
+            name: name.to_owned(),
+            goal,
+            state: GoalPhase::Active,
+            reason: None,
+            started: self.now,
+            ended: None,
+            plans: 0,
+            replans: 0,
+            planned_length,
+        });
+        self.goal.leg_changes += 1;
+    }
+
+    /// The drive ends: nothing is left in force.
+    pub fn end_leg(&mut self, state: GoalPhase, reason: Option<String>) {
+        if state != GoalPhase::Succeeded {
+            self.hold();
+        }
+        self.motion.clear();
+        if let Some(leg) = self.goal.legs.last_mut().filter(|leg| leg.ended.is_none()) {
+            leg.state = state;
+            leg.reason = reason;
+            leg.ended = Some(self.now);
+            self.goal.leg_changes += 1;
+        }
+        self.goal.feedback.distance_left = None;
+        self.goal.feedback.time_left = None;
+    }
+}

@@ -1,0 +1,216 @@
+//! Spin, BackUp, DriveOnHeading, DriveToFree: motions that the robot carries out by itself, by an execution id that it knows again.
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
+use zenav_protocol::time::Stamp;
+
+use super::ports::number;
+use super::{fail, no_error, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::exchange::{Answer, Ask, NoAnswer, Ticket};
+
+/// For so long a robot that does not answer is asked again, s.
+const PATIENCE: f64 = 10.0;
+/// How often the robot is asked how it goes, s.
+const PERIOD: f64 = 0.2;
+
+/// Nav2's codes of why a motion was not carried out, by registration id.
+#[derive(Clone, Copy)]
+struct Codes {
+    unknown: i64,
+    timeout: i64,
+}
+
+impl Codes {
+    fn of(id: &str) -> Self {
+        let unknown = match id {
+            "Spin" => 700,
+            "BackUp" => 710,
+            _ => 720,
+        };
+        Self {
+            unknown,
+            timeout: unknown + 1,
+        }
+    }
+}
+
+/// One motion of the robot's own.
+#[derive(Default)]
+pub struct Behaviour {
+    ticket: Option<Ticket>,
+    since: Stamp,
+    next_ask: Stamp,
+    asked: bool,
+    cancels: u64,
+}
+
+/// The execution, stored before its effect.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Execution {
+    id: String,
+    action: BehaviourAction,
+    /// It is given up then, s of the tree's time.
+    #[serde(default)]
+    until: Option<f64>,
+}
+
+impl Leaf<Context> for Behaviour {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let codes = Codes::of(io.id());
+        let allowance = number(io, "time_allowance", f64::INFINITY);
+        let (action, allowance) = match (action(io), allowance) {
+            (Ok(action), Ok(allowance)) => (action, allowance),
+            (Err(why), _) | (_, Err(why)) => return fail(io, ctx, Some(codes.unknown), why),
+        };
+        *self = Self {
+            since: ctx.now,
+            cancels: ctx.cancels(io.id()),
+            ..Self::default()
+        };
+        let execution = Execution {
+            id: ctx.execution_id(),
+            action,
+            until: Some(io.now().as_secs_f64() + allowance).filter(|until| until.is_finite()),
+        };
+        if let Err(error) = io.remember(&execution) {
+            return fail(io, ctx, Some(codes.unknown), error.to_string());
+        }
+        // The ask follows in the next tick, when the execution's id is stored.
+        step(io, ctx, "begins")
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let codes = Codes::of(io.id());
+        let Some(execution) = io.recall::<Execution>() else {
+            return fail(io, ctx, Some(codes.unknown), "the execution is not known");
+        };
+        if ctx.cancels(io.id()) != self.cancels {
+            self.halt(io, ctx);
+            io.say("canceled by the tree");
+            return Status::Success;
+        }
+        if execution.until.is_some_and(|until| io.now().as_secs_f64() > until) {
+            self.halt(io, ctx);
+            return fail(io, ctx, Some(codes.timeout), "not done within its `time_allowance`");
+        }
+        let Some(epoch) = ctx.lease.epoch() else {
+            self.since = ctx.now;
+            return step(io, ctx, "waits for the lease");
+        };
+        let reported = ctx
+            .robot
+            .state()
+            .and_then(|state| state.behaviour.clone())
+            .filter(|report| report.id == execution.id);
+        if let Some(status) = reported.and_then(|report| judge(io, ctx, &report)) {
+            return status;
+        }
+        if let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) {
+            self.ticket = None;
+            match answer {
+                Ok(Answer::Behaviour(reply)) => {
+                    self.asked = true;
+                    self.since = ctx.now;
+                    if let Some(status) = reply.report.and_then(|report| judge(io, ctx, &report)) {
+                        return status;
+                    }
+                }
+                Ok(_) => {}
+                Err(NoAnswer::Refused(refusal)) => return fail(io, ctx, Some(codes.unknown), refusal.to_string()),
+                Err(NoAnswer::Silent(why)) if ctx.now.secs_since(self.since) > PATIENCE => {
+                    return fail(io, ctx, Some(codes.unknown), why);
+                }
+                Err(NoAnswer::Silent(_)) => {}
+            }
+        }
+        if self.ticket.is_none() && ctx.now >= self.next_ask {
+            self.next_ask = ctx.now.plus_secs(PERIOD);
+            let action = if self.asked {
+                BehaviourAction::Report
+            } else {
+                execution.action
+            };
+            self.ticket = Some(ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
+                id: execution.id,
+                action,
+                epoch: Some(epoch),
+            })));
+        }
+        step(io, ctx, "under way")
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        *self = Self {
+            since: ctx.now,
+            cancels: ctx.cancels(io.id()),
+            ..Self::default()
+        };
+        self.tick(io, ctx)
+    }
+
+    fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+        if let Some(ticket) = self.ticket.take() {
+            ctx.asks.forget(ticket);
+        }
+        if let (Some(execution), Some(epoch)) = (io.recall::<Execution>(), ctx.lease.epoch()) {
+            let ticket = ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
+                id: execution.id,
+                action: BehaviourAction::Cancel,
+                epoch: Some(epoch),
+            }));
+            ctx.asks.forget(ticket);
+        }
+    }
+}
+
+/// What the node's ports ask for.
+fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
+    let get = |port: &str, default: f64| match io.get_optional::<f64>(port) {
+        Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| {
+            if value.is_finite() {
+                Ok(value)
+            } else {
+                Err(format!("`{port}`: expected a finite number"))
+            }
+        }),
+        Err(error) => Err(error.to_string()),
+    };
+    Ok(match io.id() {
+        "Spin" => BehaviourAction::Spin {
+            angle: get("spin_dist", 1.57)?,
+        },
+        "DriveToFree" => BehaviourAction::ToFree {
+            clearance: get("clearance", 0.1)?,
+            within: get("within", 1.0)?,
+        },
+        "BackUp" => BehaviourAction::Drive {
+            distance: -get("backup_dist", 0.15)?.abs(),
+            speed: get("backup_speed", 0.1)?.abs(),
+        },
+        _ => BehaviourAction::Drive {
+            distance: get("dist_to_travel", 0.15)?,
+            speed: get("speed", 0.1)?.abs(),
+        },
+    })
+}
+
+/// The status that an ended behaviour means; `None` while it runs.
+fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
+    match report.state {
+        BehaviourState::Running => None,
+        BehaviourState::Succeeded => {
+            no_error(io);
+            Some(Status::Success)
+        }
+        BehaviourState::Failed | BehaviourState::Canceled => {
+            let why = report
+                .reason
+                .clone()
+                .unwrap_or_else(|| format!("{:?}", report.state).to_lowercase());
+            let code = Codes::of(io.id()).unknown;
+            Some(fail(io, ctx, Some(code), why))
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! ComputePathToPose, ComputePathThroughPoses: a way to the goal or through goals, planned and smoothed by workers, put on
+//! the blackboard. With `start` it begins there, not where the robot is: then it is a way that nobody has made a motion yet.
+
+use nalgebra::Point2;
+use zenav_protocol::messages::GoalPoint;
+
+use super::ports::{goal_on, goals_on, pose_of};
+use super::selectors::Choice;
+use super::{fail, no_error, path, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::route::{Quest, Route, RouteData, Search, Searching, error_code};
+
+/// Nav2's codes of the same reasons are so much higher for a way through poses.
+const THROUGH_POSES: i64 = 100;
+/// The path on the blackboard leaves the motion by at most so much, m.
+const EXACT: f64 = 0.01;
+/// Nav2's code for no goals at all, ComputePathThroughPoses.
+const NO_VIAPOINTS_GIVEN: i64 = 309;
+
+/// Plans; `path` gets the way, `error_code_id` and `error_msg` why there is none.
+#[derive(Default)]
+pub struct ComputePath {
+    search: Option<(Search, Quest)>,
+    /// Where to, and how often in a row it has been tried without a way.
+    tried: Option<(GoalPoint, u32)>,
+}
+
+/// Nav2's code of this node for a reason.
+fn code(io: &LeafIo<'_>, code: i64) -> i64 {
+    if is_through(io) { code + THROUGH_POSES } else { code }
+}
+
+fn is_through(io: &LeafIo<'_>) -> bool {
+    io.id() == "ComputePathThroughPoses"
+}
+
+/// What the ports ask for; the code and the reason if that is nothing.
+fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<Quest, (i64, String)> {
+    let unknown = |why: String| (code(io, error_code::UNKNOWN), why);
+    let mut stops = if is_through(io) {
+        goals_on(io, ctx, "goals").map_err(unknown)?
+    } else {
+        let mut stops = Vec::new();
+        if io.is_set("viapoints") && io.value("viapoints").is_ok() {
+            stops = goals_on(io, ctx, "viapoints").map_err(unknown)?;
+        }
+        stops.push(goal_on(io, ctx, "goal").map_err(unknown)?);
+        stops
+    };
+    let Some(goal) = stops.pop() else {
+        return Err((
+            NO_VIAPOINTS_GIVEN,
+            "there are no goals: expected at least one".to_owned(),
+        ));
+    };
+    let use_start = io
+        .get_optional::<bool>("use_start")
+        .map_err(|error| unknown(error.to_string()))?;
+    let from = if use_start != Some(false) && io.value("start").is_ok() {
+        Some(pose_of(&goal_on(io, ctx, "start").map_err(unknown)?))
+    } else if use_start == Some(true) {
+        return Err(unknown("`use_start` without a `start`".to_owned()));
+    } else {
+        None
+    };
+    Ok(Quest {
+        via: stops,
+        from,
+        ..Quest::to(goal)
+    })
+}
+
+/// The way as it will be driven: the motion cuts the corners of what the planner found.
+fn driven(route: &Route) -> Vec<Point2<f64>> {
+    let trajectory = &route.course.trajectory;
+    if trajectory.is_empty() {
+        return route.path.clone();
+    }
+    let points: Vec<Point2<f64>> = trajectory.iter().map(|point| Point2::new(point.x, point.y)).collect();
+    path::simplified(&points, EXACT)
+}
+
+impl Leaf<Context> for ComputePath {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let quest = match quest(io, ctx) {
+            Ok(quest) => quest,
+            Err((code, why)) => return fail(io, ctx, Some(code), why),
+        };
+        let planner = match Choice::Planner.check(io.get_optional("planner_id").ok().flatten()) {
+            Ok(planner) => planner,
+            Err(why) => {
+                let code = code(io, error_code::INVALID_PLANNER);
+                return fail(io, ctx, Some(code), why);
+            }
+        };
+        if let Some((old, _)) = self.search.take() {
+            old.cancel(ctx);
+        }
+        if self.tried.is_none_or(|(to, _)| to != quest.goal) {
+            self.tried = Some((quest.goal, 0));
+        }
+        self.search = Some((Search::new(ctx, quest.clone(), planner, ctx.now), quest));
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let Some((search, quest)) = &mut self.search else {
+            return self.start(io, ctx);
+        };
+        match search.step(ctx) {
+            Searching::Wait(what) => step(io, ctx, what),
+            Searching::Found(route) => {
+                let (via, only_a_way) = (std::mem::take(&mut quest.via), quest.from.is_some());
+                self.search = None;
+                let (goal, points, length) = (route.goal, driven(&route), route.length);
+                let data = RouteData {
+                    route: if only_a_way { 0 } else { ctx.keep_route(*route) },
+                    goal,
+                    points,
+                    length,
+                    via,
+                    place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
+                };
+                let written = data
+                    .value()
+                    .and_then(|value| io.set("path", value).map_err(|error| error.to_string()));
+                if let Err(why) = written {
+                    let code = code(io, error_code::UNKNOWN);
+                    return fail(io, ctx, Some(code), why);
+                }
+                self.tried = None;
+                no_error(io);
+                io.say(format!("{length:.2} m"));
+                Status::Success
+            }
+            Searching::Failed(no_route) => {
+                self.search = None;
+                let times = self.tried.as_mut().map_or(1, |(_, times)| {
+                    *times = times.saturating_add(1);
+                    *times
+                });
+                let tries = if times > 1 {
+                    format!(", after {times} tries")
+                } else {
+                    String::new()
+                };
+                let code = code(io, no_route.code);
+                fail(io, ctx, Some(code), format!("{}{tries}", no_route.reason))
+            }
+        }
+    }
+
+    /// What was asked before a restart is asked anew: an answer that is late moves nobody.
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.start(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        if let Some((search, _)) = self.search.take() {
+            search.cancel(ctx);
+        }
+    }
+}

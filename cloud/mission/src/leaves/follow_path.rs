@@ -1,0 +1,424 @@
+//! FollowPath: a way is driven to its end, rechecked and renewed as the map grows, replaced when it is blocked.
+//!
+//! SUCCESS at the goal, within its tolerance; FAILURE when the robot does not get on, when there is no way round what
+//! blocks it, or when the robot refuses plan after plan. Without the lease, while stopped or driven by hand, it waits.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{GoalPhase, GoalPoint};
+use zenav_protocol::time::Stamp;
+
+use super::ports::path_on;
+use super::progress::Progress;
+use super::selectors::Choice;
+use super::tracking::Tracking;
+use super::{fail, no_error, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::motion::{Recheck, Standing, recheck};
+use crate::route::{Quest, Route, RouteData, Search, Searching};
+use zenav_smoothing::timing::Limits;
+
+/// Nav2's codes of why a path is not followed.
+mod error_code {
+    pub const INVALID_CONTROLLER: i64 = 101;
+    pub const INVALID_PATH: i64 = 103;
+    pub const FAILED_TO_MAKE_PROGRESS: i64 = 105;
+    pub const NO_VALID_CONTROL: i64 = 106;
+}
+
+/// Plans in a row that the robot may refuse.
+const MAX_REFUSALS: u32 = 5;
+/// Times that the end may lie beyond the tolerance.
+const MAX_MISSES: u32 = 3;
+/// Wait after a refusal, s.
+const AFTER_REFUSAL: f64 = 0.3;
+/// A route from rest is good only where the robot still stands, m.
+const BEGIN_DISTANCE: f64 = 0.15;
+/// Time besides braking and the latency budget at which a robot that drives towards something is brought to rest, s.
+const BRAKE_EARLY: f64 = 0.4;
+
+/// Ports that choose how a path is followed, and what there is to choose.
+const CHOICES: [(&str, Choice); 4] = [
+    ("controller_id", Choice::Controller),
+    ("goal_checker_id", Choice::GoalChecker),
+    ("progress_checker_id", Choice::ProgressChecker),
+    ("path_handler_id", Choice::PathHandler),
+];
+/// Nearer than this to its goal a robot at rest is there, as a share of the tolerance.
+const THERE: f64 = 0.5;
+
+/// What stands farther ahead than this can wait …
+const FAR_SECS: f64 = 4.0;
+/// … until the motion is so old, s: a map that grows shows one thing after the other.
+const GATHER_SECS: f64 = 2.0;
+
+/// Drives `path`.
+#[derive(Default)]
+pub struct FollowPath {
+    progress: Progress,
+    search: Option<Search>,
+    refusals: u32,
+    misses: u32,
+    path_sequence: u64,
+    tracking: Tracking,
+    cancels: u64,
+    rechecked: u64,
+    /// A better route than the one being driven, from the tree.
+    offered: Option<Arc<Route>>,
+    /// Plan time of the motion in force at which something stands on the way, s.
+    blocked_at: Option<f64>,
+    /// Until then what stands far ahead can wait.
+    gathered: Stamp,
+}
+
+/// What must not be forgotten over a restart.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Memory {
+    goal: GoalPoint,
+    motion: Option<u64>,
+}
+
+/// Whether the robot stands at a goal that asks for no heading.
+fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
+    let near = |pose: Pose2| (pose.x - goal.x).hypot(pose.y - goal.y) <= THERE * ctx.goal.tolerance;
+    goal.yaw.is_none() && ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(near)
+}
+
+impl Leaf<Context> for FollowPath {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        *self = Self::default();
+        self.cancels = ctx.cancels(io.id());
+        for (port, choice) in CHOICES {
+            if let Err(why) = choice.check(io.get_optional(port).ok().flatten()) {
+                return fail(io, ctx, Some(error_code::INVALID_CONTROLLER), why);
+            }
+        }
+        let data = match path_on(io, "path") {
+            Ok(data) if !data.points.is_empty() => data,
+            Ok(_) => return fail(io, ctx, Some(error_code::INVALID_PATH), "the path is empty"),
+            Err(why) => return fail(io, ctx, Some(error_code::INVALID_PATH), why),
+        };
+        self.path_sequence = io.sequence("path");
+        if is_there(ctx, &data.goal) {
+            // A path whose end the robot keeps to, as one that follows something does.
+            no_error(io);
+            io.say("there");
+            return Status::Success;
+        }
+        self.offered = ctx.route(data.route);
+        ctx.motion.clear();
+        // A drive is called what its node is called, else after the place that it leads to.
+        let named = data.place.as_deref().filter(|_| io.name() == io.id());
+        ctx.begin_leg(named.unwrap_or(io.name()), Some(data.goal), data.length);
+        self.remember(
+            io,
+            Memory {
+                goal: data.goal,
+                motion: None,
+            },
+        );
+        if self.offered.is_none() {
+            self.follow_points(ctx, &data);
+        }
+        self.tracking.follow(data);
+        self.tick(io, ctx)
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.cancels = ctx.cancels(io.id());
+        self.path_sequence = io.sequence("path");
+        if let Ok(data) = path_on(io, "path") {
+            self.tracking.take_up(data, ctx);
+        }
+        let memory: Option<Memory> = io.recall();
+        if memory.is_none_or(|memory| memory.motion.is_none() || memory.motion != ctx.motion.id()) {
+            ctx.motion.clear();
+        }
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let Some(mut memory) = io.recall::<Memory>() else {
+            return self.end(
+                io,
+                ctx,
+                error_code::INVALID_PATH,
+                "nothing is remembered of the goal".to_owned(),
+            );
+        };
+        if ctx.cancels(io.id()) != self.cancels {
+            self.stop_search(ctx);
+            ctx.end_leg(GoalPhase::Canceled, None);
+            io.say("canceled by the tree");
+            return Status::Success;
+        }
+        self.look_for_offer(io, ctx, &mut memory);
+        self.tracking.observe(io, ctx);
+        if let Some(why) = ctx.obstacle_to_driving() {
+            self.progress.reset();
+            self.stop_search(ctx);
+            return step(io, ctx, &why);
+        }
+        if self.progress.is_stuck(ctx) {
+            let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
+            return self.end(io, ctx, error_code::FAILED_TO_MAKE_PROGRESS, why);
+        }
+        if let Some(route) = self.offered.take()
+            && self.fits(ctx, &route)
+        {
+            return self.drive(io, ctx, memory, &route);
+        }
+        if let Some(Standing::Refused(why)) = ctx.motion.standing().cloned() {
+            self.refusals += 1;
+            tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
+            if self.refusals > MAX_REFUSALS {
+                let why = format!("the robot refuses the plan: {why}");
+                return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
+            }
+            if !ctx.motion.revert() {
+                ctx.motion.clear();
+            }
+            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+        }
+        if self.search.is_none() {
+            match ctx.motion.standing().cloned() {
+                None => self.begin_search(ctx, memory.goal, 0.0),
+                Some(Standing::Void(why)) => {
+                    tracing::info!(goal = ctx.goal.id, why, "plans anew");
+                    self.begin_search(ctx, memory.goal, 0.0);
+                }
+                Some(Standing::Finished) => {
+                    let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| {
+                        (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y)
+                    });
+                    if left <= ctx.goal.tolerance {
+                        no_error(io);
+                        io.say("there");
+                        ctx.end_leg(GoalPhase::Succeeded, None);
+                        return Status::Success;
+                    }
+                    self.misses += 1;
+                    if self.misses > MAX_MISSES {
+                        let why = format!(
+                            "ended {left:.2} m from the goal, {:.2} m are allowed",
+                            ctx.goal.tolerance
+                        );
+                        return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
+                    }
+                    ctx.motion.clear();
+                    self.blocked_at = None;
+                    self.begin_search(ctx, memory.goal, 0.0);
+                }
+                Some(Standing::Sent | Standing::Taken | Standing::Refused(_)) => {
+                    return self.supervise(io, ctx, memory);
+                }
+            }
+        }
+        self.search(io, ctx, memory)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.stop_search(ctx);
+        ctx.end_leg(GoalPhase::Canceled, None);
+    }
+}
+
+impl FollowPath {
+    /// The tree may put a newer path on the port while this one is driven.
+    fn look_for_offer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) {
+        let sequence = io.sequence("path");
+        if sequence == self.path_sequence {
+            return;
+        }
+        self.path_sequence = sequence;
+        if let Ok(data) = path_on(io, "path")
+            && !data.points.is_empty()
+        {
+            self.offered = ctx.route(data.route);
+            if memory.goal != data.goal {
+                memory.goal = data.goal;
+                self.remember(io, *memory);
+            }
+            if self.tracking.follow(data.clone()) && self.offered.is_none() {
+                self.follow_points(ctx, &data);
+            }
+        }
+    }
+
+    /// Makes a motion of a path that came without one.
+    fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
+        self.stop_search(ctx);
+        let quest = Quest {
+            given: data.points.clone(),
+            ..Quest::to(data.goal)
+        };
+        self.search = Some(Search::new(ctx, quest, None, ctx.now));
+    }
+
+    /// Whether a route begins where the robot will be.
+    fn fits(&self, ctx: &Context, route: &Route) -> bool {
+        match route.course.splice {
+            Some(splice) => {
+                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&Standing::Taken)
+            }
+            None => {
+                ctx.robot.is_at_rest()
+                    && ctx
+                        .robot
+                        .pose()
+                        .is_some_and(|pose| pose.distance(&route.begin) < BEGIN_DISTANCE)
+            }
+        }
+    }
+
+    /// Puts a route into force, if it is free by the newest map.
+    fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
+        if let Some(model) = ctx.robot.model().cloned()
+            && let Some(space) = ctx.map.space(&model.footprint)
+            && let Recheck::Blocked(_) = recheck(&route.course.trajectory, &space, 0.0)
+        {
+            // The map has changed since.
+            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+            return step(io, ctx, "plans anew: the map has changed");
+        }
+        self.stop_search(ctx);
+        self.blocked_at = None;
+        ctx.drive(route.course.clone());
+        self.gathered = ctx.now.plus_secs(GATHER_SECS);
+        memory.motion = ctx.motion.id();
+        self.remember(io, memory);
+        step(io, ctx, "drives")
+    }
+
+    /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
+    fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
+        let standing = ctx.motion.standing() == Some(&Standing::Taken);
+        if standing && !ctx.motion.is_held() {
+            self.refusals = 0;
+        }
+        let (time, left) = self.where_it_is(ctx);
+        if let Some(progress) = left {
+            ctx.goal.feedback.distance_left = Some(progress.0);
+            ctx.goal.feedback.time_left = Some(progress.1);
+        }
+        let due = ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held();
+        let revision = ctx.map.newest().map_or(0, |map| map.revision);
+        if due || revision != self.rechecked {
+            self.rechecked = revision;
+            let checked = match ctx.robot.model().cloned() {
+                Some(model) => ctx
+                    .map
+                    .space(&model.footprint)
+                    .map_or(Recheck::Free, |space| ctx.motion.recheck(&space, time)),
+                None => Recheck::Free,
+            };
+            match checked {
+                Recheck::Free if due => ctx.renew(),
+                Recheck::Free => {}
+                Recheck::Blocked(ahead) if ahead > FAR_SECS && ctx.now < self.gathered => {}
+                Recheck::Blocked(ahead) => {
+                    tracing::debug!(goal = ctx.goal.id, ahead, "the way is blocked");
+                    self.begin_search(ctx, memory.goal, 0.0);
+                    self.blocked_at = Some(time + ahead);
+                    self.brake_in_time(ctx);
+                    return step(io, ctx, "plans anew: the way is blocked");
+                }
+            }
+        }
+        let what = if standing {
+            "drives"
+        } else {
+            "waits until the robot takes the plan"
+        };
+        step(io, ctx, what)
+    }
+
+    fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
+        let Some(state) = ctx.robot.state() else {
+            return (0.0, None);
+        };
+        let time = ctx.motion.time(state, 0.0).unwrap_or(0.0);
+        let ours = state
+            .plan
+            .as_ref()
+            .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
+        (time, ours.map(|plan| (plan.distance_left, plan.time_left)))
+    }
+
+    fn search(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
+        self.brake_in_time(ctx);
+        let Some(search) = &mut self.search else {
+            return Status::Running;
+        };
+        match search.step(ctx) {
+            Searching::Wait(what) => step(io, ctx, what),
+            Searching::Found(route) => {
+                self.search = None;
+                if self.fits(ctx, &route) {
+                    self.drive(io, ctx, memory, &route)
+                } else {
+                    self.begin_search(ctx, memory.goal, 0.0);
+                    step(io, ctx, "plans anew: the robot is elsewhere by now")
+                }
+            }
+            Searching::Failed(no_route)
+                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&Standing::Taken) =>
+            {
+                // Perhaps only not at this speed.
+                ctx.hold();
+                self.begin_search(ctx, memory.goal, 0.0);
+                self.search = self.search.take().map(Search::from_rest);
+                step(io, ctx, &format!("stops: {}", no_route.reason))
+            }
+            Searching::Failed(no_route) => {
+                let code = if no_route.is_final() {
+                    error_code::INVALID_PATH
+                } else {
+                    error_code::NO_VALID_CONTROL
+                };
+                self.end(io, ctx, code, format!("no way on: {}", no_route.reason))
+            }
+        }
+    }
+
+    /// Holds the motion in force once what stands on the way comes near.
+    fn brake_in_time(&mut self, ctx: &mut Context) {
+        if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
+            let braking = Limits::of(model).braking_time(ctx.robot.velocity());
+            if at - self.where_it_is(ctx).0 < braking + ctx.config.latency_budget + BRAKE_EARLY {
+                ctx.hold();
+            }
+        }
+    }
+
+    fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
+        self.stop_search(ctx);
+        let from = ctx.now.plus_secs(wait);
+        let quest = Quest {
+            via: self.tracking.goals_ahead(),
+            ..Quest::to(goal)
+        };
+        self.search = Some(Search::new(ctx, quest, None, from));
+    }
+
+    fn stop_search(&mut self, ctx: &mut Context) {
+        if let Some(search) = self.search.take() {
+            search.cancel(ctx);
+        }
+    }
+
+    fn end(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
+        self.stop_search(ctx);
+        ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
+        fail(io, ctx, Some(code), why)
+    }
+
+    fn remember(&self, io: &mut LeafIo<'_>, memory: Memory) {
+        if let Err(error) = io.remember(&memory) {
+            tracing::warn!(%error, "a goal has no stored form");
+        }
+    }
+}

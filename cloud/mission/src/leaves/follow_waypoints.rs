@@ -1,0 +1,193 @@
+//! FollowWaypoints: places are passed in order by the robot's waypoint law, without a planner and without a map.
+//!
+//! Its guard keeps the robot from what stands in the way. SUCCESS at the last place; FAILURE when the robot does not get
+//! on or refuses the plan. After a loss of the lease or a restart it goes on with the first place not passed.
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{GoalPhase, GoalPoint, PlanStatistics};
+
+use super::ports::parse_points;
+use super::progress::Progress;
+use super::{fail, no_error, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::motion::{Course, Standing};
+
+/// Plans in a row that the robot may refuse.
+const MAX_REFUSALS: u32 = 5;
+/// Wait after a refusal, s.
+const AFTER_REFUSAL: f64 = 0.5;
+/// Nav2's codes.
+const FAILED_TO_MAKE_PROGRESS: i64 = 105;
+const NO_VALID_CONTROL: i64 = 106;
+const UNKNOWN: i64 = 100;
+
+/// Drives through `waypoints`, `laps` times.
+#[derive(Default)]
+pub struct FollowWaypoints {
+    points: Vec<Point2<f64>>,
+    progress: Progress,
+    refusals: u32,
+    not_before: zenav_protocol::time::Stamp,
+}
+
+/// What must not be forgotten over a restart.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct Memory {
+    /// Places passed before the motion in force began.
+    base: usize,
+    /// Places passed by now.
+    passed: usize,
+    motion: Option<u64>,
+}
+
+impl Leaf<Context> for FollowWaypoints {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        *self = Self::default();
+        if let Err(why) = self.read(io, ctx) {
+            return fail(io, ctx, Some(UNKNOWN), why);
+        }
+        ctx.motion.clear();
+        let goal = self.points.last().map(|last| GoalPoint {
+            x: last.x,
+            y: last.y,
+            yaw: None,
+        });
+        ctx.begin_leg(io.name(), goal, length(&self.points));
+        remember(io, Memory::default());
+        self.tick(io, ctx)
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if let Err(why) = self.read(io, ctx) {
+            return self.end(io, ctx, UNKNOWN, why);
+        }
+        let memory: Memory = io.recall().unwrap_or_default();
+        if memory.motion.is_none() || memory.motion != ctx.motion.id() {
+            ctx.motion.clear();
+        }
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let mut memory: Memory = io.recall().unwrap_or_default();
+        if let Some(why) = ctx.obstacle_to_driving() {
+            self.progress.reset();
+            return step(io, ctx, &why);
+        }
+        if self.progress.is_stuck(ctx) {
+            let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
+            return self.end(io, ctx, FAILED_TO_MAKE_PROGRESS, why);
+        }
+        match ctx.motion.standing().cloned() {
+            Some(Standing::Sent | Standing::Taken) => {
+                let mine = ctx
+                    .robot
+                    .state()
+                    .and_then(|state| state.plan.as_ref())
+                    .filter(|plan| Some(plan.trajectory_id) == ctx.motion.id());
+                if let Some(plan) = mine {
+                    let passed = memory.base + plan.waypoint;
+                    ctx.goal.feedback.distance_left = Some(plan.distance_left);
+                    if passed > memory.passed {
+                        self.refusals = 0;
+                        memory.passed = passed.min(self.points.len());
+                        remember(io, memory);
+                    }
+                }
+                if ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held() {
+                    ctx.renew();
+                }
+                let what = format!(
+                    "drives to waypoint {} of {}",
+                    (memory.passed + 1).min(self.points.len()),
+                    self.points.len()
+                );
+                step(io, ctx, &what)
+            }
+            Some(Standing::Finished) => self.succeed(io, ctx),
+            Some(Standing::Refused(why)) => {
+                self.refusals += 1;
+                tracing::info!(goal = ctx.goal.id, why, "the robot has refused waypoints");
+                if self.refusals > MAX_REFUSALS {
+                    return self.end(
+                        io,
+                        ctx,
+                        NO_VALID_CONTROL,
+                        format!("the robot refuses the waypoints: {why}"),
+                    );
+                }
+                ctx.motion.clear();
+                self.not_before = ctx.now.plus_secs(AFTER_REFUSAL);
+                step(io, ctx, "tries again")
+            }
+            Some(Standing::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "tries again"),
+            Some(Standing::Void(_)) | None => self.begin(io, ctx, memory),
+        }
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        ctx.end_leg(GoalPhase::Canceled, None);
+    }
+}
+
+impl FollowWaypoints {
+    fn read(&mut self, io: &LeafIo<'_>, ctx: &Context) -> Result<(), String> {
+        let laps = io.get_optional("laps").map_err(|error| error.to_string())?.unwrap_or(1);
+        let value = io.value("waypoints").map_err(|error| error.to_string())?;
+        self.points = parse_points(value, laps, &ctx.config.places)?;
+        Ok(())
+    }
+
+    fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory) -> Status {
+        let rest: Vec<Point2<f64>> = self.points.iter().skip(memory.passed).copied().collect();
+        if rest.is_empty() {
+            return self.succeed(io, ctx);
+        }
+        let statistics = PlanStatistics {
+            planner: "waypoints".to_owned(),
+            status: "waypoints".to_owned(),
+            length: length(&rest),
+            ..PlanStatistics::default()
+        };
+        let map = ctx.map.newest().unwrap_or_default();
+        ctx.drive(Course {
+            map,
+            waypoints: rest,
+            statistics,
+            ..Course::default()
+        });
+        memory.base = memory.passed;
+        memory.motion = ctx.motion.id();
+        remember(io, memory);
+        step(io, ctx, "sets out")
+    }
+
+    fn succeed(&self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        no_error(io);
+        io.say("all waypoints passed");
+        ctx.end_leg(GoalPhase::Succeeded, None);
+        Status::Success
+    }
+
+    fn end(&self, io: &mut LeafIo<'_>, ctx: &mut Context, code: i64, why: String) -> Status {
+        ctx.end_leg(GoalPhase::Aborted, Some(why.clone()));
+        fail(io, ctx, Some(code), why)
+    }
+}
+
+fn remember(io: &mut LeafIo<'_>, memory: Memory) {
+    if let Err(error) = io.remember(&memory) {
+        tracing::warn!(%error, "a place in the list has no stored form");
+    }
+}
+
+/// Length of a polyline, m.
+fn length(points: &[Point2<f64>]) -> f64 {
+    points
+        .iter()
+        .zip(points.iter().skip(1))
+        .map(|(a, b)| (b - a).norm())
+        .sum()
+}

@@ -1,0 +1,162 @@
+//! RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, GetCurrentPose, ArePosesNear,
+//! CheckPoseOccupancy: what can be asked of goals and done with lists of them.
+
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::Occupancy;
+use zenav_protocol::messages::GoalPoint;
+
+use super::ports::{goal_on, goal_text, goals_on, goals_value, ground, here, number, pose_of, write};
+use super::{AtOnce, step};
+use zenav_behaviour_tree::{LeafIo, Status, Value};
+use crate::context::Context;
+
+/// Nav2's states of a waypoint.
+const COMPLETED: u64 = 1;
+const SKIPPED: u64 = 2;
+
+/// Drops leading goals within `radius` of the robot, never the last one.
+pub struct RemovePassedGoals;
+
+impl AtOnce for RemovePassedGoals {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let goals = goals_on(io, ctx, "input_goals")?;
+        let (radius, pose) = (number(io, "radius", 0.5)?, here(ctx)?);
+        let is_passed = |goal: &&GoalPoint| (goal.x - pose.x).hypot(goal.y - pose.y) <= radius;
+        let most = goals.len().saturating_sub(1);
+        let passed = goals.iter().take(most).take_while(is_passed).count();
+        let dropped: Vec<usize> = (0..passed).collect();
+        mark(io, &dropped, COMPLETED)?;
+        write(io, "output_goals", goals_value(goals.get(passed..).unwrap_or_default()))
+    }
+}
+
+/// Drops the goals where the robot does not fit by the map.
+pub struct RemoveInCollisionGoals;
+
+impl AtOnce for RemoveInCollisionGoals {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let goals = goals_on(io, ctx, "input_goals")?;
+        if ground(ctx).is_none() {
+            return Ok(step(io, ctx, "waits for the robot and its map"));
+        }
+        let (mut kept, mut dropped) = (Vec::new(), Vec::new());
+        for (index, goal) in goals.iter().enumerate() {
+            if fits(io, ctx, goal)? {
+                kept.push(*goal);
+            } else {
+                dropped.push(index);
+            }
+        }
+        mark(io, &dropped, SKIPPED)?;
+        write(io, "output_goals", goals_value(&kept))
+    }
+}
+
+/// SUCCESS if the robot does not fit at `pose` by the map: it is occupied.
+pub struct CheckPoseOccupancy;
+
+impl AtOnce for CheckPoseOccupancy {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        if ground(ctx).is_none() {
+            return Ok(step(io, ctx, "waits for the robot and its map"));
+        }
+        let goal = goal_on(io, ctx, "pose")?;
+        let free = fits(io, ctx, &goal)?;
+        Ok(if free { Status::Failure } else { Status::Success })
+    }
+}
+
+/// Whether the robot fits at a goal: its body with `use_footprint`, else its centre. Nav2's `cost_threshold` is a cost of
+/// its maps, which have more values than free and occupied; here every obstacle counts.
+fn fits(io: &LeafIo<'_>, ctx: &mut Context, goal: &GoalPoint) -> Result<bool, String> {
+    let flag = |port: &str, otherwise: bool| io.get_optional(port).ok().flatten().unwrap_or(otherwise);
+    let (model, space) = ground(ctx).ok_or("the robot or its map is not known")?;
+    let pose: Pose2 = pose_of(goal);
+    let seen = ctx.map.occupancy(pose.position()).ok_or("there is no map yet")?;
+    if flag("consider_unknown_as_obstacle", false) && seen == Occupancy::Unknown {
+        return Ok(false);
+    }
+    if !flag("use_footprint", true) {
+        return Ok(seen != Occupancy::Occupied);
+    }
+    Ok(match goal.yaw {
+        Some(_) => space.footprint_clearance(pose) > 0.0,
+        // It may turn there as it likes.
+        None => space.clearance(pose.position()) > model.footprint.inscribed_radius(),
+    })
+}
+
+/// Marks the waypoints of dropped goals, of those that are neither completed nor skipped yet, where the tree keeps statuses.
+fn mark(io: &mut LeafIo<'_>, dropped: &[usize], status: u64) -> Result<(), String> {
+    let Ok(mut statuses) = io.get_data::<Vec<serde_json::Value>>("input_waypoint_statuses") else {
+        return Ok(());
+    };
+    let open = statuses.iter_mut().filter(|waypoint| {
+        let now = waypoint.get("waypoint_status").and_then(serde_json::Value::as_u64);
+        now.is_none_or(|now| now != COMPLETED && now != SKIPPED)
+    });
+    for (_, waypoint) in open.enumerate().filter(|(index, _)| dropped.contains(index)) {
+        if let Some(fields) = waypoint.as_object_mut() {
+            fields.insert("waypoint_status".to_owned(), status.into());
+        }
+    }
+    let value = Value::data(&statuses).map_err(|error| error.to_string());
+    write(io, "output_waypoint_statuses", value).map(|_| ())
+}
+
+/// Adds a goal to the end of a list.
+pub struct AppendGoalPoseToGoals;
+
+impl AtOnce for AppendGoalPoseToGoals {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let mut goals = match io.value("input_goals") {
+            Ok(_) => goals_on(io, ctx, "input_goals")?,
+            Err(_) => Vec::new(),
+        };
+        goals.push(goal_on(io, ctx, "goal_pose")?);
+        write(io, "output_goals", goals_value(&goals))
+    }
+}
+
+/// The first `num_goals` of a list.
+pub struct GetNextFewGoals;
+
+impl AtOnce for GetNextFewGoals {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let goals = goals_on(io, ctx, "input_goals")?;
+        let count: u64 = io.get("num_goals").map_err(|error| error.to_string())?;
+        let count = usize::try_from(count).unwrap_or(usize::MAX).min(goals.len());
+        write(io, "output_goals", goals_value(goals.get(..count).unwrap_or_default()))
+    }
+}
+
+/// Where the robot is.
+pub struct GetCurrentPose;
+
+impl AtOnce for GetCurrentPose {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let pose = here(ctx)?;
+        let goal = GoalPoint {
+            x: pose.x,
+            y: pose.y,
+            yaw: Some(pose.yaw),
+        };
+        write(io, "current_pose", Ok(Value::text(goal_text(&goal))))
+    }
+}
+
+/// SUCCESS if two poses are within `tolerance` of each other; without `ref_pose`, it is the robot's.
+pub struct ArePosesNear;
+
+impl AtOnce for ArePosesNear {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let reference = if io.is_set("ref_pose") {
+            pose_of(&goal_on(io, ctx, "ref_pose")?)
+        } else {
+            here(ctx)?
+        };
+        let target = pose_of(&goal_on(io, ctx, "target_pose")?);
+        let near = reference.distance(&target) <= number(io, "tolerance", 0.5)?;
+        Ok(if near { Status::Success } else { Status::Failure })
+    }
+}

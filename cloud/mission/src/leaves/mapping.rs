@@ -1,0 +1,263 @@
+//! Is there a map, and how does there come to be one?
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{MapAction, MapRequest, Refusal};
+use zenav_protocol::time::Stamp;
+
+use super::{fail, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::exchange::{Ask, NoAnswer, Ticket};
+
+/// For so long a mapping service that is just starting is waited for, s.
+const PATIENCE: f64 = 10.0;
+/// For so long an action on the map is asked for again, s.
+const ACTION_PATIENCE: f64 = 30.0;
+/// For so long mapping may take to hear of a new grant, s.
+const EPOCH_WAIT: f64 = 0.3;
+
+/// SUCCESS when the map that mapping serves is stored, FAILURE when it is not or nobody serves one.
+#[derive(Default)]
+pub struct DoesMapExist {
+    since: Option<Stamp>,
+}
+
+impl Leaf<Context> for DoesMapExist {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.since = None;
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let since = *self.since.get_or_insert(ctx.now);
+        match ctx.map.info() {
+            Some(info) if info.stored => {
+                io.say("there is one");
+                Status::Success
+            }
+            // Not `fail`: that there is no map yet is an answer, no fault.
+            Some(_) => io.fail("there is none yet"),
+            None if ctx.now.secs_since(since) < PATIENCE => step(io, ctx, "waits for the mapping service"),
+            None => io.fail("no mapping service answers"),
+        }
+    }
+}
+
+/// An ask that changes the map, repeated under one id until it is answered.
+#[derive(Default)]
+pub struct Action {
+    ticket: Option<Ticket>,
+    since: Stamp,
+    not_before: Stamp,
+}
+
+/// The execution, stored before its effect.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Execution {
+    id: String,
+    done: bool,
+}
+
+/// How an ask that changes the map goes.
+pub enum Acting {
+    /// Not answered yet.
+    Busy,
+    /// Done.
+    Done,
+    /// Refused, or nobody answers.
+    Failed(String),
+}
+
+impl Action {
+    /// A new ask; it goes out with the first step.
+    pub fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
+        let execution = Execution {
+            id: ctx.execution_id(),
+            done: false,
+        };
+        if let Err(error) = io.remember(&execution) {
+            tracing::warn!(%error, "an execution has no stored form");
+        }
+    }
+
+    /// The same ask after a restart.
+    pub fn resume(&mut self, ctx: &Context) {
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
+    }
+
+    /// Asks, and asks again.
+    pub fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
+        let Some(mut execution) = io.recall::<Execution>() else {
+            return Acting::Failed("the execution is not known".to_owned());
+        };
+        if execution.done {
+            return Acting::Done;
+        }
+        // The request changes nothing of a robot, but only its mission may order it.
+        let Some(epoch) = ctx.lease.epoch() else {
+            return Acting::Busy;
+        };
+        if ctx.now < self.not_before {
+            return Acting::Busy;
+        }
+        let request = MapRequest {
+            action,
+            request_id: Some(execution.id.clone()),
+            epoch: Some(epoch),
+        };
+        let ticket = *self.ticket.get_or_insert_with(|| ctx.asks.ask(Ask::Map(request)));
+        match ctx.asks.take(ticket) {
+            None => Acting::Busy,
+            Some(Ok(_)) => {
+                execution.done = true;
+                if let Err(error) = io.remember(&execution) {
+                    tracing::warn!(%error, "an execution has no stored form");
+                }
+                Acting::Done
+            }
+            Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
+                // Mapping has not heard of the grant yet. It keeps its refusal under this id, so the next ask has another.
+                self.ticket = None;
+                if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
+                    return Acting::Failed(refusal.to_string());
+                }
+                execution.id = ctx.execution_id();
+                if let Err(error) = io.remember(&execution) {
+                    tracing::warn!(%error, "an execution has no stored form");
+                }
+                self.not_before = ctx.now.plus_secs(EPOCH_WAIT);
+                Acting::Busy
+            }
+            Some(Err(NoAnswer::Refused(refusal))) => Acting::Failed(refusal.to_string()),
+            Some(Err(NoAnswer::Silent(why))) => {
+                self.ticket = None;
+                if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
+                    Acting::Failed(why)
+                } else {
+                    Acting::Busy
+                }
+            }
+        }
+    }
+
+    /// Waits no longer.
+    pub fn forget(&mut self, ctx: &mut Context) {
+        if let Some(ticket) = self.ticket.take() {
+            ctx.asks.forget(ticket);
+        }
+    }
+}
+
+/// Begins a new map and stays RUNNING while scans are inserted; the one beside it decides when that is enough.
+#[derive(Default)]
+pub struct MapEnvironment {
+    action: Action,
+    resumed: bool,
+}
+
+impl Leaf<Context> for MapEnvironment {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.resumed = false;
+        self.action.begin(io, ctx);
+        // The ask follows in the next tick, when the execution's id is stored.
+        step(io, ctx, "begins a new map")
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        // What has been mapped before a restart is kept.
+        let action = if self.resumed {
+            MapAction::Resume
+        } else {
+            MapAction::Reset
+        };
+        match self.action.step(io, ctx, action) {
+            Acting::Busy => step(io, ctx, "begins a new map"),
+            Acting::Failed(why) => fail(io, ctx, None, why),
+            Acting::Done => {
+                let scans = ctx.map.info().map_or(0, |info| info.scans);
+                io.say(format!("maps: {scans} scans"));
+                Status::Running
+            }
+        }
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if io.recall::<Execution>().is_some_and(|execution| execution.done) {
+            self.resumed = true;
+            self.action.begin(io, ctx);
+            return Status::Running;
+        }
+        self.action.resume(ctx);
+        self.tick(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.action.forget(ctx);
+    }
+}
+
+/// Asks mapping for one action on the map, and waits until it is done.
+pub struct OnMap {
+    action: Action,
+    which: MapAction,
+    doing: &'static str,
+    done: &'static str,
+}
+
+impl OnMap {
+    /// Stores the map: from then on it exists.
+    #[must_use]
+    pub fn save() -> Self {
+        Self::new(MapAction::Save, "stores the map", "stored")
+    }
+
+    /// Takes for gone what may only have passed by; what is still there is seen again.
+    #[must_use]
+    pub fn forget() -> Self {
+        Self::new(MapAction::Forget, "clears the map", "what may have passed is gone")
+    }
+
+    fn new(which: MapAction, doing: &'static str, done: &'static str) -> Self {
+        Self {
+            action: Action::default(),
+            which,
+            doing,
+            done,
+        }
+    }
+}
+
+impl Leaf<Context> for OnMap {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.action.begin(io, ctx);
+        // The ask follows in the next tick, when the execution's id is stored.
+        step(io, ctx, self.doing)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        match self.action.step(io, ctx, self.which) {
+            Acting::Busy => step(io, ctx, self.doing),
+            Acting::Failed(why) => fail(io, ctx, None, why),
+            Acting::Done => {
+                io.say(self.done);
+                Status::Success
+            }
+        }
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.action.resume(ctx);
+        self.tick(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.action.forget(ctx);
+    }
+}

@@ -1,0 +1,39 @@
+//! Which of Nav2's nodes ask for what nobody does here? They can stand in a tree; ticked, they fail and name what is missing.
+
+use super::fail;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+
+/// Nav2's code for a server that cannot be reached.
+const SEND_GOAL_FAILURE: i64 = 2;
+/// Nav2's code for a route server without a graph: no recovery helps.
+const NO_VALID_GRAPH: i64 = 402;
+
+/// A node of Nav2 whose job nobody does here.
+pub struct Missing;
+
+/// What a node of that registration id needs.
+fn capability(id: &str) -> (&'static str, i64) {
+    match id {
+        "ComputeRoute" | "ComputeAndTrackRoute" | "CancelComputeAndTrackRoute" | "ExtractRouteNodesAsGoals" => {
+            ("a route server with a graph of the place", NO_VALID_GRAPH)
+        }
+        "DockRobot" | "UndockRobot" => ("docking", SEND_GOAL_FAILURE),
+        "FollowObject" | "CancelFollowObject" => ("following an object", SEND_GOAL_FAILURE),
+        "AssistedTeleop" | "CancelAssistedTeleop" => (
+            "teleoperation within a tree: an operator takes the lease for it",
+            SEND_GOAL_FAILURE,
+        ),
+        "ReinitializeGlobalLocalization" => ("global localization", SEND_GOAL_FAILURE),
+        "IsBatteryCharging" => ("word from the robot whether it charges", SEND_GOAL_FAILURE),
+        _ => ("a server for it", SEND_GOAL_FAILURE),
+    }
+}
+
+impl Leaf<Context> for Missing {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let (what, code) = capability(io.id());
+        let why = format!("this stack does not have {what}");
+        fail(io, ctx, Some(code), why)
+    }
+}

@@ -1,0 +1,285 @@
+//! What can a tree do with a robot? One file a family of leaves; what a leaf acts on is the [`Context`].
+//!
+//! | file | leaves |
+//! |---|---|
+//! | `ports`, [`path`] | how goals, lists of them and paths are written in a tree; what there is to know of a path |
+//! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
+//! | `smooth_path` | SmoothPath |
+//! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
+//! | `follow_waypoints` | FollowWaypoints |
+//! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
+//! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
+//! | `simple` | Wait, GoalReached, IsBatteryLow |
+//! | `looks` | DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
+//! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
+//! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
+//! | `selectors` | PlannerSelector, ControllerSelector, … |
+//! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
+//! | [`remote`] | RemoteAction: what another program does |
+//! | `navigate` | NavigateToPose, NavigateThroughPoses |
+//! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
+//!
+//! Names and ports are Nav2's where Nav2 has the node, so that every tree of Nav2's can be loaded. A node whose job nobody
+//! does here fails when it is ticked and names what is missing.
+
+mod behaviours;
+mod compute_path;
+mod follow_path;
+mod follow_waypoints;
+mod goal_leaves;
+mod looks;
+mod mapping;
+mod missing;
+mod navigate;
+pub mod path;
+mod path_leaves;
+mod ports;
+mod progress;
+pub mod remote;
+mod selectors;
+mod services;
+mod simple;
+mod smooth_path;
+mod tracking;
+
+use super::context::Context;
+use zenav_behaviour_tree::{
+    DuplicateNode, Leaf, LeafIo, LeafSite, Measure, NodeSpec, PortType, Registry, Status, Travel, Value,
+    nav2_condition, nav2_decorator, nav2_nodes,
+};
+
+pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
+
+/// The nodes that a mission's trees may use.
+#[must_use]
+pub fn registry() -> Registry<Context> {
+    let mut registry = Registry::new();
+    if let Err(duplicate) = fill(&mut registry) {
+        // Ids are constants: this is a slip of the table below, which a test catches.
+        tracing::error!(%duplicate, "two leaves of one name");
+    }
+    registry
+}
+
+fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
+    use PortType::{Double, Text, Unsigned};
+    let nav2 = nav2_nodes();
+    let known = |id: &str, doc: &str| {
+        let spec = nav2.iter().find(|spec| spec.id == id).cloned();
+        NodeSpec {
+            doc: doc.to_owned(),
+            ..spec.unwrap_or_else(|| NodeSpec::action(id, ""))
+        }
+    };
+    registry.leaf(
+        known("ComputePathToPose", "Plans and smooths a way to the goal."),
+        |_| Box::<compute_path::ComputePath>::default(),
+    )?;
+    registry.leaf(
+        known(
+            "FollowPath",
+            "Drives a way, rechecks and renews it, replans when it is blocked.",
+        ),
+        |_| Box::<follow_path::FollowPath>::default(),
+    )?;
+    registry.leaf(
+        NodeSpec::action(
+            "FollowWaypoints",
+            "Drives through places by the waypoint law; needs no map.",
+        )
+        .input("waypoints", Text, "places `x;y|x;y|…`, m, map frame")
+        .input_or("laps", Unsigned, "1", "how often")
+        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
+        .output("error_msg", Text, "why it failed, in words"),
+        |_| Box::<follow_waypoints::FollowWaypoints>::default(),
+    )?;
+    registry.leaf(NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."), |_| {
+        Box::<mapping::DoesMapExist>::default()
+    })?;
+    registry.leaf(
+        NodeSpec::action(
+            "MapEnvironment",
+            "Begins a new map; RUNNING while it grows, until it is halted.",
+        ),
+        |_| Box::<mapping::MapEnvironment>::default(),
+    )?;
+    registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
+        Box::new(mapping::OnMap::save())
+    })?;
+    registry.leaf(known("Wait", "Waits, s."), |_| Box::<simple::Wait>::default())?;
+    registry.leaf(
+        known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional(
+            "tolerance",
+            Double,
+            "m; without it, the goal's own",
+        ),
+        |_| Box::new(simple::GoalReached),
+    )?;
+    registry.leaf(known("IsBatteryLow", "SUCCESS below a share of the charge."), |_| {
+        Box::new(simple::IsBatteryLow)
+    })?;
+    registry.leaf(known("Spin", "Turns on the spot."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
+    registry.leaf(known("BackUp", "Drives straight back."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
+    registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
+        Box::<behaviours::Behaviour>::default()
+    })?;
+    registry.leaf(
+        NodeSpec::action(
+            "DriveToFree",
+            "Drives to the nearest place that keeps a distance from everything seen.",
+        )
+        .input_or(
+            "clearance",
+            Double,
+            "0.1",
+            "distance of the footprint from everything there, m",
+        )
+        .input_or("within", Double, "1.0", "the place is searched within this distance, m")
+        .input_or("time_allowance", Double, "10.0", "it is given up after this time, s")
+        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
+        .output("error_msg", Text, "why it failed, in words"),
+        |_| Box::<behaviours::Behaviour>::default(),
+    )?;
+    registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
+    for spec in nav2_nodes() {
+        if registry.spec(&spec.id).is_some() {
+            continue;
+        }
+        if let Some(make) = nav2_decorator(&spec.id) {
+            registry.decorator(spec, move |_| make())?;
+        } else if spec.category.is_leaf() {
+            registry.leaf(spec, nav2_leaf)?;
+        } else {
+            registry.declare(spec);
+        }
+    }
+    Ok(())
+}
+
+/// The leaf that does what one of Nav2's nodes stands for.
+fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
+    fn at_once<T: AtOnce + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
+        Box::new(Prompt(leaf))
+    }
+    if let Some(condition) = nav2_condition(site.id) {
+        return condition;
+    }
+    if let Some(choice) = selectors::Choice::of_selector(site.id) {
+        return at_once(selectors::Selector(choice));
+    }
+    if let Some(id) = services::canceled_by(site.id) {
+        return at_once(services::Cancel(id));
+    }
+    match site.id {
+        "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
+        "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
+        "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
+        // Its name until Nav2's Kilted.
+        "ValidatePath" | "IsPathValid" => at_once(path_leaves::ValidatePath),
+        "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
+        "TruncatePath" => at_once(path_leaves::TruncatePath),
+        "TruncatePathLocal" => at_once(path_leaves::TruncatePathLocal::default()),
+        "GetPoseFromPath" => at_once(path_leaves::GetPoseFromPath),
+        "ConcatenatePaths" => at_once(path_leaves::ConcatenatePaths),
+        "IsWithinPathTrackingBounds" => at_once(path_leaves::IsWithinPathTrackingBounds),
+        "RemovePassedGoals" => at_once(goal_leaves::RemovePassedGoals),
+        "RemoveInCollisionGoals" => at_once(goal_leaves::RemoveInCollisionGoals),
+        "AppendGoalPoseToGoals" => at_once(goal_leaves::AppendGoalPoseToGoals),
+        "GetNextFewGoals" => at_once(goal_leaves::GetNextFewGoals),
+        "GetCurrentPose" => at_once(goal_leaves::GetCurrentPose),
+        "ArePosesNear" => at_once(goal_leaves::ArePosesNear),
+        "CheckPoseOccupancy" => at_once(goal_leaves::CheckPoseOccupancy),
+        "DistanceTraveled" => at_once(looks::DistanceTraveled::default()),
+        "IsStuck" => at_once(looks::IsStuck),
+        "TransformAvailable" => at_once(looks::TransformAvailable),
+        "CheckStopStatus" => Box::<looks::CheckStopStatus>::default(),
+        "ToggleCollisionMonitor" => at_once(services::ToggleCollisionMonitor),
+        "ClearEntireCostmap" | "ClearCostmapExceptRegion" | "ClearCostmapAroundRobot" | "ClearCostmapAroundPose" => {
+            Box::<services::ClearCostmap>::default()
+        }
+        _ => Box::new(missing::Missing),
+    }
+}
+
+/// A leaf that answers at once, or says why it cannot: that is a failure.
+trait AtOnce: Send {
+    /// The answer.
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String>;
+}
+
+/// Makes a leaf of what answers at once.
+struct Prompt<T>(T);
+
+impl<T: AtOnce> Leaf<Context> for Prompt<T> {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        match self.0.answer(io, ctx) {
+            Ok(status) => status,
+            Err(why) => fail(io, ctx, None, why),
+        }
+    }
+}
+
+impl Travel for Context {
+    fn position(&self) -> Option<[f64; 2]> {
+        self.robot.pose().map(|pose| [pose.x, pose.y])
+    }
+
+    fn speed(&self) -> f64 {
+        self.robot.velocity().v.abs()
+    }
+
+    fn measure(&self, path: &Value) -> Option<Measure> {
+        let data = parse_path(path).ok()?;
+        let pose = self.robot.pose()?;
+        let length = path::length(&data.points);
+        let near = path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY)?;
+        Some(Measure {
+            end: [data.goal.x, data.goal.y],
+            length,
+            left: length - near.along,
+        })
+    }
+}
+
+/// Fails with Nav2's code and a reason that the goal's end can tell.
+fn fail(io: &mut LeafIo<'_>, ctx: &mut Context, code: Option<i64>, why: impl Into<String>) -> Status {
+    let why = why.into();
+    if let Some(code) = code {
+        // A tree that has put something else on these ports gets no code; the reason stands in the feedback.
+        let _ = io.set("error_code_id", code);
+        let _ = io.set("error_msg", why.as_str());
+    }
+    ctx.goal.failure = Some(format!("{}: {why}", io.name()));
+    io.fail(why)
+}
+
+/// Says that nothing has failed.
+fn no_error(io: &mut LeafIo<'_>) {
+    let _ = io.set("error_code_id", 0_i64);
+    let _ = io.set("error_msg", "");
+}
+
+/// Says what the node does, in the tree and in the goal's feedback.
+fn step(io: &mut LeafIo<'_>, ctx: &mut Context, what: &str) -> Status {
+    io.say(what);
+    let said = format!("{}: {what}", io.name());
+    if ctx.goal.feedback.step != said {
+        ctx.goal.feedback.step = said;
+    }
+    Status::Running
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_leaf_has_a_name_of_its_own() {
+        fill(&mut Registry::new()).unwrap();
+    }
+}

@@ -1,0 +1,155 @@
+//! NavigateToPose, NavigateThroughPoses: a whole tree as one action, with a blackboard of its own.
+//!
+//! `behavior_tree` is the name of a shipped tree, or XML; without it, the tree of a goal of that kind. The inner tree is stored
+//! with the outer one and goes on after a restart.
+
+use serde::{Deserialize, Serialize};
+
+use super::ports::{goal_on, goal_text, goals_on, goals_value};
+use super::{fail, no_error};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status, Tree, TreeSnapshot, Value};
+use crate::context::Context;
+use crate::trees;
+
+/// Trees inside one another, at most: one that contains itself has no end.
+const MAX_NESTED: u32 = 4;
+
+/// Nav2's codes, for one pose; through poses they are so much higher.
+mod error_code {
+    pub const UNKNOWN: i64 = 9000;
+    pub const FAILED_TO_LOAD_BEHAVIOR_TREE: i64 = 9001;
+    pub const THROUGH_POSES: i64 = 100;
+}
+
+/// Runs a tree to its end.
+#[derive(Default)]
+pub struct Navigate {
+    tree: Option<Tree<Context>>,
+    stored: u64,
+}
+
+/// What must not be forgotten over a restart.
+#[derive(Serialize, Deserialize)]
+struct Memory {
+    tree: String,
+    snapshot: TreeSnapshot,
+}
+
+fn code(io: &LeafIo<'_>, code: i64) -> Option<i64> {
+    let through = io.id() == "NavigateThroughPoses";
+    Some(if through {
+        code + error_code::THROUGH_POSES
+    } else {
+        code
+    })
+}
+
+impl Navigate {
+    fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &Context) -> Result<String, (i64, String)> {
+        let unknown = |why: String| (error_code::UNKNOWN, why);
+        if ctx.nested >= MAX_NESTED {
+            let why = format!("{MAX_NESTED} trees stand inside one another already: expected fewer");
+            return Err((error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, why));
+        }
+        let (key, goal, usual) = if io.id() == "NavigateThroughPoses" {
+            let goals = goals_on(io, ctx, "goals").and_then(|goals| goals_value(&goals));
+            ("goals", goals.map_err(unknown)?, trees::NAVIGATE_THROUGH)
+        } else {
+            let goal = goal_on(io, ctx, "goal").map_err(unknown)?;
+            ("goal", Value::text(goal_text(&goal)), trees::NAVIGATE)
+        };
+        let name: Option<String> = io.get_optional("behavior_tree").ok().flatten();
+        let name = name.filter(|name| !name.is_empty()).unwrap_or_else(|| usual.to_owned());
+        let mut tree =
+            trees::build(&name).map_err(|error| (error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, error.to_string()))?;
+        let set = tree.blackboard_mut().set(key, goal);
+        set.map_err(|error| unknown(error.to_string()))?;
+        self.tree = Some(tree);
+        Ok(name)
+    }
+
+    /// Keeps the inner tree with the outer one, if it has changed.
+    fn keep(&mut self, io: &mut LeafIo<'_>, name: String) -> Result<(), String> {
+        let Some(tree) = &self.tree else { return Ok(()) };
+        self.stored = tree.revision();
+        let memory = Memory {
+            tree: name,
+            snapshot: tree.snapshot(),
+        };
+        io.remember(&memory).map_err(|error| error.to_string())
+    }
+}
+
+impl Leaf<Context> for Navigate {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let begun = self
+            .begin(io, ctx)
+            .and_then(|name| self.keep(io, name).map_err(|why| (error_code::UNKNOWN, why)));
+        if let Err((number, why)) = begun {
+            self.tree = None;
+            let code = code(io, number);
+            return fail(io, ctx, code, why);
+        }
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let Some(tree) = &mut self.tree else {
+            return self.resume(io, ctx);
+        };
+        ctx.nested += 1;
+        let ticked = tree.tick(io.now(), ctx);
+        ctx.nested -= 1;
+        if self.stored != tree.revision()
+            && let Some(memory) = io.recall::<Memory>()
+            && let Err(why) = self.keep(io, memory.tree)
+        {
+            tracing::warn!(why, "an inner tree has no stored form");
+        }
+        match ticked {
+            Ok(Status::Success) => {
+                no_error(io);
+                Status::Success
+            }
+            Ok(Status::Running | Status::Idle) => {
+                let said = ctx.goal.feedback.step.clone();
+                io.say(said);
+                Status::Running
+            }
+            Ok(Status::Failure | Status::Skipped) => {
+                // The leaf inside has told why; here it is told again, for the code.
+                let why = ctx.goal.failure.clone().unwrap_or_else(|| "its tree failed".to_owned());
+                let code = code(io, error_code::UNKNOWN);
+                fail(io, ctx, code, why)
+            }
+            Err(error) => {
+                let code = code(io, error_code::UNKNOWN);
+                fail(io, ctx, code, error.to_string())
+            }
+        }
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let restored = io.recall::<Memory>().and_then(|memory| {
+            let mut tree = trees::build(&memory.tree).ok()?;
+            tree.restore(memory.snapshot).ok()?;
+            Some(tree)
+        });
+        match restored {
+            Some(tree) => {
+                self.stored = tree.revision();
+                self.tree = Some(tree);
+                self.tick(io, ctx)
+            }
+            None => self.start(io, ctx),
+        }
+    }
+
+    fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+        if let Some(mut tree) = self.tree.take()
+            && let Err(error) = tree.halt(io.now(), ctx)
+        {
+            tracing::warn!(%error, "an inner tree was halted with an error");
+        }
+    }
+}

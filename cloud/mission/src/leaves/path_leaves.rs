@@ -1,0 +1,265 @@
+//! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths,
+//! IsWithinPathTrackingBounds: what can be asked of a path and done with it.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::Occupancy;
+use zenav_protocol::messages::GoalPoint;
+
+use super::path::{self, Nearest};
+use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
+use super::{AtOnce, fail, step};
+use zenav_behaviour_tree::{LeafIo, Status, Value, beside_path};
+use crate::context::Context;
+use crate::motion::{Recheck, recheck};
+use crate::route::RouteData;
+
+/// Spacing of the places of a path that are looked at one by one, m.
+const SPACING: f64 = 0.05;
+/// Places of a path that are looked at.
+const MOST: usize = 20_000;
+/// Collisions that are told.
+const TOLD: usize = 100;
+
+/// Where on a path the robot is. With a bound, the search goes on from where it was found last, so that it does not jump
+/// where a path comes near itself.
+#[derive(Default)]
+struct Pursuit {
+    sequence: Option<u64>,
+    along: f64,
+}
+
+impl Pursuit {
+    fn find(&mut self, sequence: u64, points: &[Point2<f64>], here: Pose2, reach: f64) -> Option<Nearest> {
+        // After a restart, too, nothing is known of where it was.
+        let begin = match self.sequence.replace(sequence) {
+            Some(known) if known == sequence => self.along,
+            Some(_) => 0.0,
+            None => return self.keep(path::nearest(points, here.position(), 0.0, f64::INFINITY)),
+        };
+        if !(reach.is_finite() && reach > 0.0) {
+            return self.keep(path::nearest(points, here.position(), 0.0, f64::INFINITY));
+        }
+        self.keep(path::nearest(points, here.position(), begin, begin + reach))
+    }
+
+    fn keep(&mut self, found: Option<Nearest>) -> Option<Nearest> {
+        self.along = found.map_or(0.0, |near| near.along);
+        found
+    }
+}
+
+/// SUCCESS if the way left on `path` is shorter than `proximity_threshold`.
+#[derive(Default)]
+pub struct IsGoalNearby(Pursuit);
+
+impl AtOnce for IsGoalNearby {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let data = path_on(io, "path")?;
+        let (threshold, reach) = (
+            number(io, "proximity_threshold", 1.0)?,
+            number(io, "max_robot_pose_search_dist", -1.0)?,
+        );
+        let found = self.0.find(io.sequence("path"), &data.points, here(ctx)?, reach);
+        Ok(match found {
+            Some(near) if path::length(&data.points) - near.along < threshold => Status::Success,
+            _ => Status::Failure,
+        })
+    }
+}
+
+/// Cuts `input_path` to so much before and behind the robot; -1 is all.
+#[derive(Default)]
+pub struct TruncatePathLocal(Pursuit);
+
+impl AtOnce for TruncatePathLocal {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let data = path_on(io, "input_path")?;
+        if data.points.is_empty() {
+            return write(io, "output_path", data.value());
+        }
+        let (forward, backward) = (
+            number(io, "distance_forward", 8.0)?,
+            number(io, "distance_backward", 4.0)?,
+        );
+        let reach = number(io, "max_robot_pose_search_dist", f64::INFINITY)?;
+        let here = match io.value("pose").is_ok() {
+            true => pose_of(&goal_on(io, ctx, "pose")?),
+            false => here(ctx)?,
+        };
+        let near = self
+            .0
+            .find(io.sequence("input_path"), &data.points, here, reach)
+            .ok_or("the robot is nowhere near the path")?;
+        let whole = path::length(&data.points);
+        let from = if backward < 0.0 { 0.0 } else { near.along - backward };
+        let to = if forward < 0.0 { whole } else { near.along + forward };
+        let points = path::part(&data.points, from, to);
+        // What leads to the same goal is still the same route.
+        let cut = if to >= whole {
+            RouteData {
+                length: path::length(&points),
+                points,
+                ..data
+            }
+        } else {
+            RouteData::of(points, None)
+        };
+        write(io, "output_path", cut.value())
+    }
+}
+
+/// Cuts `distance` off the end of `input_path`; at least its first point is left.
+pub struct TruncatePath;
+
+impl AtOnce for TruncatePath {
+    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+        let data = path_on(io, "input_path")?;
+        let distance = number(io, "distance", 1.0)?;
+        let cut = if distance > 0.0 {
+            let whole = path::length(&data.points);
+            RouteData::of(path::part(&data.points, 0.0, whole - distance), None)
+        } else {
+            data
+        };
+        write(io, "output_path", cut.value())
+    }
+}
+
+/// The pose at a corner of `path`; a negative `index` counts from the end.
+pub struct GetPoseFromPath;
+
+impl AtOnce for GetPoseFromPath {
+    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+        let data = path_on(io, "path")?;
+        let index: i64 = io
+            .get_optional("index")
+            .map_err(|error| error.to_string())?
+            .unwrap_or(0);
+        let count = data.points.len() as i64;
+        let at = if index < 0 { count.saturating_add(index) } else { index };
+        let place = usize::try_from(at)
+            .ok()
+            .and_then(|at| data.points.get(at).map(|point| (at, *point)));
+        let (at, point) = place.ok_or_else(|| format!("no point {index} on a path of {count}"))?;
+        let towards = data.points.get(at + 1).map(|next| next - point);
+        let from = at
+            .checked_sub(1)
+            .and_then(|before| data.points.get(before))
+            .map(|before| point - before);
+        let last = at + 1 == data.points.len();
+        let heading = towards.or(from).map(|step| step.y.atan2(step.x));
+        let pose = GoalPoint {
+            x: point.x,
+            y: point.y,
+            yaw: if last { data.goal.yaw } else { heading },
+        };
+        write(io, "pose", Ok(Value::text(goal_text(&pose))))
+    }
+}
+
+/// One path after the other.
+pub struct ConcatenatePaths;
+
+impl AtOnce for ConcatenatePaths {
+    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+        let (first, second) = (path_on(io, "input_path1"), path_on(io, "input_path2"));
+        let parts: Vec<RouteData> = [first, second]
+            .into_iter()
+            .flatten()
+            .filter(|part| !part.points.is_empty())
+            .collect();
+        let yaw = parts.last().ok_or("both paths are empty")?.goal.yaw;
+        let mut points: Vec<Point2<f64>> = Vec::new();
+        let mut via = Vec::new();
+        for part in parts {
+            points.extend(part.points);
+            via.extend(part.via);
+        }
+        points.dedup();
+        let joined = RouteData {
+            via,
+            ..RouteData::of(points, yaw)
+        };
+        write(io, "output_path", joined.value())
+    }
+}
+
+/// SUCCESS if the robot can still drive `path`: by the motion that was made of it where there is one, else as the disc that
+/// fits into its body.
+pub struct ValidatePath;
+
+impl AtOnce for ValidatePath {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let data = path_on(io, "path")?;
+        let pose = here(ctx)?;
+        let Some((model, space)) = ground(ctx) else {
+            return Ok(step(io, ctx, "waits for the robot and its map"));
+        };
+        if data.points.is_empty() {
+            return Err("the path is empty".to_owned());
+        }
+        let ahead = number(io, "max_lookahead_distance", -1.0)?;
+        let unknown_too = io
+            .get_optional("consider_unknown_as_obstacle")
+            .ok()
+            .flatten()
+            .unwrap_or(false);
+        let all = !io
+            .get_optional("stop_at_first_collision")
+            .ok()
+            .flatten()
+            .unwrap_or(true);
+        let points = match path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY) {
+            Some(near) if ahead > 0.0 => path::part(&data.points, near.along, near.along + ahead),
+            _ => data.points,
+        };
+        let route = ctx
+            .route(data.route)
+            .filter(|route| !route.course.trajectory.is_empty() && ahead <= 0.0);
+        let radius = model.footprint.inscribed_radius() - 0.5 * space.spec().resolution;
+        let mut collisions: Vec<[f64; 2]> = Vec::new();
+        for pair in path::spaced(&points, SPACING, MOST).windows(2) {
+            let [(a, _), (b, _)] = pair else { continue };
+            let hits = route.is_none() && !space.segment_is_free(*a, *b, radius);
+            if hits || (unknown_too && ctx.map.occupancy(*b) == Some(Occupancy::Unknown)) {
+                collisions.push([b.x, b.y]);
+                if !all || collisions.len() == TOLD {
+                    break;
+                }
+            }
+        }
+        if let Some(route) = route {
+            let trajectory = &route.course.trajectory;
+            let from = trajectory
+                .iter()
+                .min_by(|a, b| a.pose().distance(&pose).total_cmp(&b.pose().distance(&pose)))
+                .map_or(0.0, |point| point.t);
+            if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from) {
+                let at = crate::route::sample(trajectory, from + ahead);
+                collisions.push([at.x, at.y]);
+            }
+        }
+        let told = Value::data(&collisions).map_err(|error| error.to_string());
+        write(io, "collision_poses", told)?;
+        match collisions.first() {
+            None => Ok(Status::Success),
+            Some([x, y]) => {
+                io.say(format!("blocked at ({x:.2}, {y:.2})"));
+                Ok(Status::Failure)
+            }
+        }
+    }
+}
+
+/// SUCCESS while FollowPath's tracking feedback lies within bounds, or there is none.
+pub struct IsWithinPathTrackingBounds;
+
+impl AtOnce for IsWithinPathTrackingBounds {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let Some(error) = beside_path(io)? else {
+            return Ok(Status::Success);
+        };
+        Ok(fail(io, ctx, None, format!("{error:.2} m beside the path")))
+    }
+}

@@ -1,0 +1,385 @@
+//! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a
+//! place, JSON, or as Nav2 writes them; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::robot::RobotModel;
+
+use super::path;
+use zenav_behaviour_tree::{LeafIo, Pose, Status, Value, nav2_list, pose, pose_of_json};
+use crate::context::Context;
+use crate::route::RouteData;
+use zenav_space::ConfigurationSpace;
+
+/// Named goals.
+pub type Places = BTreeMap<String, GoalPoint>;
+
+/// Places in one list.
+const MAX_POINTS: usize = 10_000;
+
+/// A goal from a port's value.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_goal(value: &Value, places: &Places) -> Result<GoalPoint, String> {
+    let goal = match value {
+        Value::Text(text) => match text
+            .trim_start()
+            .strip_prefix("json:")
+            .or_else(|| text.trim_start().starts_with('{').then_some(text))
+        {
+            Some(json) => {
+                let json = serde_json::from_str(json).map_err(|error| format!("goal `{json}`: {error}"))?;
+                parse_json(&json)?
+            }
+            None if !text.contains(';') => named(text.trim(), places)?,
+            None => parse_numbers(text)?,
+        },
+        Value::Data(data) => parse_json(data)?,
+        other => return Err(format!("goal `{other}`: expected `x;y` or `x;y;yaw`")),
+    };
+    let finite = goal.x.is_finite() && goal.y.is_finite() && goal.yaw.is_none_or(f64::is_finite);
+    if finite {
+        Ok(goal)
+    } else {
+        Err("goal: expected finite numbers".to_owned())
+    }
+}
+
+fn named(name: &str, places: &Places) -> Result<GoalPoint, String> {
+    if let Some(place) = places.get(name) {
+        return Ok(*place);
+    }
+    let names: Vec<&str> = places.keys().map(String::as_str).take(20).collect();
+    let known = if names.is_empty() {
+        "there are none".to_owned()
+    } else {
+        names.join(", ")
+    };
+    let name: String = name.chars().take(60).collect();
+    Err(format!(
+        "goal `{name}`: expected `x;y`, `x;y;yaw` or the name of a place ({known})"
+    ))
+}
+
+fn goal_of(Pose { x, y, yaw }: Pose) -> GoalPoint {
+    GoalPoint { x, y, yaw }
+}
+
+fn parse_numbers(text: &str) -> Result<GoalPoint, String> {
+    pose(text).map(goal_of).ok_or_else(|| {
+        let text: String = text.chars().take(60).collect();
+        format!("goal `{text}`: expected `x;y` or `x;y;yaw`")
+    })
+}
+
+fn parse_json(json: &serde_json::Value) -> Result<GoalPoint, String> {
+    pose_of_json(json).map(goal_of).ok_or_else(|| {
+        let text: String = json.to_string().chars().take(60).collect();
+        format!("goal `{text}`: expected x, y and perhaps yaw")
+    })
+}
+
+/// A goal as it stands in a tree.
+#[must_use]
+pub fn goal_text(goal: &GoalPoint) -> String {
+    match goal.yaw {
+        Some(yaw) => format!("{};{};{yaw}", goal.x, goal.y),
+        None => format!("{};{}", goal.x, goal.y),
+    }
+}
+
+/// The goal on a port.
+///
+/// # Errors
+/// What was expected.
+pub fn goal_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<GoalPoint, String> {
+    let value = io.value(port).map_err(|error| error.to_string())?;
+    parse_goal(value, &ctx.config.places)
+}
+
+/// Goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_goals(value: &Value, places: &Places) -> Result<Vec<GoalPoint>, String> {
+    let goals: Vec<GoalPoint> = match value {
+        Value::Data(data) => {
+            let items = data.as_array().ok_or("goals: expected a list")?;
+            items
+                .iter()
+                .take(MAX_POINTS + 1)
+                .map(|item| {
+                    let goal = Value::from_json(item).ok_or("goals: expected no null")?;
+                    parse_goal(&goal, places)
+                })
+                .collect::<Result<_, String>>()?
+        }
+        other => {
+            let text = other.to_string();
+            let json = text.trim_start().strip_prefix("json:").unwrap_or(text.trim_start());
+            if json.starts_with('[') {
+                let list: serde_json::Value = serde_json::from_str(json).map_err(|error| format!("goals: {error}"))?;
+                return parse_goals(&Value::from(list), places);
+            }
+            if let Some(goals) = nav2_list(&text).filter(|goals| goals.len() <= MAX_POINTS) {
+                return Ok(goals.into_iter().map(goal_of).collect());
+            }
+            let goals = text.split('|').map(str::trim).filter(|goal| !goal.is_empty());
+            goals
+                .take(MAX_POINTS + 1)
+                .map(|goal| parse_goal(&Value::text(goal), places))
+                .collect::<Result<_, _>>()?
+        }
+    };
+    if goals.len() > MAX_POINTS {
+        return Err(format!("more than {MAX_POINTS} goals: expected fewer"));
+    }
+    Ok(goals)
+}
+
+/// The goals on a port.
+///
+/// # Errors
+/// What was expected.
+pub fn goals_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<Vec<GoalPoint>, String> {
+    let value = io.value(port).map_err(|error| error.to_string())?;
+    parse_goals(value, &ctx.config.places)
+}
+
+/// Goals as they stand on the blackboard: a list of texts, which `LoopString` can go through.
+///
+/// # Errors
+/// None in practice: texts have a stored form.
+pub fn goals_value(goals: &[GoalPoint]) -> Result<Value, String> {
+    let texts: Vec<String> = goals.iter().map(goal_text).collect();
+    Value::data(&texts).map_err(|error| error.to_string())
+}
+
+/// A path from a port's value: what is not a route's is a list of points, `[[x, y], …]`.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_path(value: &Value) -> Result<RouteData, String> {
+    let data = value.to_json();
+    let data = match &data {
+        serde_json::Value::String(text) => {
+            if let Some(poses) = nav2_list(text).filter(|poses| poses.len() <= MAX_POINTS) {
+                let points = poses.iter().map(|pose| Point2::new(pose.x, pose.y)).collect();
+                return Ok(RouteData::of(points, poses.last().and_then(|pose| pose.yaw)));
+            }
+            serde_json::from_str(text.trim_start().strip_prefix("json:").unwrap_or(text))
+                .map_err(|error| format!("path: {error}"))?
+        }
+        _ => data,
+    };
+    let route = if data.is_array() {
+        let points: Vec<Point2<f64>> = serde_json::from_value(data).map_err(|error| format!("path: {error}"))?;
+        RouteData::of(points, None)
+    } else {
+        serde_json::from_value(data).map_err(|error| format!("path: {error}"))?
+    };
+    let finite = |point: &Point2<f64>| point.x.is_finite() && point.y.is_finite();
+    if route.points.len() > MAX_POINTS || !route.points.iter().all(finite) {
+        return Err(format!("path: expected at most {MAX_POINTS} points, all finite"));
+    }
+    Ok(route)
+}
+
+/// The path on a port.
+///
+/// # Errors
+/// What was expected.
+pub fn path_on(io: &LeafIo<'_>, port: &str) -> Result<RouteData, String> {
+    io.value(port).map_err(|error| error.to_string()).and_then(parse_path)
+}
+
+impl RouteData {
+    /// A path that is nobody's route, to its last point. `yaw` is the heading wanted there.
+    #[must_use]
+    pub fn of(points: Vec<Point2<f64>>, yaw: Option<f64>) -> Self {
+        let end = points.last().copied().unwrap_or_else(Point2::origin);
+        Self {
+            route: 0,
+            goal: GoalPoint {
+                x: end.x,
+                y: end.y,
+                yaw,
+            },
+            length: path::length(&points),
+            points,
+            via: Vec::new(),
+            place: None,
+        }
+    }
+
+    /// As it stands on the blackboard.
+    ///
+    /// # Errors
+    /// None in practice: numbers have a stored form.
+    pub fn value(&self) -> Result<Value, String> {
+        Value::data(self).map_err(|error| error.to_string())
+    }
+}
+
+/// A goal as a pose; one without a heading faces along x.
+#[must_use]
+pub fn pose_of(goal: &GoalPoint) -> Pose2 {
+    Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0))
+}
+
+/// The number on a port; `otherwise` where there is none.
+///
+/// # Errors
+/// What was expected.
+pub fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
+    let value = io.get_optional(port).map_err(|error| error.to_string())?;
+    Ok(value.unwrap_or(otherwise))
+}
+
+/// Puts a value on a port: SUCCESS.
+///
+/// # Errors
+/// What the entry behind the port expects.
+pub fn write(io: &mut LeafIo<'_>, port: &str, value: Result<Value, String>) -> Result<Status, String> {
+    io.set(port, value?).map_err(|error| error.to_string())?;
+    Ok(Status::Success)
+}
+
+/// Where the robot is.
+///
+/// # Errors
+/// It has not been heard.
+pub fn here(ctx: &Context) -> Result<Pose2, String> {
+    ctx.robot
+        .pose()
+        .ok_or_else(|| "nobody knows where the robot is".to_owned())
+}
+
+/// The robot's build and where it may be by its map; `None` while one of them is not known.
+pub fn ground(ctx: &mut Context) -> Option<(RobotModel, Arc<ConfigurationSpace>)> {
+    let model = ctx.robot.model().cloned()?;
+    let space = ctx.map.space(&model.footprint)?;
+    Some((model, space))
+}
+
+/// Waypoints from a port's value, `laps` times.
+///
+/// # Errors
+/// What was expected.
+pub fn parse_points(value: &Value, laps: u64, places: &Places) -> Result<Vec<Point2<f64>>, String> {
+    let goals = parse_goals(value, places)?;
+    if goals.is_empty() || goals.len().saturating_mul(usize::try_from(laps).unwrap_or(usize::MAX)) > MAX_POINTS {
+        return Err(format!(
+            "{} waypoints {laps} times: expected 1 to {MAX_POINTS} in all",
+            goals.len()
+        ));
+    }
+    let points: Vec<Point2<f64>> = goals.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
+    if !points.iter().all(|point| point.x.is_finite() && point.y.is_finite()) {
+        return Err("waypoints: expected finite numbers".to_owned());
+    }
+    Ok((0..laps).flat_map(|_| points.iter().copied()).collect())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn goals_are_read_in_every_form() {
+        let here = GoalPoint {
+            x: 0.88,
+            y: 0.09,
+            yaw: None,
+        };
+        assert_eq!(parse_goal(&Value::text(" 0.88; 0.09"), &Places::new()).unwrap(), here);
+        assert_eq!(
+            parse_goal(&Value::text(r#"{"x": 0.88, "y": 0.09}"#), &Places::new()).unwrap(),
+            here
+        );
+        assert_eq!(parse_goal(&Value::data(&here).unwrap(), &Places::new()).unwrap(), here);
+        assert_eq!(
+            parse_goal(&Value::text(goal_text(&here)), &Places::new()).unwrap(),
+            here
+        );
+        assert_eq!(
+            parse_goal(&Value::text("1;2;0.5"), &Places::new()).unwrap().yaw,
+            Some(0.5)
+        );
+        for bad in ["", "1", "1;2;3;4", "a;b", "NaN;1", "1;inf"] {
+            assert!(parse_goal(&Value::text(bad), &Places::new()).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn places_are_found_by_name_and_a_stranger_is_told_the_names() {
+        let sink = GoalPoint {
+            x: 0.88,
+            y: 0.09,
+            yaw: None,
+        };
+        let places: Places = [("sink".to_owned(), sink)].into();
+        assert_eq!(parse_goal(&Value::text(" sink "), &places), Ok(sink));
+        assert_eq!(parse_goals(&Value::text("sink|1;2|sink"), &places).unwrap().len(), 3);
+        assert!(parse_goal(&Value::text("table"), &places).is_err_and(|why| why.contains("(sink)")));
+    }
+
+    #[test]
+    fn goals_and_paths_come_back_as_they_were_written() {
+        let goals = vec![
+            GoalPoint {
+                x: 1.0,
+                y: -2.5,
+                yaw: None,
+            },
+            GoalPoint {
+                x: 0.1,
+                y: 0.2,
+                yaw: Some(-1.5),
+            },
+        ];
+        assert_eq!(
+            parse_goals(&goals_value(&goals).unwrap(), &Places::new()).unwrap(),
+            goals
+        );
+        assert_eq!(
+            parse_goals(&Value::text("1;-2.5|0.1;0.2;-1.5"), &Places::new()).unwrap(),
+            goals
+        );
+        assert_eq!(
+            parse_goals(&Value::text(r#"[{"x":1,"y":-2.5},"0.1;0.2;-1.5"]"#), &Places::new()).unwrap(),
+            goals
+        );
+        let pose = |x: f64| format!("0;map;{x};0;0;0;0;0;1");
+        let nav2 = Value::text(format!("0;map;{};{}", pose(1.0), pose(2.0)));
+        let goals = parse_goals(&nav2, &Places::new()).unwrap();
+        assert_eq!(
+            goals.iter().map(|goal| (goal.x, goal.yaw)).collect::<Vec<_>>(),
+            [(1.0, Some(0.0)), (2.0, Some(0.0))]
+        );
+        assert_eq!(parse_path(&nav2).unwrap().length, 1.0);
+        let path = parse_path(&Value::text("json:[[0,0],[3,4]]")).unwrap();
+        assert_eq!((path.length, path.goal.x, path.route), (5.0, 3.0, 0));
+        assert_eq!(parse_path(&path.value().unwrap()).unwrap(), path);
+        for bad in ["", "[[0]]", "{}", "[[0,1e999]]"] {
+            assert!(parse_path(&Value::text(bad)).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn laps_repeat_the_list_within_bounds() {
+        assert_eq!(
+            parse_points(&Value::text("1;2|3;4|"), 2, &Places::new()).unwrap().len(),
+            4
+        );
+        assert!(parse_points(&Value::text(""), 1, &Places::new()).is_err());
+        assert!(parse_points(&Value::text("1;2"), 0, &Places::new()).is_ok_and(|points| points.is_empty()));
+        assert!(parse_points(&Value::text("1;2"), u64::MAX, &Places::new()).is_err());
+    }
+}

@@ -1,0 +1,34 @@
+//! Does the robot get on? Without enough way or turn in time, a drive has failed (Nav2's PoseProgressChecker).
+
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::time::Stamp;
+
+use crate::context::Context;
+
+/// Where and when the robot was seen to get on last.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Progress {
+    anchor: Option<(Stamp, Pose2)>,
+}
+
+impl Progress {
+    /// Begins to count anew: what holds the robot now is no fault of the drive's.
+    pub fn reset(&mut self) {
+        self.anchor = None;
+    }
+
+    /// Whether the robot has been without progress for too long.
+    pub fn is_stuck(&mut self, ctx: &Context) -> bool {
+        let Some(pose) = ctx.robot.pose() else { return false };
+        let (way, turn) = ctx.config.progress;
+        match self.anchor {
+            Some((since, anchor)) if anchor.distance(&pose) < way && wrap_angle(pose.yaw - anchor.yaw).abs() < turn => {
+                ctx.now.secs_since(since) > ctx.config.progress_secs
+            }
+            _ => {
+                self.anchor = Some((ctx.now, pose));
+                false
+            }
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! ClearEntireCostmap and its kin, Cancel*, ToggleCollisionMonitor: Nav2's services to other parts, as far as they have a
+//! meaning here.
+
+use super::AtOnce;
+use super::mapping::OnMap;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+
+/// A costmap is thrown away and filled anew. What this stack has of the global one is the map ([`OnMap::forget`]). A local one there
+/// is not: the robot's guard goes by the newest scan alone, so that nothing old is left to clear.
+pub struct ClearCostmap(OnMap);
+
+impl Default for ClearCostmap {
+    fn default() -> Self {
+        Self(OnMap::forget())
+    }
+}
+
+impl Leaf<Context> for ClearCostmap {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let service: Option<String> = io.get_optional("service_name").ok().flatten();
+        if service.is_some_and(|name| name.contains("local_costmap")) {
+            io.say("the robot's guard keeps nothing: it goes by the newest scan");
+            return Status::Success;
+        }
+        self.0.start(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.0.tick(io, ctx)
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.0.resume(io, ctx)
+    }
+
+    fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
+        self.0.halt(io, ctx);
+    }
+}
+
+/// Ends what leaves of a registration id are doing elsewhere in the tree; SUCCESS also where none is.
+pub struct Cancel(pub &'static str);
+
+/// Which leaf each of Nav2's cancelling actions ends.
+#[must_use]
+pub fn canceled_by(id: &str) -> Option<&'static str> {
+    Some(match id {
+        "CancelControl" => "FollowPath",
+        "CancelBackUp" => "BackUp",
+        "CancelDriveOnHeading" => "DriveOnHeading",
+        "CancelSpin" => "Spin",
+        "CancelWait" => "Wait",
+        _ => return None,
+    })
+}
+
+impl AtOnce for Cancel {
+    fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        ctx.cancel(self.0);
+        Ok(Status::Success)
+    }
+}
+
+/// The robot's guard is always on: SUCCESS to switch it on.
+pub struct ToggleCollisionMonitor;
+
+impl AtOnce for ToggleCollisionMonitor {
+    fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
+        match io.get_optional("enable") {
+            Ok(Some(false)) => Err("the robot's guard cannot be switched off".to_owned()),
+            Ok(_) => Ok(Status::Success),
+            Err(wrong) => Err(wrong.to_string()),
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! SmoothPath: a way is made smooth by a smoothing worker, as from rest at its beginning. What comes out is a path of its
+//! corners; FollowPath makes a motion of it from where the robot is.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::SmoothRequest;
+use zenav_protocol::time::Stamp;
+
+use super::ports::{number, path_on};
+use super::selectors::Choice;
+use super::{fail, no_error, path, step};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+use crate::context::Context;
+use crate::exchange::{Answer, Ask, NoAnswer, Ticket};
+use crate::route::RouteData;
+
+/// Nav2's codes of why there is no smooth path.
+mod error_code {
+    pub const UNKNOWN: i64 = 500;
+    pub const INVALID_SMOOTHER: i64 = 501;
+    pub const TIMEOUT: i64 = 502;
+    pub const FAILED_TO_SMOOTH_PATH: i64 = 504;
+    pub const INVALID_PATH: i64 = 505;
+}
+
+/// What comes out leaves the smooth curve by at most so much, m.
+const EXACT: f64 = 0.01;
+/// Least time that a worker is waited for, s: to hold through a network.
+const PATIENCE: f64 = 3.0;
+
+/// Smooths `unsmoothed_path`.
+#[derive(Default)]
+pub struct SmoothPath {
+    ticket: Option<Ticket>,
+    given: Option<RouteData>,
+    since: Stamp,
+}
+
+impl Leaf<Context> for SmoothPath {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.halt(io, ctx);
+        if let Err(why) = Choice::Smoother.check(io.get_optional("smoother_id").ok().flatten()) {
+            return fail(io, ctx, Some(error_code::INVALID_SMOOTHER), why);
+        }
+        let data = match path_on(io, "unsmoothed_path") {
+            Ok(data) if data.points.len() > 1 => data,
+            Ok(_) => {
+                return fail(
+                    io,
+                    ctx,
+                    Some(error_code::INVALID_PATH),
+                    "a path of fewer than two points",
+                );
+            }
+            Err(why) => return fail(io, ctx, Some(error_code::INVALID_PATH), why),
+        };
+        let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
+            return fail(
+                io,
+                ctx,
+                Some(error_code::UNKNOWN),
+                "the robot or its map is not known yet",
+            );
+        };
+        let start = start(&data.points);
+        let request = SmoothRequest {
+            robot: ctx.config.robot.to_string(),
+            model,
+            map,
+            path: data.points.clone(),
+            start,
+            start_velocity: Twist2::ZERO,
+            goal_yaw: data.goal.yaw,
+            unknown_is_free: ctx.config.unknown_is_free,
+            profile: ctx.goal.profile,
+        };
+        *self = Self {
+            ticket: Some(ctx.asks.ask(Ask::Smooth(Box::new(request)))),
+            given: Some(data),
+            since: ctx.now,
+        };
+        step(io, ctx, "smooths")
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let waited = ctx.now.secs_since(self.since);
+        let patience = number(io, "max_smoothing_duration", PATIENCE)
+            .unwrap_or(PATIENCE)
+            .max(PATIENCE);
+        let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) else {
+            if waited > patience {
+                self.halt(io, ctx);
+                let why = format!("no smoothing worker has answered within {patience:.0} s");
+                return fail(io, ctx, Some(error_code::TIMEOUT), why);
+            }
+            return step(io, ctx, "smooths");
+        };
+        self.ticket = None;
+        let reply = match answer {
+            Ok(Answer::Smooth(reply)) => reply,
+            Ok(_) => {
+                return fail(
+                    io,
+                    ctx,
+                    Some(error_code::UNKNOWN),
+                    "the smoother's answer was about something else",
+                );
+            }
+            Err(NoAnswer::Silent(why)) => return fail(io, ctx, Some(error_code::TIMEOUT), why),
+            Err(NoAnswer::Refused(refusal)) => {
+                return fail(io, ctx, Some(error_code::FAILED_TO_SMOOTH_PATH), refusal.to_string());
+            }
+        };
+        let (Some(given), false) = (self.given.take(), reply.trajectory.is_empty()) else {
+            let why = format!("the path cannot be driven: {}", reply.statistics.status);
+            return fail(io, ctx, Some(error_code::FAILED_TO_SMOOTH_PATH), why);
+        };
+        let points: Vec<Point2<f64>> = reply
+            .trajectory
+            .iter()
+            .map(|point| Point2::new(point.x, point.y))
+            .collect();
+        let points = path::simplified(&points, EXACT);
+        let smooth = RouteData {
+            route: 0,
+            length: path::length(&points),
+            points,
+            ..given
+        };
+        let written = smooth
+            .value()
+            .and_then(|value| io.set("smoothed_path", value).map_err(|error| error.to_string()));
+        if let Err(why) = written {
+            return fail(io, ctx, Some(error_code::UNKNOWN), why);
+        }
+        // A tree that has put something else on these ports goes without.
+        let _ = io.set("smoothing_duration", waited);
+        let _ = io.set("was_completed", true);
+        no_error(io);
+        Status::Success
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.start(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        if let Some(ticket) = self.ticket.take() {
+            ctx.asks.forget(ticket);
+        }
+    }
+}
+
+/// The beginning of a path, looking along it.
+fn start(points: &[Point2<f64>]) -> Pose2 {
+    let begin = points.first().copied().unwrap_or_else(Point2::origin);
+    let along = points.iter().map(|point| point - begin).find(|step| step.norm() > 1e-6);
+    Pose2::new(begin.x, begin.y, along.map_or(0.0, |step| step.y.atan2(step.x)))
+}

@@ -1,0 +1,103 @@
+//! Where on its path is the robot that follows it, and how exactly does it keep to it?
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+use zenav_protocol::geometry::wrap_angle;
+use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::time::Stamp;
+
+use super::path;
+use zenav_behaviour_tree::{LeafIo, Value};
+use crate::context::Context;
+use crate::route::RouteData;
+
+/// So far ahead on the way it is looked where the robot is, m.
+const AHEAD: f64 = 2.0;
+/// A goal to pass counts as passed so far before it, m.
+const AT_VIA: f64 = 0.1;
+/// Time between two words on how exactly the path is kept to, s.
+const PERIOD: f64 = 0.1;
+
+/// Nav2's TrackingFeedback, as IsWithinPathTrackingBounds reads it.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct TrackingFeedback {
+    /// Distance from the path, m; positive left of it.
+    pub position_tracking_error: f64,
+    /// Heading beside the path's, rad.
+    pub heading_tracking_error: f64,
+    /// Straight distance to the goal, m.
+    #[serde(default)]
+    pub distance_to_goal: f64,
+    /// Way left, m.
+    #[serde(default)]
+    pub remaining_path_length: f64,
+    /// Forward speed, m/s.
+    #[serde(default)]
+    pub speed: f64,
+}
+
+/// The path that is followed, and how much of it lies behind the robot.
+#[derive(Debug, Default)]
+pub struct Tracking {
+    path: Option<RouteData>,
+    behind: f64,
+    told: Stamp,
+}
+
+impl Tracking {
+    /// Follows a path from its beginning. Whether it is another one than before.
+    pub fn follow(&mut self, data: RouteData) -> bool {
+        let other = self.path.as_ref() != Some(&data);
+        if other {
+            (self.path, self.behind) = (Some(data), 0.0);
+        }
+        other
+    }
+
+    /// Follows a path on from where the robot is, wherever that is on it.
+    pub fn take_up(&mut self, data: RouteData, ctx: &Context) {
+        let pose = ctx.robot.pose();
+        let near = pose.and_then(|pose| path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY));
+        self.behind = near.map_or(0.0, |near| near.along);
+        self.path = Some(data);
+    }
+
+    /// Looks where the robot is by now, and tells it on the port for those who listen.
+    pub fn observe(&mut self, io: &mut LeafIo<'_>, ctx: &Context) {
+        let (Some(pose), Some(data)) = (ctx.robot.pose(), &self.path) else {
+            return;
+        };
+        let whole = path::length(&data.points);
+        let (from, to) = (self.behind, self.behind + AHEAD);
+        let Some(near) = path::nearest(&data.points, pose.position(), from, to.min(whole)) else {
+            return;
+        };
+        self.behind = near.along;
+        if !io.is_writable("tracking_feedback") || ctx.now.secs_since(self.told) < PERIOD {
+            return;
+        }
+        self.told = ctx.now;
+        let feedback = TrackingFeedback {
+            position_tracking_error: near.left,
+            heading_tracking_error: wrap_angle(pose.yaw - near.heading),
+            distance_to_goal: (pose.x - data.goal.x).hypot(pose.y - data.goal.y),
+            remaining_path_length: whole - near.along,
+            speed: ctx.robot.velocity().v,
+        };
+        // A tree that has put something else on this port gets no feedback.
+        if let Ok(value) = Value::data(&feedback) {
+            let _ = io.set_fleeting("tracking_feedback", value);
+        }
+    }
+
+    /// Goals on the path that the robot has yet to pass.
+    #[must_use]
+    pub fn goals_ahead(&self) -> Vec<GoalPoint> {
+        let Some(data) = &self.path else { return Vec::new() };
+        let is_ahead = |goal: &&GoalPoint| {
+            path::nearest(&data.points, Point2::new(goal.x, goal.y), self.behind, f64::INFINITY)
+                .is_some_and(|near| near.along > self.behind + AT_VIA)
+        };
+        data.via.iter().filter(is_ahead).copied().collect()
+    }
+}

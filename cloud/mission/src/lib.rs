@@ -1,0 +1,79 @@
+//! What is the robot to do next, and how does nobody lose it? Goals, their behaviour trees, the lease, the plan in force.
+//!
+//! A mission is one robot's orchestrator: it holds the robot's lease, and it alone publishes the plan that moves it.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`config`] | what can be set? |
+//! | [`exchange`] | what goes into a step, and what comes out? |
+//! | [`orchestrator`] | what happens in a step? |
+//! | `desk`, [`intake`], [`goals`] | what are clients told, which goals are taken, which are there? |
+//! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
+//! | [`lease`] | does this mission command the robot? |
+//! | [`robot`], [`map`] | what is known of the robot and its map? |
+//! | [`motion`] | which plan is in force, and is it still good? |
+//! | [`route`] | how does a goal become a motion? plan, then smooth |
+//! | [`context`], [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
+//!
+//! # A leaf of one's own
+//!
+//! A behaviour tree's actions and conditions are [`zenav_behaviour_tree::Leaf`]s. One that acts on a robot gets the mission's
+//! [`context::Context`]; it is added by name, with its ports, before the first mission begins:
+//!
+//! ```
+//! use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status};
+//! use zenav_mission::context::Context;
+//! use zenav_mission::trees;
+//!
+//! /// SUCCESS while the robot is north of a line.
+//! struct IsNorthOf;
+//!
+//! impl Leaf<Context> for IsNorthOf {
+//!     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+//!         let line: f64 = match io.get("y") {
+//!             Ok(line) => line,
+//!             Err(wrong) => return io.fail(wrong.to_string()),
+//!         };
+//!         match ctx.robot.pose() {
+//!             Some(pose) if pose.y > line => Status::Success,
+//!             _ => Status::Failure,
+//!         }
+//!     }
+//! }
+//!
+//! trees::add_leaves(|registry| {
+//!     let spec = NodeSpec::condition("IsNorthOf", "SUCCESS north of a line.");
+//!     registry.leaf(spec.input("y", PortType::Double, "the line, m, map frame"), |_| Box::new(IsNorthOf))
+//! })?;
+//! let tree = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><IsNorthOf y="2.5"/></BehaviorTree></root>"#;
+//! assert!(trees::build(tree).is_ok());
+//! # Ok::<(), trees::CannotAdd>(())
+//! ```
+//!
+//! A leaf that takes its time answers `Running` and is ticked again; one with an effect outside remembers what it is about to do
+//! ([`zenav_behaviour_tree::LeafIo::remember`]) and does it in the next tick, when that is stored. A program in another language
+//! does an action by [`leaves::remote`].
+
+pub mod config;
+pub mod context;
+mod desk;
+pub mod exchange;
+pub mod goals;
+pub mod intake;
+pub mod lease;
+pub mod leaves;
+pub mod map;
+pub mod motion;
+pub mod orchestrator;
+pub mod records;
+pub mod robot;
+pub mod route;
+pub mod store;
+#[cfg(test)]
+mod tests;
+pub mod trees;
+
+pub use config::MissionConfig;
+pub use exchange::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
+pub use orchestrator::Mission;
+pub use records::{Record, Restored};

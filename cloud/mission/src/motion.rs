@@ -1,0 +1,434 @@
+//! Which plan is in force, and is it still good? Published, renewed, held, and what the robot says of it.
+//!
+//! A motion keeps its name while it is renewed; the robot goes on where it is. A new motion gets a new name. Nothing
+//! here decides to move: leaves do.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+
+use super::lease::newer;
+use zenav_space::ConfigurationSpace;
+
+/// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact for even motion.
+const SPACING: (f64, f64) = (0.05, 0.1);
+/// The way this near to the robot is not rechecked: what stands there is its guard's business, m.
+const NEAR: f64 = 0.1;
+/// What the map has where the robot stands may be left for so far, m.
+const ESCAPE: f64 = 0.6;
+/// Poses rechecked at once; the first block that collides tells when.
+const BLOCK: usize = 16;
+/// A robot that says nothing of an accepted motion for this long has dropped it, s.
+const DROPPED: f64 = 0.6;
+
+/// What a new motion consists of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Course {
+    /// The map that it was made on.
+    pub map: MapRef,
+    /// Corner points.
+    pub waypoints: Vec<Point2<f64>>,
+    /// Trajectory; empty for plain waypoints.
+    pub trajectory: Vec<TrajectoryPoint>,
+    /// Where on the motion before it begins.
+    pub splice: Option<Splice>,
+    /// How it came about.
+    pub statistics: PlanStatistics,
+}
+
+/// What the robot says of the motion in force.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Nothing yet.
+    Sent,
+    /// It drives it, or will go on once renewed.
+    Taken,
+    /// It is at rest at the end.
+    Finished,
+    /// It refused it.
+    Refused(String),
+    /// It threw it away.
+    Void(String),
+}
+
+/// What a recheck says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Recheck {
+    /// Free as far as the map knows.
+    Free,
+    /// Something stands on the way, this many seconds of plan time ahead.
+    Blocked(f64),
+}
+
+#[derive(Clone, Debug)]
+struct InForce {
+    plan: Plan,
+    standing: Standing,
+    /// When it was published, renewed or held last.
+    published: Stamp,
+    /// When the robot was last heard to have it.
+    confirmed: Stamp,
+    held: bool,
+}
+
+/// Keeps the plan in force.
+#[derive(Clone, Debug)]
+pub struct MotionKeeper {
+    incarnation: u64,
+    revisions: u64,
+    motions: u64,
+    current: Option<InForce>,
+    /// What was in force before, while the robot has not taken the new motion.
+    previous: Option<InForce>,
+    changed: bool,
+    /// Whether the present drive has had a motion already: the next one replaces it.
+    pub was_begun_for_leg: bool,
+}
+
+impl MotionKeeper {
+    /// Nothing in force.
+    #[must_use]
+    pub fn new(incarnation: u64) -> Self {
+        Self {
+            incarnation,
+            revisions: 0,
+            motions: 0,
+            current: None,
+            previous: None,
+            changed: false,
+            was_begun_for_leg: false,
+        }
+    }
+
+    /// Takes up what was in force before a restart: it counts as taken until the robot says otherwise.
+    pub fn restore(&mut self, plan: Plan) {
+        self.was_begun_for_leg = true;
+        let long_ago = Stamp::ZERO;
+        self.current = Some(InForce {
+            plan,
+            standing: Standing::Taken,
+            published: long_ago,
+            confirmed: long_ago,
+            held: false,
+        });
+    }
+
+    /// Name of the motion in force.
+    #[must_use]
+    pub fn id(&self) -> Option<u64> {
+        self.current.as_ref().map(|current| current.plan.trajectory_id)
+    }
+
+    /// What the robot says of it; `None` when nothing is in force.
+    #[must_use]
+    pub fn standing(&self) -> Option<&Standing> {
+        self.current.as_ref().map(|current| &current.standing)
+    }
+
+    /// The plan as published last.
+    #[must_use]
+    pub fn plan(&self) -> Option<&Plan> {
+        self.current.as_ref().map(|current| &current.plan)
+    }
+
+    /// Whether it is being let run out.
+    #[must_use]
+    pub fn is_held(&self) -> bool {
+        self.current.as_ref().is_some_and(|current| current.held)
+    }
+
+    /// Time since it was published or renewed, s.
+    #[must_use]
+    pub fn age(&self, now: Stamp) -> f64 {
+        self.current
+            .as_ref()
+            .map_or(f64::INFINITY, |current| now.secs_since(current.published))
+    }
+
+    /// Whether what is to be stored has changed since it was asked last; and that.
+    pub fn take_changed(&mut self) -> Option<Option<Box<Plan>>> {
+        std::mem::take(&mut self.changed).then(|| self.current.as_ref().map(|current| Box::new(current.plan.clone())))
+    }
+
+    /// A new motion comes into force.
+    pub fn begin(
+        &mut self,
+        course: Course,
+        goal_id: &str,
+        epoch: u64,
+        based_on: BasedOn,
+        valid_for: f64,
+        now: Stamp,
+    ) -> Plan {
+        self.motions += 1;
+        let plan = Plan {
+            goal_id: goal_id.to_owned(),
+            epoch,
+            revision: self.next_revision(),
+            trajectory_id: newer(self.incarnation, self.motions),
+            map: course.map,
+            frame: "map".to_owned(),
+            based_on,
+            valid_for,
+            waypoints: course.waypoints,
+            trajectory: course.trajectory,
+            splice: course.splice,
+            statistics: course.statistics,
+        };
+        self.previous = self
+            .current
+            .take()
+            .filter(|current| current.standing == Standing::Taken);
+        self.current = Some(InForce {
+            plan: plan.clone(),
+            standing: Standing::Sent,
+            published: now,
+            confirmed: now,
+            held: false,
+        });
+        self.changed = true;
+        self.was_begun_for_leg = true;
+        plan
+    }
+
+    /// The same motion for longer, under the present epoch. `None` when nothing is in force that could be renewed.
+    pub fn renew(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
+        self.publish(epoch, based_on, valid_for, now, false)
+    }
+
+    /// The same motion, to run out soon. `None` when it is held already or nothing is in force.
+    pub fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
+        if self.is_held() {
+            None
+        } else {
+            self.publish(epoch, based_on, valid_for, now, true)
+        }
+    }
+
+    fn publish(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp, held: bool) -> Option<Plan> {
+        let revision = self.next_revision();
+        let current = self
+            .current
+            .as_mut()
+            .filter(|current| matches!(current.standing, Standing::Sent | Standing::Taken))?;
+        current.plan = Plan {
+            epoch,
+            revision,
+            based_on,
+            valid_for,
+            ..current.plan.clone()
+        };
+        current.published = now;
+        current.held = held;
+        Some(current.plan.clone())
+    }
+
+    /// The robot has refused the motion: what was in force before still is, if it drove. Whether there is such.
+    pub fn revert(&mut self) -> bool {
+        let previous = self.previous.take();
+        self.changed |= previous.is_some();
+        let reverts = previous.is_some();
+        self.current = previous.or(self.current.take());
+        reverts
+    }
+
+    /// Nothing is in force any more.
+    pub fn clear(&mut self) {
+        self.previous = None;
+        self.changed |= self.current.take().is_some();
+    }
+
+    fn next_revision(&mut self) -> Revision {
+        self.revisions += 1;
+        Revision {
+            incarnation: self.incarnation,
+            counter: self.revisions,
+        }
+    }
+
+    /// Takes in what the robot says.
+    pub fn observe(&mut self, now: Stamp, state: Option<&EdgeState>, events: &[Event]) {
+        let Some(current) = &mut self.current else { return };
+        for event in events {
+            current.take(now, event);
+        }
+        let Some(state) = state else { return };
+        if state.boot_id != current.plan.based_on.boot_id {
+            current.standing = Standing::Void("the robot has started anew".to_owned());
+            return;
+        }
+        match &state.plan {
+            Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
+                current.confirmed = now;
+                if matches!(current.standing, Standing::Sent | Standing::Taken) {
+                    current.standing = if progress.finished {
+                        Standing::Finished
+                    } else {
+                        Standing::Taken
+                    };
+                }
+            }
+            _ if current.standing == Standing::Taken && now.secs_since(current.confirmed) > DROPPED => {
+                current.standing = Standing::Void("the robot has dropped the plan".to_owned());
+            }
+            _ => {}
+        }
+    }
+
+    /// Plan time that the robot has reached by now, s; `None` unless it is driving this motion.
+    #[must_use]
+    pub fn time(&self, state: &EdgeState, age: f64) -> Option<f64> {
+        let current = self.current.as_ref()?;
+        let progress = state
+            .plan
+            .as_ref()
+            .filter(|progress| progress.trajectory_id == current.plan.trajectory_id)?;
+        let moving = state.mode == Mode::Follow && !progress.finished && progress.valid_for > 0.0;
+        Some(progress.time + if moving { age.clamp(0.0, 0.5) } else { 0.0 })
+    }
+
+    /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
+    #[must_use]
+    pub fn recheck(&self, space: &ConfigurationSpace, from: f64) -> Recheck {
+        self.current
+            .as_ref()
+            .map_or(Recheck::Free, |current| recheck(&current.plan.trajectory, space, from))
+    }
+}
+
+impl InForce {
+    fn take(&mut self, now: Stamp, event: &Event) {
+        if event.boot_id != self.plan.based_on.boot_id {
+            return;
+        }
+        let ours = self.plan.trajectory_id;
+        match &event.kind {
+            EventKind::PlanAccepted { trajectory_id, .. } if *trajectory_id == ours => {
+                self.confirmed = now;
+                if self.standing == Standing::Sent {
+                    self.standing = Standing::Taken;
+                }
+            }
+            EventKind::PlanRejected {
+                trajectory_id,
+                revision,
+                reason,
+                ..
+            } if *trajectory_id == ours && *revision == self.plan.revision && self.standing != Standing::Finished => {
+                self.standing = Standing::Refused(reason.clone());
+            }
+            EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {
+                self.standing = Standing::Finished
+            }
+            // Before the motion was taken this is about the one before it.
+            EventKind::PlanDiscarded { goal_id, reason }
+                if *goal_id == self.plan.goal_id && self.standing == Standing::Taken =>
+            {
+                self.standing = Standing::Void(reason.clone());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Rechecks a trajectory from plan time `from` on, with the true footprint.
+#[must_use]
+pub fn recheck(trajectory: &[TrajectoryPoint], space: &ConfigurationSpace, from: f64) -> Recheck {
+    let mut poses: Vec<(f64, Pose2)> = Vec::new();
+    let mut way = 0.0;
+    let mut before: Option<Pose2> = None;
+    let mut leaving = true;
+    for (index, point) in trajectory.iter().enumerate().filter(|(_, point)| point.t >= from) {
+        let pose = point.pose();
+        way += before.map_or(0.0, |before: Pose2| before.distance(&pose));
+        before = Some(pose);
+        // A robot that by the map stands in something must be let out of it.
+        leaving = leaving && way < ESCAPE && space.footprint_clearance(pose) <= 0.0;
+        if leaving {
+            continue;
+        }
+        let last = index + 1 == trajectory.len();
+        let spaced = poses.last().is_none_or(|(_, kept)| {
+            kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
+        });
+        if way >= NEAR && (spaced || last) {
+            poses.push((point.t, pose));
+        }
+    }
+    // Blocks share their ends, so that nothing between them is missed.
+    let mut first = 0;
+    while first < poses.len() {
+        let end = (first + BLOCK).min(poses.len());
+        let Some(block) = poses.get(first..end) else { break };
+        let sweep: Vec<Pose2> = block.iter().map(|(_, pose)| *pose).collect();
+        if space.sweep_min_clearance(&sweep) <= 0.0 {
+            return Recheck::Blocked((block.first().map_or(from, |(t, _)| *t) - from).max(0.0));
+        }
+        if end == poses.len() {
+            break;
+        }
+        first = end - 1;
+    }
+    Recheck::Free
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_space::UnknownPolicy;
+    use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::robot::Footprint;
+
+    fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, -1.0),
+            resolution: 0.05,
+            width: 200,
+            height: 60,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        for (x, y) in occupied {
+            grid[spec.cell_at(Point2::new(*x, *y)).unwrap()] = Occupancy::OCCUPIED;
+        }
+        ConfigurationSpace::new(&grid, &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0)
+    }
+
+    /// Straight on at 0.5 m/s for 8 m.
+    fn straight() -> Vec<TrajectoryPoint> {
+        (0..=320)
+            .map(|i| f64::from(i) * 0.05)
+            .map(|t| TrajectoryPoint {
+                t,
+                x: 0.5 * t,
+                v: 0.5,
+                ..TrajectoryPoint::default()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_lies_ahead_is_found_and_what_lies_behind_is_not() {
+        let (way, space) = (straight(), space(&[(4.0, 0.2)]));
+        let Recheck::Blocked(ahead) = recheck(&way, &space, 0.0) else {
+            panic!("missed")
+        };
+        assert!((5.5..7.6).contains(&ahead), "{ahead}");
+        assert_eq!(recheck(&way, &space, 9.0), Recheck::Free);
+        assert_eq!(recheck(&way, &self::space(&[(4.0, 0.3)]), 0.0), Recheck::Free);
+    }
+
+    #[test]
+    fn a_robot_that_stands_in_something_is_let_out_of_it() {
+        assert_eq!(recheck(&straight(), &space(&[(-0.1, 0.1)]), 0.0), Recheck::Free);
+        assert!(matches!(
+            recheck(&straight(), &space(&[(-0.1, 0.1), (1.0, 0.0)]), 0.0),
+            Recheck::Blocked(_)
+        ));
+        assert!(matches!(
+            recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0),
+            Recheck::Blocked(_)
+        ));
+    }
+}

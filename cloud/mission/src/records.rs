@@ -1,0 +1,96 @@
+//! What outlives a crash? Plain records; how they are kept on disk is the store's business.
+
+use serde::{Deserialize, Serialize};
+use zenav_protocol::messages::{GoalReply, GoalState, Plan};
+use zenav_protocol::time::Stamp;
+
+use zenav_behaviour_tree::TreeSnapshot;
+
+/// A goal as it is stored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StoredGoal {
+    /// Order of acceptance.
+    pub sequence: u64,
+    /// Goes before those that wait: it preempted.
+    #[serde(default)]
+    pub urgent: bool,
+    /// Time it was held by pauses, s.
+    #[serde(default)]
+    pub paused_secs: f64,
+    /// Since when it is held by a pause.
+    #[serde(default)]
+    pub paused_since: Option<Stamp>,
+    /// The goal.
+    pub state: GoalState,
+}
+
+/// The tree that runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunningTree {
+    /// The goal that it serves.
+    pub goal_id: String,
+    /// Its nodes and blackboard.
+    pub snapshot: TreeSnapshot,
+}
+
+/// One change of what is stored.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// A goal, new or changed.
+    Goal(Box<StoredGoal>),
+    /// An old goal's end.
+    ForgetGoal(String),
+    /// The tree that runs, if one does.
+    Tree(Option<Box<RunningTree>>),
+    /// The plan in force, if there is one; renewals are not stored.
+    Motion(Option<Box<Plan>>),
+    /// The first answer to a request.
+    Answer(String, GoalReply),
+    /// An old answer's end.
+    ForgetAnswer(String),
+    /// The mission's time when this is written, by which all other stamps are to be read.
+    Now(Stamp),
+}
+
+/// How a mission's store stands to those of other missions for the same robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Standing {
+    /// Epoch of the newest grant, its own or one that it followed; zero before any mission of the robot led.
+    pub epoch: u64,
+    /// Whether another store may hold newer goals than this one: then it leads on the robot's word alone.
+    pub shared: bool,
+}
+
+/// What a mission begins with.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Restored {
+    /// Name of the store; none where nothing is kept.
+    pub store: Option<String>,
+    /// How it stands to other missions' stores.
+    pub standing: Standing,
+    /// Number of this life, greater than that of every life before.
+    pub incarnation: u64,
+    /// All goals.
+    pub goals: Vec<StoredGoal>,
+    /// The tree that ran.
+    pub tree: Option<RunningTree>,
+    /// The plan that was in force.
+    pub motion: Option<Plan>,
+    /// First answers to requests.
+    pub answers: Vec<(String, GoalReply)>,
+    /// The mission's time when something was written last: no later life's time is before it.
+    pub now: Stamp,
+    /// How far the leader's time was ahead of this clock when it was heard last, ns, for a standby that takes over.
+    pub ahead: Option<i64>,
+}
+
+impl Restored {
+    /// The first life, with nothing before it.
+    #[must_use]
+    pub fn fresh() -> Self {
+        Self {
+            incarnation: 1,
+            ..Self::default()
+        }
+    }
+}

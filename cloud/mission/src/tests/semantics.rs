@@ -1,0 +1,366 @@
+//! Claims about single nodes that look at a robot, its paths and its goals: a test a row of Nav2's semantics.
+
+use std::time::Duration;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+
+use super::rig::{Rig, model};
+use zenav_behaviour_tree::{Status, Tree, Value};
+use crate::MissionConfig;
+use crate::context::Context;
+use crate::exchange::{Answer, Ask};
+use crate::leaves::parse_path;
+use crate::records::Restored;
+use crate::trees::build;
+
+use Status::{Failure, Running, Success};
+
+/// One node, and a robot that is put where a test wants it.
+struct Stand {
+    tree: Tree<Context>,
+    ctx: Context,
+    ms: u64,
+    pose: Pose2,
+    velocity: Twist2,
+    events: Vec<Event>,
+}
+
+impl Stand {
+    fn new(node: &str) -> Stand {
+        let rig = Rig::new();
+        Stand::on(node, &rig)
+    }
+
+    /// With a rig's map.
+    fn on(node: &str, rig: &Rig) -> Stand {
+        let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
+        let mut ctx = Context::new(config, &Restored::fresh());
+        ctx.map.observe(Stamp(1), Some(rig.map.clone()), &[rig.patch()]);
+        ctx.robot.step(Stamp(1), &mut ctx.asks).unwrap();
+        let (ticket, ask) = ctx.asks.take_new().pop().unwrap();
+        assert!(matches!(ask, Ask::EdgeInfo(_)));
+        let info = InfoReply {
+            component: "edge".into(),
+            version: "0".into(),
+            schema: zenav_protocol::SCHEMA_VERSION,
+            robot: "tiago".into(),
+            model: Some(model()),
+            ..InfoReply::default()
+        };
+        ctx.asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(info))));
+        ctx.robot.step(Stamp(2), &mut ctx.asks).unwrap();
+        let text = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{node}</BehaviorTree></root>");
+        Stand {
+            tree: build(&text).unwrap_or_else(|error| panic!("{error}")),
+            ctx,
+            ms: 1000,
+            pose: Pose2::IDENTITY,
+            velocity: Twist2::ZERO,
+            events: Vec::new(),
+        }
+    }
+
+    /// Puts an entry on the blackboard.
+    fn with(mut self, key: &str, value: &str) -> Stand {
+        self.tree.blackboard_mut().set(key, value).unwrap();
+        self
+    }
+
+    fn at(&mut self, x: f64, y: f64) -> &mut Stand {
+        self.pose = Pose2::new(x, y, 0.0);
+        self
+    }
+
+    /// Time goes on, s; then a tick.
+    fn after(&mut self, secs: f64) -> Status {
+        self.ms += (secs * 1e3) as u64;
+        let now = Stamp::from_secs(self.ms as f64 * 1e-3);
+        self.ctx.now = now;
+        let pose = PoseEstimate {
+            stamp: now,
+            map_from_base: self.pose,
+            covariance: [0.0; 9],
+            velocity: self.velocity,
+        };
+        let state = EdgeState {
+            velocity: self.velocity,
+            ..state(now)
+        };
+        self.ctx.robot.hear(now, &std::mem::take(&mut self.events));
+        self.ctx.robot.observe(now, Some(state), Some(pose));
+        self.tree.tick(Duration::from_millis(self.ms), &mut self.ctx).unwrap()
+    }
+
+    fn now(&mut self) -> Status {
+        self.after(0.05)
+    }
+
+    fn entry(&self, key: &str) -> String {
+        self.tree
+            .blackboard()
+            .get(key)
+            .map(Value::to_string)
+            .unwrap_or_default()
+    }
+
+    /// Corners of a path on the blackboard.
+    fn path(&self, key: &str) -> Vec<(f64, f64)> {
+        let path = parse_path(self.tree.blackboard().get(key).unwrap()).unwrap();
+        path.points.iter().map(|point| (point.x, point.y)).collect()
+    }
+}
+
+fn state(now: Stamp) -> EdgeState {
+    EdgeState {
+        stamp: now,
+        boot_id: "b".into(),
+        mode: Mode::Idle,
+        link: Link::Connected,
+        lease: LeaseState::default(),
+        plan: None,
+        velocity: Twist2::ZERO,
+        guard: GuardZone::Clear,
+        battery: 0.15,
+        behaviour: None,
+        missed_ticks: 0,
+        wall_follower: None,
+    }
+}
+
+/// Five metres along x, then three along y.
+const PATH: &str = "[[0,0],[5,0],[5,3]]";
+
+#[test]
+fn is_goal_nearby_goes_by_the_way_left_not_by_the_distance() {
+    let mut stand = Stand::new(r#"<IsGoalNearby path="{path}" proximity_threshold="4.0"/>"#).with("path", PATH);
+    assert_eq!(stand.at(2.0, 0.0).now(), Failure, "six metres");
+    assert_eq!(stand.at(3.9, 0.1).now(), Failure);
+    assert_eq!(stand.at(4.2, 0.1).now(), Success);
+    let mut empty = Stand::new(r#"<IsGoalNearby path="{path}"/>"#).with("path", "[]");
+    assert_eq!(empty.now(), Failure, "an empty path");
+}
+
+#[test]
+fn is_goal_nearby_with_a_bound_does_not_jump_ahead_where_the_path_comes_back() {
+    let node = |bound: &str| {
+        format!(r#"<IsGoalNearby path="{{path}}" proximity_threshold="2.0" max_robot_pose_search_dist="{bound}"/>"#)
+    };
+    let back = "[[0,0],[4,0],[4,0.4],[0,0.4]]";
+    let mut bounded = Stand::new(&node("1.5")).with("path", back);
+    assert_eq!(bounded.at(0.5, 0.0).now(), Failure);
+    assert_eq!(bounded.at(1.0, 0.3).now(), Failure, "on the way out");
+    let mut free = Stand::new(&node("-1.0")).with("path", back);
+    assert_eq!(free.at(1.0, 0.3).now(), Success, "the closest of all");
+}
+
+#[test]
+fn truncate_path_local_cuts_before_and_behind_the_robot() {
+    let node = |forward: &str, backward: &str| {
+        format!(
+            r#"<TruncatePathLocal input_path="{{path}}" output_path="{{cut}}" distance_forward="{forward}" distance_backward="{backward}"/>"#
+        )
+    };
+    for (forward, backward, expected) in [
+        ("-1", "0.0", vec![(2.0, 0.0), (5.0, 0.0), (5.0, 3.0)]),
+        ("1.5", "1.0", vec![(1.0, 0.0), (3.5, 0.0)]),
+        ("-1", "-1", vec![(0.0, 0.0), (5.0, 0.0), (5.0, 3.0)]),
+    ] {
+        let mut stand = Stand::new(&node(forward, backward)).with("path", PATH);
+        assert_eq!(stand.at(2.0, 0.2).now(), Success);
+        assert_eq!(stand.path("cut"), expected, "{forward} {backward}");
+    }
+}
+
+#[test]
+fn truncate_path_cuts_its_end_and_leaves_at_least_a_point() {
+    let mut stand =
+        Stand::new(r#"<TruncatePath input_path="{path}" output_path="{cut}" distance="4.0"/>"#).with("path", PATH);
+    assert_eq!(stand.now(), Success);
+    assert_eq!(stand.path("cut"), [(0.0, 0.0), (4.0, 0.0)]);
+    let mut all =
+        Stand::new(r#"<TruncatePath input_path="{path}" output_path="{cut}" distance="40.0"/>"#).with("path", PATH);
+    assert_eq!(all.now(), Success);
+    assert_eq!(all.path("cut"), [(0.0, 0.0)]);
+}
+
+#[test]
+fn validate_path_fails_where_the_body_does_not_fit_and_lists_the_places() {
+    let mut rig = Rig::new();
+    rig.occupy(3.0, 0.2);
+    let node = r#"<ValidatePath path="{path}" collision_poses="{bad}" stop_at_first_collision="false"/>"#;
+    let mut stand = Stand::on(node, &rig).with("path", "[[0,0],[5,0]]");
+    assert_eq!(stand.now(), Failure);
+    let places: Vec<Point2<f64>> = serde_json::from_str(&stand.entry("bad")).unwrap();
+    assert!(
+        places.len() > 3 && places.iter().all(|place| (place.x - 3.0).abs() < 0.5),
+        "{places:?}"
+    );
+    let mut beside = Stand::on(node, &rig).with("path", "[[0,-0.5],[5,-0.5]]");
+    assert_eq!(beside.now(), Success);
+    let mut ahead =
+        Stand::on(r#"<ValidatePath path="{path}" max_lookahead_distance="1.5"/>"#, &rig).with("path", "[[0,0],[5,0]]");
+    assert_eq!(ahead.now(), Success, "far ahead");
+    assert_eq!(ahead.at(1.5, 0.0).now(), Failure);
+    for (way, answer) in [("[[0,0],[5,0]]", Failure), ("[[0,-0.5],[5,-0.5]]", Success)] {
+        let mut older = Stand::on(r#"<IsPathValid path="{path}"/>"#, &rig).with("path", way);
+        assert_eq!(older.now(), answer, "by its name in older releases");
+    }
+}
+
+#[test]
+fn validate_path_takes_the_unknown_for_an_obstacle_only_if_asked() {
+    let out = "[[0,0],[0,20]]";
+    let mut stand = Stand::new(r#"<ValidatePath path="{path}"/>"#).with("path", out);
+    assert_eq!(stand.now(), Success);
+    let mut strict =
+        Stand::new(r#"<ValidatePath path="{path}" consider_unknown_as_obstacle="true"/>"#).with("path", out);
+    assert_eq!(strict.now(), Failure);
+}
+
+#[test]
+fn path_expiring_timer_counts_from_the_last_path_and_again_after_each_success() {
+    let mut stand = Stand::new(r#"<PathExpiringTimer seconds="2" path="{path}"/>"#).with("path", PATH);
+    assert_eq!(
+        (stand.now(), stand.after(1.9), stand.after(0.2)),
+        (Failure, Failure, Success)
+    );
+    assert_eq!((stand.now(), stand.after(2.0)), (Failure, Success));
+    stand.tree.blackboard_mut().set("path", "[[0,0],[1,1]]").unwrap();
+    assert_eq!(
+        (stand.now(), stand.after(1.0), stand.after(1.1)),
+        (Failure, Failure, Success)
+    );
+}
+
+#[test]
+fn time_expired_and_distance_traveled_hold_once_and_begin_again() {
+    // A parent that does not reset what it asks.
+    let asked =
+        |node: &str| format!("<WhileDoElse>{node}<Sleep msec=\"100000\"/><Sleep msec=\"100000\"/></WhileDoElse>");
+    let told = |stand: &Stand| stand.tree.report()[1].last;
+    let mut time = Stand::new(&asked(r#"<TimeExpired seconds="1.0"/>"#));
+    let mut answers = Vec::new();
+    for step in [0.0, 0.9, 0.2, 0.5, 0.6] {
+        time.after(step);
+        answers.push(told(&time));
+    }
+    assert_eq!(answers, [Failure, Failure, Success, Failure, Success]);
+    let mut way = Stand::new(&asked(r#"<DistanceTraveled distance="1.0"/>"#));
+    let mut answers = Vec::new();
+    for x in [0.0, 0.9, 1.1, 1.9, 2.2] {
+        way.at(x, 0.0).now();
+        answers.push(told(&way));
+    }
+    assert_eq!(answers, [Failure, Failure, Success, Failure, Success]);
+}
+
+#[test]
+fn path_tracking_bounds_hold_for_both_sides_and_without_feedback() {
+    let node = r#"<IsWithinPathTrackingBounds max_error_left="0.4" max_error_right="0.2" max_error_heading="0.5" tracking_feedback="{t}"/>"#;
+    assert_eq!(Stand::new(node).now(), Success, "nothing is known");
+    for (aside, heading, expected) in [
+        (0.3, 0.0, Success),
+        (0.5, 0.0, Failure),
+        (-0.3, 0.0, Failure),
+        (-0.1, -0.6, Failure),
+        (-0.1, 0.4, Success),
+    ] {
+        let feedback = format!(r#"{{"position_tracking_error": {aside}, "heading_tracking_error": {heading}}}"#);
+        assert_eq!(Stand::new(node).with("t", &feedback).now(), expected, "{feedback}");
+    }
+}
+
+#[test]
+fn is_stuck_tells_a_bump_for_a_second() {
+    let mut stand = Stand::new("<IsStuck/>");
+    assert_eq!(stand.now(), Failure);
+    stand.events.push(Event {
+        stamp: Stamp(1),
+        boot_id: "b".into(),
+        sequence: 1,
+        kind: EventKind::Bumped,
+    });
+    assert_eq!(
+        (stand.now(), stand.after(0.9), stand.after(0.3)),
+        (Success, Success, Failure)
+    );
+}
+
+#[test]
+fn remove_passed_goals_drops_leading_ones_never_the_last_and_marks_them() {
+    let node = r#"<RemovePassedGoals radius="0.7" input_goals="{goals}" output_goals="{goals}" input_waypoint_statuses="{s}" output_waypoint_statuses="{s}"/>"#;
+    let mut stand = Stand::new(node).with("goals", "0.5;0|0.6;0|5;0|0.1;0");
+    let open = serde_json::json!([{"waypoint_status": 0}, {"waypoint_status": 0}, {"waypoint_status": 0}, {"waypoint_status": 0}]);
+    stand
+        .tree
+        .blackboard_mut()
+        .set("s", Value::data(&open).unwrap())
+        .unwrap();
+    assert_eq!(stand.now(), Success);
+    let left = |stand: &Stand| stand.entry("goals");
+    assert!(
+        left(&stand).contains("5;0") && !left(&stand).contains("0.6;0"),
+        "{}",
+        left(&stand)
+    );
+    let marked: serde_json::Value = serde_json::from_str(&stand.entry("s")).unwrap();
+    let marks: Vec<u64> = marked
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|one| one["waypoint_status"].as_u64().unwrap())
+        .collect();
+    assert_eq!(marks, [1, 1, 0, 0]);
+    assert_eq!(stand.at(5.0, 0.0).now(), Success);
+    assert_eq!(stand.at(0.1, 0.0).now(), Success, "the last one stays");
+    assert!(left(&stand).contains("0.1;0"));
+}
+
+#[test]
+fn a_selector_takes_what_its_topic_says_else_the_default_else_it_fails() {
+    let node = r#"<PlannerSelector selected_planner="{p}" default_planner="GridBased" topic_name="planner_selector"/>"#;
+    let mut stand = Stand::new(node);
+    assert_eq!((stand.now(), stand.entry("p").as_str()), (Success, "GridBased"));
+    let mut told = Stand::new(node).with("planner_selector", "theta");
+    assert_eq!((told.now(), told.entry("p").as_str()), (Success, "theta"));
+    assert_eq!(
+        Stand::new(r#"<GoalCheckerSelector selected_goal_checker="{p}"/>"#).now(),
+        Failure
+    );
+}
+
+#[test]
+fn check_stop_status_waits_for_a_second_of_rest_and_fails_while_it_moves() {
+    let mut stand = Stand::new("<CheckStopStatus/>");
+    assert_eq!(
+        (stand.now(), stand.after(0.9), stand.after(0.2)),
+        (Running, Running, Success)
+    );
+    stand.velocity = Twist2::new(0.3, 0.0);
+    assert_eq!(stand.now(), Failure);
+}
+
+#[test]
+fn what_is_missing_is_told_with_the_name_of_the_node_once() {
+    let mut stand = Stand::new("<DockRobot/>");
+    assert_eq!(stand.now(), Failure);
+    let why = stand.ctx.goal.failure.as_deref();
+    assert_eq!(why, Some("DockRobot: this stack does not have docking"));
+}
+
+#[test]
+fn poses_batteries_and_transforms_are_told() {
+    let mut near = Stand::new(r#"<ArePosesNear target_pose="{t}" tolerance="0.5"/>"#).with("t", "1;1");
+    assert_eq!(near.now(), Failure);
+    assert_eq!(near.at(1.2, 0.8).now(), Success);
+    assert_eq!(Stand::new(r#"<IsBatteryLow min_battery="0.2"/>"#).now(), Success);
+    assert_eq!(Stand::new(r#"<IsBatteryLow min_battery="0.1"/>"#).now(), Failure);
+    assert_eq!(Stand::new("<TransformAvailable/>").now(), Success);
+    assert_eq!(Stand::new(r#"<ToggleCollisionMonitor enable="false"/>"#).now(), Failure);
+    let mut here = Stand::new(r#"<GetCurrentPose current_pose="{p}"/>"#);
+    assert_eq!((here.at(1.0, 2.0).now(), here.entry("p").as_str()), (Success, "1;2;0"));
+}

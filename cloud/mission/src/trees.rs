@@ -1,0 +1,119 @@
+//! Which trees are shipped, and how does a goal's tree become one that runs?
+
+use std::fmt;
+use std::sync::OnceLock;
+
+use super::context::Context;
+use super::leaves;
+use zenav_behaviour_tree::{DuplicateNode, Registry, Tree, TreeErrors, build as build_tree};
+
+/// To one place: plan, follow, and after a failure try again.
+pub const NAVIGATE: &str = "navigate";
+/// Through places in order.
+pub const NAVIGATE_THROUGH: &str = "navigate_through";
+
+/// Names and texts of the shipped trees.
+pub const SHIPPED: &[(&str, &str)] = &[
+    (NAVIGATE, include_str!("../trees/navigate.xml")),
+    (NAVIGATE_THROUGH, include_str!("../trees/navigate_through.xml")),
+    ("kitchen", include_str!("../trees/kitchen.xml")),
+    ("online", include_str!("../trees/online.xml")),
+];
+
+/// The text of a shipped tree.
+#[must_use]
+pub fn shipped(name: &str) -> Option<&'static str> {
+    SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// Why there is no tree.
+#[derive(Clone, Debug)]
+pub enum NoTree {
+    /// Neither XML nor the name of a shipped tree.
+    Unknown(String),
+    /// Everything that is wrong with the XML.
+    Bad(String),
+}
+
+impl fmt::Display for NoTree {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unknown(name) => {
+                let names: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+                write!(f, "no tree `{name}`: expected XML or one of {}", names.join(", "))
+            }
+            Self::Bad(errors) => f.write_str(errors),
+        }
+    }
+}
+
+/// The nodes that this process's trees may use, once the first has been asked for.
+static REGISTRY: OnceLock<Registry<Context>> = OnceLock::new();
+
+/// The nodes that trees may use.
+#[must_use]
+pub fn registry() -> &'static Registry<Context> {
+    REGISTRY.get_or_init(leaves::registry)
+}
+
+/// Why leaves were not added.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CannotAdd {
+    /// An id is taken.
+    #[error(transparent)]
+    Taken(#[from] DuplicateNode),
+    /// Leaves were added before, or a tree has been built.
+    #[error("leaves are added once, before the first tree is built")]
+    Late,
+}
+
+/// Adds leaves of a user's own to those that missions of this process know. The crate's documentation has an example.
+///
+/// # Errors
+/// [`CannotAdd`]: an id is taken, or this comes too late.
+pub fn add_leaves(add: impl FnOnce(&mut Registry<Context>) -> Result<(), DuplicateNode>) -> Result<(), CannotAdd> {
+    let mut registry = leaves::registry();
+    add(&mut registry)?;
+    REGISTRY.set(registry).map_err(|_| CannotAdd::Late)
+}
+
+/// Builds a tree from XML, or from the name of a shipped one. Of files it can include the shipped trees alone: the
+/// text may come from another machine.
+///
+/// # Errors
+/// [`NoTree`].
+pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
+    let (name, text) = match shipped(tree) {
+        Some(text) => (format!("{tree}.xml"), text),
+        None if tree.trim_start().starts_with('<') => ("tree".to_owned(), tree),
+        None => return Err(NoTree::Unknown(tree.chars().take(80).collect())),
+    };
+    let mut include = |_: &str, path: &str| {
+        let text = path.strip_suffix(".xml").and_then(shipped);
+        let text = text.ok_or_else(|| "a tree sent as text can include shipped trees alone".to_owned())?;
+        Ok((path.to_owned(), text.as_bytes().to_vec()))
+    };
+    build_tree(&name, text.as_bytes(), registry(), None, &mut include)
+        .map_err(|errors: TreeErrors| NoTree::Bad(errors.to_string()))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_tree_can_be_built() {
+        for (name, _) in SHIPPED {
+            build(name).unwrap_or_else(|error| panic!("{error}"));
+        }
+    }
+
+    #[test]
+    fn what_is_no_tree_is_told_apart() {
+        assert!(build("kitchn").unwrap_err().to_string().contains("kitchen"));
+        let error =
+            build("<root BTCPP_format=\"4\"><BehaviorTree ID=\"A\"><Folow/></BehaviorTree></root>").unwrap_err();
+        assert!(error.to_string().contains("Folow"), "{error}");
+    }
+}

@@ -1,0 +1,422 @@
+//! How do the sampling planners do beside OMPL's? `cargo bench -p zenav-cloud --bench sampling [-- MAP…]`
+//!
+//! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three made ones. A scenario `MAP.scen` beside a map gives its
+//! ten hardest queries, else they are the longest of many random ones. First ways have two seconds, planners that improve on theirs half a second
+//! in all, by the processor's clock, so that a busy machine does no harm. Lengths are in relation to the shortest way on the grid, which knows
+//! eight directions and cuts no corners.
+//!
+//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries in the same processor time. `RUNS` seeds are drawn
+//! (default 3); `PLANNERS` is a list of those to run.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a bench stops at the first thing that is not as it should be, and prints"
+)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use nalgebra::Point2;
+use rand::Rng as _;
+use rand_pcg::Pcg64Mcg;
+use zenav_mapping::{map_file, moving_ai};
+use zenav_planning::{Budget, Planner, Query, Searcher};
+use zenav_space::{BitGrid, PointSight, Sight as _};
+use zenav_protocol::grid::{Cell, Occupancy};
+
+/// Queries a map.
+const QUERIES: usize = 10;
+/// Random queries that the longest are chosen from.
+const DRAWN: usize = 2000;
+
+fn main() {
+    let arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
+    let mut terrains: Vec<Terrain> = arguments.map(|path| Terrain::read(Path::new(&path))).collect();
+    if terrains.is_empty() {
+        let made = [("maze", maze()), ("rooms", rooms()), ("caves", caves())];
+        terrains = made
+            .into_iter()
+            .map(|(name, free)| Terrain::new(name.to_owned(), free, None))
+            .collect();
+    }
+    let peer = std::env::var_os("OMPL_PEER").map(PathBuf::from);
+    let runs: u64 = std::env::var("RUNS").map_or(3, |runs| runs.parse().unwrap());
+    let planners = std::env::var("PLANNERS").unwrap_or_else(|_| "rrt,rrt_connect,rrt_star".to_owned());
+    let watch = Watch::start();
+    for name in planners.split(',') {
+        let planner: Planner = name.parse().unwrap();
+        println!(
+            "\n{:18} {:16} {:>7} {:>11} {:>11} {:>8} {:>8} {:>9}",
+            name, "", "found", "median ms", "95 % ms", "length", "longest", "samples"
+        );
+        for terrain in &terrains {
+            println!(
+                "{:18} {:16} {}",
+                terrain.name,
+                "zenav",
+                terrain.own(planner, runs, &watch)
+            );
+            let Some(peer) = &peer else { continue };
+            let theirs: &[&str] = if improves(name) {
+                &["rrt_star", "informed", "bit_star"]
+            } else {
+                &[name]
+            };
+            for name in theirs {
+                println!(
+                    "{:18} {:16} {}",
+                    "",
+                    format!("ompl {name}"),
+                    terrain.peer(peer, name, runs)
+                );
+            }
+        }
+    }
+}
+
+/// Whether a planner goes on after its first way.
+fn improves(planner: &str) -> bool {
+    !["rrt", "rrt_connect"].contains(&planner)
+}
+
+/// Processor time of a search, s.
+fn limit(planner: &str) -> f64 {
+    if improves(planner) { 0.5 } else { 2.0 }
+}
+
+/// A map with its queries.
+struct Terrain {
+    name: String,
+    grid: BitGrid,
+    sight: PointSight,
+    /// Start, goal, length of the shortest way on the grid.
+    queries: Vec<(Cell, Cell, f64)>,
+}
+
+impl Terrain {
+    fn read(path: &Path) -> Self {
+        let grid = if path.extension().is_some_and(|ending| ending == "map") {
+            moving_ai::parse_map(&std::fs::read(path).unwrap(), 0.05).unwrap()
+        } else {
+            map_file::read_map(path, 0.05).unwrap()
+        };
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let free = BitGrid::from_fn(grid.spec().width, grid.spec().height, |cell| {
+            Occupancy::of(grid[cell]) == Occupancy::Free
+        });
+        let scenario = PathBuf::from(format!("{}.scen", path.display()));
+        let queries = scenario.exists().then(|| {
+            let mut all = moving_ai::parse_scenarios(&std::fs::read(&scenario).unwrap()).unwrap();
+            all.sort_by(|a, b| b.optimum.total_cmp(&a.optimum));
+            let cell = |at| moving_ai::cell_from_top(grid.spec(), at).unwrap();
+            all.iter()
+                .take(QUERIES)
+                .map(|query| (cell(query.start), cell(query.goal), query.optimum))
+                .collect()
+        });
+        Self::new(name, free, queries)
+    }
+
+    fn new(name: String, free: BitGrid, queries: Option<Vec<(Cell, Cell, f64)>>) -> Self {
+        let sight = PointSight::new(&free);
+        let queries = queries.unwrap_or_else(|| longest(&free));
+        Self {
+            name,
+            grid: free,
+            sight,
+            queries,
+        }
+    }
+
+    fn own(&self, planner: Planner, runs: u64, watch: &Watch) -> Figures {
+        let mut searcher = Searcher::new(&self.grid).unwrap();
+        let mut figures = Figures::default();
+        for seed in 1..=runs {
+            for (start, goal, optimum) in &self.queries {
+                let query = Query {
+                    start: center(*start),
+                    goal: center(*goal),
+                    seed,
+                };
+                // The least of some runs, as long as they are short: what is measured is the search, not the cache of a shared machine.
+                let mut best = f64::INFINITY;
+                let mut length = None;
+                let mut samples = 0;
+                for _ in 0..3 {
+                    watch.arm(limit(planner.name()));
+                    let begin = now();
+                    let budget = Budget {
+                        cancel: Some(&watch.cancel),
+                        ..Budget::UNLIMITED
+                    };
+                    let searched = searcher.search(planner, &self.sight, &query, budget);
+                    best = best.min(now() - begin);
+                    watch.disarm();
+                    samples = searched.expansions;
+                    length = searched.result.ok().map(|way| {
+                        assert!(
+                            way.corners.windows(2).all(|leg| self.sight.sees(leg[0], leg[1])),
+                            "not free"
+                        );
+                        assert!(way.corners[0] == query.start && way.corners[way.corners.len() - 1] == query.goal);
+                        way.length
+                    });
+                    if best > 0.1 {
+                        break;
+                    }
+                }
+                figures.add(best, length.map(|length| length / optimum), samples);
+            }
+        }
+        figures
+    }
+
+    fn peer(&self, program: &Path, planner: &str, runs: u64) -> Figures {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let [width, height] = [self.grid.width(), self.grid.height()];
+        let mut text = format!("type octile\nheight {height}\nwidth {width}\nmap\n");
+        for y in (0..height).rev() {
+            text.extend((0..width).map(|x| if self.grid.get(Cell::new(x, y)) { '.' } else { '@' }));
+            text.push('\n');
+        }
+        std::fs::write(file("map"), text).unwrap();
+        let from_top = |cell: Cell| format!("{} {}", cell.x, height - 1 - cell.y);
+        let lines: Vec<String> = self
+            .queries
+            .iter()
+            .map(|(a, b, length)| format!("{} {} {length}\n", from_top(*a), from_top(*b)))
+            .collect();
+        std::fs::write(file("queries"), lines.concat()).unwrap();
+        let mut figures = Figures::default();
+        for seed in 1..=runs {
+            let status = Command::new(program)
+                .args([file("map"), file("queries")])
+                .args([planner, &limit(planner).to_string()])
+                .arg(file("results"))
+                .arg(seed.to_string())
+                .status()
+                .unwrap();
+            assert!(status.success());
+            let results = std::fs::read_to_string(file("results")).unwrap();
+            for (line, (_, _, optimum)) in results.lines().zip(&self.queries) {
+                let numbers: Vec<f64> = line.split_whitespace().map(|word| word.parse().unwrap()).collect();
+                figures.add(
+                    1e-6 * numbers[0],
+                    (numbers[2] == 1.0).then(|| numbers[1] / optimum),
+                    numbers[3] as u64,
+                );
+            }
+        }
+        figures
+    }
+}
+
+fn center(cell: Cell) -> Point2<f64> {
+    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+}
+
+/// The longest of many random queries.
+fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
+    let mut rng = Pcg64Mcg::new(1);
+    let cells: Vec<Cell> = (0..free.height())
+        .flat_map(|y| free.set_in_row(y, 0, i64::MAX).map(move |x| Cell::new(x, y)))
+        .collect();
+    let mut searcher = Searcher::new(free).unwrap();
+    let sight = PointSight::new(free);
+    let mut found: Vec<(Cell, Cell, f64)> = (0..DRAWN)
+        .filter_map(|_| {
+            let [start, goal] = [(); 2].map(|()| cells[rng.next_u64() as usize % cells.len()]);
+            let query = Query {
+                start: center(start),
+                goal: center(goal),
+                seed: 0,
+            };
+            let way = searcher
+                .search(Planner::Jps, &sight, &query, Budget::UNLIMITED)
+                .result
+                .ok()?;
+            Some((start, goal, way.length))
+        })
+        .collect();
+    found.sort_by(|a, b| b.2.total_cmp(&a.2));
+    found.truncate(QUERIES);
+    found
+}
+
+/// What many searches gave.
+#[derive(Default)]
+struct Figures {
+    /// s; what is here is always in order.
+    times: Vec<f64>,
+    /// Lengths of ways, in relation to the shortest on the grid.
+    ratios: Vec<f64>,
+    /// Drawn, or vertices made.
+    samples: Vec<u64>,
+}
+
+impl Figures {
+    fn add(&mut self, time: f64, ratio: Option<f64>, samples: u64) {
+        self.times.push(time);
+        self.times.sort_by(f64::total_cmp);
+        self.ratios.extend(ratio);
+        self.ratios.sort_by(f64::total_cmp);
+        self.samples.push(samples);
+        self.samples.sort_unstable();
+    }
+
+    /// A quantile, ms.
+    fn time(&self, share: f64) -> f64 {
+        1e3 * self.times[(share * (self.times.len() - 1) as f64).round() as usize]
+    }
+}
+
+impl std::fmt::Display for Figures {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let ratio = |share: f64| {
+            let last = self.ratios.len().saturating_sub(1) as f64;
+            self.ratios
+                .get((share * last).round() as usize)
+                .copied()
+                .unwrap_or(f64::NAN)
+        };
+        write!(
+            f,
+            "{:>7} {:>11.4} {:>11.4} {:>8.4} {:>8.4} {:>9}",
+            format!("{}/{}", self.ratios.len(), self.times.len()),
+            self.time(0.5),
+            self.time(0.95),
+            ratio(0.5),
+            ratio(1.0),
+            self.samples[self.samples.len() / 2]
+        )
+    }
+}
+
+/// Corridors of five cells behind walls of one, without a loop: a walk that turns back where it is stuck.
+fn maze() -> BitGrid {
+    const ROOMS: i64 = 60;
+    let mut rng = Pcg64Mcg::new(3);
+    let mut free = BitGrid::new(6 * ROOMS as u32 + 1, 6 * ROOMS as u32 + 1);
+    let open = |free: &mut BitGrid, x: i64, y: i64, width: i64, height: i64| {
+        for cell in (0..width * height).map(|i| Cell::new((x + i % width) as u32, (y + i / width) as u32)) {
+            free.set(cell, true);
+        }
+    };
+    let mut way = vec![(0, 0)];
+    while let Some((x, y)) = way.last().copied() {
+        open(&mut free, 6 * x + 1, 6 * y + 1, 5, 5);
+        let closed = |(dx, dy): &(i64, i64)| {
+            let (x, y) = (x + dx, y + dy);
+            let inside = (0..ROOMS).contains(&x) && (0..ROOMS).contains(&y);
+            inside && !free.get(Cell::new(6 * x as u32 + 1, 6 * y as u32 + 1))
+        };
+        let next: Vec<(i64, i64)> = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().filter(closed).collect();
+        if next.is_empty() {
+            way.pop();
+            continue;
+        }
+        let (dx, dy) = next[rng.next_u64() as usize % next.len()];
+        let (width, height) = if dx == 0 { (5, 1) } else { (1, 5) };
+        open(
+            &mut free,
+            6 * x + 1 + dx.max(0) * 5 + dx.min(0),
+            6 * y + 1 + dy.max(0) * 5 + dy.min(0),
+            width,
+            height,
+        );
+        way.push((x + dx, y + dy));
+    }
+    free
+}
+
+/// Rooms of 24 cells; two walls of three have a door of one cell.
+fn rooms() -> BitGrid {
+    let mut rng = Pcg64Mcg::new(5);
+    let mut free = BitGrid::from_fn(501, 501, |cell| {
+        !cell.x.is_multiple_of(25) && !cell.y.is_multiple_of(25)
+    });
+    for wall in 0..20 * 19 * 2 {
+        let (across, along) = (
+            25 * (wall / 2 % 19 + 1),
+            25 * (wall / 38) + 1 + rng.next_u64() as u32 % 24,
+        );
+        if !rng.next_u64().is_multiple_of(3) {
+            free.set(
+                if wall % 2 == 0 {
+                    Cell::new(across, along)
+                } else {
+                    Cell::new(along, across)
+                },
+                true,
+            );
+        }
+    }
+    free
+}
+
+/// Noise in which each cell has become as most of those around it are, five times.
+fn caves() -> BitGrid {
+    let mut rng = Pcg64Mcg::new(7);
+    let mut free = BitGrid::from_fn(600, 400, |_| rng.next_u64() % 100 < 56);
+    for _ in 0..5 {
+        let is_free = |cell: Cell, i: u32| {
+            free.get(Cell::new(
+                (cell.x + i % 3).wrapping_sub(1),
+                (cell.y + i / 3).wrapping_sub(1),
+            ))
+        };
+        free = BitGrid::from_fn(600, 400, |cell| (0..9).filter(|i| is_free(cell, *i)).count() >= 5);
+    }
+    free
+}
+
+/// This thread's processor time, s.
+fn now() -> f64 {
+    seconds(rustix::time::ClockId::ThreadCPUTime)
+}
+
+fn seconds(clock: rustix::time::ClockId) -> f64 {
+    let time = rustix::time::clock_gettime(clock);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// Cancels when the process has used its time.
+struct Watch {
+    cancel: Arc<AtomicBool>,
+    /// Processor time of the process at which to cancel, bits of a number of seconds.
+    until: Arc<AtomicU64>,
+}
+
+impl Watch {
+    fn start() -> Self {
+        let watch = Self {
+            cancel: Arc::default(),
+            until: Arc::new(AtomicU64::new(f64::INFINITY.to_bits())),
+        };
+        let (cancel, until) = (Arc::clone(&watch.cancel), Arc::clone(&watch.until));
+        std::thread::spawn(move || {
+            loop {
+                std::thread::sleep(Duration::from_micros(500));
+                if seconds(rustix::time::ClockId::ProcessCPUTime) >= f64::from_bits(until.load(Ordering::Relaxed)) {
+                    cancel.store(true, Ordering::Relaxed);
+                }
+            }
+        });
+        watch
+    }
+
+    fn arm(&self, limit: f64) {
+        let until = seconds(rustix::time::ClockId::ProcessCPUTime) + limit;
+        self.until.store(until.to_bits(), Ordering::Relaxed);
+        self.cancel.store(false, Ordering::Relaxed);
+    }
+
+    fn disarm(&self) {
+        self.until.store(f64::INFINITY.to_bits(), Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,64 @@
+//! Which ways are asked for on a map? The longest that are published, or the longest of many drawn pairs.
+
+use nalgebra::Point2;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+use zenav_mapping::moving_ai;
+use zenav_planning::{Budget, Planner, Query, Searcher};
+use zenav_space::{BitGrid, PointSight};
+use zenav_protocol::grid::{Cell, GridSpec};
+
+/// Queries a map.
+const COUNT: usize = 50;
+/// Pairs drawn where nothing is published.
+const DRAWN: usize = 1000;
+/// Seed of the drawn pairs.
+pub const SEED: u64 = 1;
+
+/// The hardest of a scenario file; of equally long ones the first.
+pub fn published(spec: &GridSpec, scenarios: &[u8]) -> Vec<Query> {
+    let mut scenarios = moving_ai::parse_scenarios(scenarios).unwrap();
+    scenarios.sort_by(|a, b| b.optimum.total_cmp(&a.optimum));
+    scenarios.truncate(COUNT);
+    let cell = |at| moving_ai::cell_from_top(spec, at).unwrap();
+    scenarios
+        .iter()
+        .map(|scenario| query(cell(scenario.start), cell(scenario.goal)))
+        .collect()
+}
+
+/// The longest of pairs drawn from the free cells, as far as they are connected.
+pub fn drawn(free: &BitGrid) -> Vec<Query> {
+    let rows = 0..free.height();
+    let cells: Vec<Cell> = rows
+        .flat_map(|y| free.set_in_row(y, 0, i64::MAX).map(move |x| Cell::new(x, y)))
+        .collect();
+    if cells.is_empty() {
+        return Vec::new();
+    }
+    let mut random = Pcg64Mcg::seed_from_u64(SEED);
+    let mut searcher = Searcher::new(free).unwrap();
+    let sight = PointSight::new(free);
+    let mut found: Vec<(f64, Query)> = Vec::new();
+    for _ in 0..DRAWN {
+        let mut draw = || cells[random.random_range(0..cells.len())];
+        let query = query(draw(), draw());
+        if let Ok(way) = searcher
+            .search(Planner::AStar, &sight, &query, Budget::UNLIMITED)
+            .result
+        {
+            found.push((way.length, query));
+        }
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().take(COUNT).map(|(_, query)| query).collect()
+}
+
+fn query(start: Cell, goal: Cell) -> Query {
+    let [start, goal] = [start, goal].map(|cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5));
+    Query {
+        start,
+        goal,
+        seed: SEED,
+    }
+}

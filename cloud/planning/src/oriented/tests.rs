@@ -1,0 +1,134 @@
+//! Claims about ways for robots that are longer than wide.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use proptest::prelude::*;
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::robot::Footprint;
+
+use super::*;
+use crate::astar::Uniform;
+use zenav_space::UnknownPolicy;
+
+/// 0.8 m long, 0.3 m wide, the base at a third of its length.
+fn long() -> Footprint {
+    let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
+    Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect())
+}
+
+/// A room of 6 m by 4 m, 5 cm cells, of which `is_wall` says where the walls are (m).
+fn room(is_wall: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: 120,
+        height: 80,
+    };
+    let mut grid = Grid::filled(spec, Occupancy::FREE);
+    for y in 0..80 {
+        for x in 0..120 {
+            let center = spec.center(Cell::new(x, y));
+            if x == 0 || y == 0 || x == 119 || y == 79 || is_wall(center.x, center.y) {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    grid
+}
+
+fn way(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<Vec<Point2<f64>>, NotFound> {
+    let space = ConfigurationSpace::new(grid, &long(), UnknownPolicy::Blocked, 0.0);
+    let heading = (!any).then_some(start.yaw);
+    let query = Query {
+        start: start.position(),
+        heading,
+        goal: Point2::new(goal.0, goal.1),
+    };
+    let found = search(&space, &Uniform, &query, Budget::UNLIMITED).result;
+    if let Ok(way) = &found {
+        assert!(is_drivable(&space, way, heading), "{way:?}");
+        assert_eq!((way[0], way[way.len() - 1]), (query.start, query.goal));
+    }
+    found
+}
+
+#[test]
+fn a_long_robot_goes_through_a_gap_that_it_only_fits_lengthways() {
+    // A gap of 0.4 m in a wall of 1 m.
+    let grid = room(|x, y| (2.5..3.5).contains(&x) && !(1.8..2.2).contains(&y));
+    let found = way(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).unwrap();
+    assert!(found.len() >= 4);
+}
+
+#[test]
+fn where_there_is_no_room_to_turn_there_is_no_way() {
+    // A gap of 0.45 m round a corner.
+    let grid = room(|x, y| {
+        let along = x < 4.5 && (1.0..1.45).contains(&y);
+        let up = (4.05..4.5).contains(&x) && (1.0..3.0).contains(&y);
+        x > 1.5 && !along && !up
+    });
+    assert_eq!(
+        way(&grid, Pose2::new(1.0, 1.225, 0.0), (4.275, 2.9), false),
+        Err(NotFound::NoPath)
+    );
+    assert!(way(&grid, Pose2::new(2.0, 1.225, 0.0), (4.0, 1.225), false).is_ok());
+}
+
+#[test]
+fn a_robot_that_cannot_turn_where_it_stands_goes_on_to_where_it_can() {
+    let grid = room(|x, y| x < 2.0 && !(1.8..2.2).contains(&y));
+    let start = Pose2::new(0.8, 2.0, 0.0);
+    let found = way(&grid, start, (5.0, 1.0), false).unwrap();
+    assert!((found[1].y - 2.0).abs() < 0.05 && found[2].x > 2.0, "{found:?}");
+    assert!(way(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), false).is_err());
+    assert!(way(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), true).is_ok());
+}
+
+#[test]
+fn coarse_cells_leave_places_between_their_centres() {
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.2,
+        width: 30,
+        height: 20,
+    };
+    let mut grid = Grid::filled(spec, Occupancy::FREE);
+    for y in 0..20 {
+        // Two cells: the only place to go through is the border between them.
+        if y != 9 && y != 10 {
+            grid[Cell::new(15, y)] = Occupancy::OCCUPIED;
+        }
+    }
+    assert!(way(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).is_ok());
+}
+
+#[test]
+fn a_search_without_budget_times_out() {
+    let space = ConfigurationSpace::new(&room(|_, _| false), &long(), UnknownPolicy::Blocked, 0.0);
+    let query = Query {
+        start: Point2::new(1.0, 1.0),
+        heading: None,
+        goal: Point2::new(5.0, 3.0),
+    };
+    for max_expansions in [10, 5000] {
+        let budget = Budget {
+            max_expansions,
+            cancel: None,
+        };
+        assert_eq!(search(&space, &Uniform, &query, budget).result, Err(NotFound::TimedOut));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn whatever_is_found_can_be_driven(
+        boxes in prop::collection::vec((0.3..5.5_f64, 0.3..3.5_f64, 0.1..0.8_f64, 0.1..0.8_f64), 0..9),
+        ends in prop::array::uniform2((0.3..5.7_f64, 0.3..3.7_f64)), yaw in -3.1..3.1_f64, any in any::<bool>(),
+    ) {
+        let grid = room(|x, y| boxes.iter().any(|(left, low, w, h)| (*left..left + w).contains(&x) && (*low..low + h).contains(&y)));
+        let [start, goal] = ends;
+        let _ = way(&grid, Pose2::new(start.0, start.1, yaw), goal, any);
+    }
+}

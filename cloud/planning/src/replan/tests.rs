@@ -1,0 +1,267 @@
+//! An answer that is kept is as good as one that is searched for.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use proptest::prelude::*;
+use zenav_protocol::grid::{Grid, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::robot::Footprint;
+
+use super::*;
+use zenav_space::UnknownPolicy;
+
+const SIDE: u32 = 90;
+
+fn end(cell: Cell) -> End {
+    End {
+        point: Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5),
+        cell,
+    }
+}
+
+/// A room of metre-wide cells without obstacles.
+fn room() -> OccupancyGrid {
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 1.0,
+        width: SIDE,
+        height: SIDE,
+    };
+    Grid::filled(spec, Occupancy::FREE)
+}
+
+fn set(grid: &mut OccupancyGrid, x: u32, y: u32, is_free: bool) {
+    grid[Cell::new(x, y)] = if is_free { Occupancy::FREE } else { Occupancy::OCCUPIED };
+}
+
+fn space(grid: &OccupancyGrid) -> ConfigurationSpace {
+    ConfigurationSpace::new(grid, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0)
+}
+
+fn options() -> [PlanOptions; 4] {
+    let far = PlanOptions {
+        comfort: 2.5,
+        ..PlanOptions::default()
+    };
+    [
+        PlanOptions::shortest(Planner::Jps),
+        PlanOptions::shortest(Planner::AStar),
+        far,
+        PlanOptions::shortest(Planner::Theta),
+    ]
+}
+
+fn cost(space: &ConfigurationSpace, options: &PlanOptions, way: &Way) -> u32 {
+    let searcher = Searcher::new(space.free()).unwrap();
+    let costs = costs_along(searcher.lattice(), &comfort(space, options), &cells_along(way));
+    *costs.unwrap().last().unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn an_answer_is_as_good_as_a_search_from_scratch_whatever_has_changed(
+        walls in prop::collection::vec((0..SIDE, 0..SIDE, 1_u32..12, 1_u32..4), 0..40),
+        fence in any::<bool>(),
+        steps in prop::collection::vec((prop::collection::vec((0..SIDE, 0..SIDE, 1_u32..5, any::<bool>()), 0..4), 0_usize..6, 0_u32..30, prop::option::weighted(0.3, (0..SIDE - 4, any::<bool>()))), 1..10),
+    ) {
+        let mut grid = room();
+        for (x, y, long, thick) in walls {
+            (0..long * thick).for_each(|i| set(&mut grid, (x + i % long).min(SIDE - 1), (y + i / long).min(SIDE - 1), false));
+        }
+        // Now and then no way at all leads past it, until a door opens in it.
+        (0..SIDE).filter(|_| fence).for_each(|y| set(&mut grid, 45, y, false));
+        let goal = Cell::new(SIDE - 3, SIDE - 4);
+        let mut replanner = Replanner::new(&space(&grid)).unwrap();
+        let mut starts = [Cell::new(2, 3); 4];
+        for (changes, moved, aside, door) in steps {
+            if let Some((y, is_open)) = door.filter(|_| fence) {
+                (y..y + 4).for_each(|y| set(&mut grid, 45, y, is_open));
+            }
+            for (x, y, size, is_free) in changes {
+                (0..size * size).for_each(|i| set(&mut grid, (x + i % size).min(SIDE - 1), (y + i / size).min(SIDE - 1), is_free));
+            }
+            set(&mut grid, goal.x, goal.y, true);
+            starts.iter().for_each(|start| set(&mut grid, start.x, start.y, true));
+            let space = space(&grid);
+            replanner.follow(&space).unwrap();
+            prop_assert_eq!(&replanner.free, space.free());
+            for (options, start) in options().iter().zip(&mut starts) {
+                // Plans begin and end at free cells only.
+                if !(space.is_free(*start) && space.is_free(goal)) {
+                    continue;
+                }
+                let (found, origin) = replanner.find(&space, end(*start), end(goal), options, Budget::UNLIMITED);
+                let anew = between(&space, &mut Searcher::new(space.free()).unwrap(), end(*start), end(goal), options, Budget::UNLIMITED);
+                if let (Planner::Theta, PlanOrigin::Reused, Ok(way)) = (options.planner, origin, &found.result) {
+                    // It may lead where no way over the grid does any more.
+                    prop_assert!(way.corners.windows(2).all(|leg| space.sees(leg[0], leg[1])));
+                    continue;
+                }
+                let (Ok(found), Ok(anew)) = (&found.result, &anew.result) else {
+                    prop_assert_eq!(found.result, anew.result);
+                    continue;
+                };
+                prop_assert_eq!((found.corners[0], found.corners[found.corners.len() - 1]), (end(*start).point, end(goal).point));
+                if options.planner == Planner::Theta {
+                    prop_assert!(found.corners.windows(2).all(|leg| space.sees(leg[0], leg[1])));
+                    continue;
+                }
+                let [found_cost, least] = [found, anew].map(|way| cost(&space, options, way));
+                match origin {
+                    PlanOrigin::Searched | PlanOrigin::Reused => prop_assert_eq!(found_cost, least),
+                    PlanOrigin::Repaired => prop_assert!(found_cost >= least && found_cost - least <= least / SLACK),
+                }
+                let cells = cells_along(found);
+                *start = cells[moved.min(cells.len() - 1)];
+                if aside < 3 && space.is_free(Cell::new(start.x + aside, start.y)) {
+                    start.x += aside;
+                }
+            }
+        }
+    }
+}
+
+/// From the left to the right through a room; a wall with a door in the middle of it.
+fn asked(replanner: &mut Replanner, grid: &OccupancyGrid, x: f64, options: &PlanOptions) -> Planned {
+    let [start, goal] = [x, 80.5].map(|x| Pose2::new(x, 45.5, 0.0));
+    replanner
+        .plan(&space(grid), start, goal, options, Budget::UNLIMITED)
+        .unwrap()
+}
+
+fn walled() -> OccupancyGrid {
+    let mut grid = room();
+    (0..SIDE)
+        .filter(|y| !(30..38).contains(y))
+        .for_each(|y| set(&mut grid, 40, y, false));
+    grid
+}
+
+#[test]
+fn what_the_way_has_nothing_to_do_with_changes_nothing() {
+    for options in options() {
+        let mut grid = walled();
+        let mut replanner = Replanner::new(&space(&grid)).unwrap();
+        let first = asked(&mut replanner, &grid, 10.5, &options);
+        assert_eq!(first.origin, PlanOrigin::Searched);
+        // An obstacle that comes, and one that goes, far away.
+        set(&mut grid, 60, 2, false);
+        assert_eq!(asked(&mut replanner, &grid, 10.5, &options).outcome, first.outcome);
+        set(&mut grid, 60, 2, true);
+        let last = asked(&mut replanner, &grid, 10.5, &options);
+        assert_eq!(
+            (last.outcome, last.expansions, last.origin),
+            (first.outcome, 0, PlanOrigin::Reused)
+        );
+    }
+}
+
+#[test]
+fn the_rest_of_the_way_stands_when_the_robot_has_moved_on() {
+    for options in options() {
+        let (grid, mut replanner) = (walled(), Replanner::new(&space(&walled())).unwrap());
+        let Ok(way) = replanner
+            .find(
+                &space(&grid),
+                end(Cell::new(10, 45)),
+                end(Cell::new(80, 45)),
+                &options,
+                Budget::UNLIMITED,
+            )
+            .0
+            .result
+        else {
+            panic!("no way")
+        };
+        // A cell of the way: legs over the grid have a whole number of steps.
+        let leg = way.corners[1] - way.corners[0];
+        let on = way.corners[0] + leg * ((0.5 * leg.amax()).floor() / leg.amax());
+        let start = Pose2::new(on.x.floor() + 0.5, on.y.floor() + 0.5, 0.0);
+        let rest = replanner
+            .plan(
+                &space(&grid),
+                start,
+                Pose2::new(80.5, 45.5, 0.0),
+                &options,
+                Budget::UNLIMITED,
+            )
+            .unwrap();
+        assert_eq!((rest.origin, rest.expansions), (PlanOrigin::Reused, 0), "{options:?}");
+    }
+}
+
+#[test]
+fn a_cut_is_mended_and_a_closed_door_is_found_out() {
+    let options = PlanOptions::shortest(Planner::AStar);
+    let mut grid = walled();
+    let mut replanner = Replanner::new(&space(&grid)).unwrap();
+    let whole = asked(&mut replanner, &grid, 10.5, &options);
+    let found = replanner.kept[0].clone();
+    let Known::Grid { cells, .. } = &found.known else {
+        panic!()
+    };
+    let on = cells[cells.len() * 3 / 4];
+    set(&mut grid, on.x, on.y, false);
+    let mended = asked(&mut replanner, &grid, 10.5, &options);
+    assert_eq!(mended.origin, PlanOrigin::Repaired);
+    assert!(
+        mended.expansions * 3 < whole.expansions,
+        "{} of {}",
+        mended.expansions,
+        whole.expansions
+    );
+    (30..38).for_each(|y| set(&mut grid, 40, y, false));
+    let closed = asked(&mut replanner, &grid, 10.5, &options);
+    assert_eq!(
+        (closed.outcome, closed.origin),
+        (PlanOutcome::NoPath, PlanOrigin::Searched)
+    );
+    // And stays closed, until something opens.
+    set(&mut grid, 20, 20, false);
+    assert_eq!(asked(&mut replanner, &grid, 10.5, &options).origin, PlanOrigin::Reused);
+    set(&mut grid, 20, 20, true);
+    assert_eq!(
+        asked(&mut replanner, &grid, 10.5, &options).outcome,
+        PlanOutcome::NoPath,
+        "elsewhere"
+    );
+    (4..7).for_each(|y| set(&mut grid, 40, y, true));
+    assert!(matches!(
+        asked(&mut replanner, &grid, 10.5, &options).outcome,
+        PlanOutcome::Found { .. }
+    ));
+}
+
+#[test]
+fn a_shortcut_is_not_missed() {
+    for options in options() {
+        let mut grid = walled();
+        let mut replanner = Replanner::new(&space(&grid)).unwrap();
+        let before = asked(&mut replanner, &grid, 10.5, &options);
+        (40..50).for_each(|y| set(&mut grid, 40, y, true));
+        let after = asked(&mut replanner, &grid, 10.5, &options);
+        assert_eq!(after.origin, PlanOrigin::Searched);
+        assert_ne!(before.outcome, after.outcome);
+    }
+}
+
+#[test]
+fn a_map_that_has_grown_is_prepared_anew() {
+    let mut replanner = Replanner::new(&space(&room())).unwrap();
+    let spec = GridSpec {
+        width: 2 * SIDE,
+        ..*room().spec()
+    };
+    let grid = Grid::filled(spec, Occupancy::FREE);
+    let goal = Pose2::new(170.5, 5.5, 0.0);
+    let planned = replanner.plan(
+        &space(&grid),
+        Pose2::new(1.5, 1.5, 0.0),
+        goal,
+        &options()[0],
+        Budget::UNLIMITED,
+    );
+    assert!(matches!(planned.unwrap().outcome, PlanOutcome::Found { .. }));
+}

@@ -1,0 +1,250 @@
+//! What grows? A tree of points from a root, each seen from its parent, that is extended towards samples or out of what it has covered.
+//!
+//! Source: LaValle, "Rapidly-Exploring Random Trees", 1998. An extension that meets an obstacle is dropped: vertices in front of obstacles would be
+//! nearest to whatever lies behind and see none of it.
+
+use nalgebra::Point2;
+use zenav_protocol::grid::Cell;
+
+use super::super::lattice::Lattice;
+use super::frontier::{Exit, Frontier};
+use super::nearest::Nearest;
+use super::sampler::Sampler;
+use zenav_space::Sight;
+
+/// The root's parent.
+const NONE: u32 = u32::MAX;
+
+/// Where trees grow.
+#[derive(Debug)]
+pub struct Ground<'a, S> {
+    /// What is seen from where.
+    pub sight: &'a S,
+    /// Free cells.
+    pub lattice: &'a Lattice,
+    /// Longest edge, cells.
+    pub step: f64,
+}
+
+impl<S: Sight> Ground<'_, S> {
+    /// The free cell that holds a point (a lattice's node).
+    pub fn free_at(&self, p: Point2<f64>) -> Option<u32> {
+        self.lattice.node_at(p).filter(|cell| self.lattice.is_free(*cell))
+    }
+
+    fn center(&self, node: u32) -> Point2<f64> {
+        let cell: Cell = self.lattice.cell(node);
+        Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
+    }
+}
+
+/// How far an extension came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extended {
+    /// To where it was led: this vertex.
+    Arrived(u32),
+    /// A whole step, to this vertex.
+    Stepped(u32),
+    /// Nowhere: something is in the way.
+    Trapped,
+}
+
+/// A growing tree.
+#[derive(Clone, Debug, Default)]
+pub struct Tree {
+    points: Vec<Point2<f64>>,
+    parents: Vec<u32>,
+    nearest: Nearest,
+    frontier: Frontier,
+    /// Vertices that the frontier knows.
+    covered: usize,
+    /// Whether no place next to a covered one was lost: what is not covered in the end cannot be reached.
+    complete: bool,
+}
+
+/// What came of leading a tree out of what it has covered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Explored {
+    /// There was an exit.
+    Left,
+    /// There is none left: the tree has a place in every run of free cells that can be reached from its root.
+    Everything,
+    /// There is none that it can take.
+    Stuck,
+}
+
+impl Tree {
+    /// Begins anew from a point.
+    pub fn plant<S: Sight>(&mut self, ground: &Ground<'_, S>, root: Point2<f64>) {
+        self.clear();
+        self.nearest.clear(ground.sight.size());
+        self.add(root, NONE);
+    }
+
+    /// Fells it.
+    pub fn clear(&mut self) {
+        self.points.clear();
+        self.parents.clear();
+        self.covered = 0;
+        self.complete = true;
+    }
+
+    /// Number of vertices.
+    #[must_use]
+    pub fn vertices(&self) -> u32 {
+        self.points.len() as u32
+    }
+
+    /// Where a vertex is.
+    #[must_use]
+    pub fn point(&self, vertex: u32) -> Point2<f64> {
+        self.points[vertex as usize]
+    }
+
+    /// Edges, from parent to child.
+    pub fn edges(&self) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        let edges = self.points.iter().zip(&self.parents).skip(1);
+        edges.map(|(p, parent)| [self.point(*parent), *p])
+    }
+
+    /// The points from a vertex back to the root.
+    pub fn back(&self, vertex: u32) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let parent = |vertex: &u32| Some(self.parents[*vertex as usize]).filter(|parent| *parent != NONE);
+        std::iter::successors(Some(vertex), parent).map(|vertex| self.point(vertex))
+    }
+
+    fn add(&mut self, point: Point2<f64>, parent: u32) -> u32 {
+        let vertex = self.vertices();
+        self.points.push(point);
+        self.parents.push(parent);
+        self.nearest.insert(point, vertex);
+        vertex
+    }
+
+    /// Grows a step from the nearest vertex towards a point.
+    pub fn extend<S: Sight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Extended {
+        match self.nearest.nearest(to) {
+            Some(near) => self.extend_from(ground, near, to),
+            None => Extended::Trapped,
+        }
+    }
+
+    /// Grows from the nearest vertex towards a point until it is reached or something is in the way.
+    pub fn connect<S: Sight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Option<u32> {
+        let mut near = self.nearest.nearest(to)?;
+        loop {
+            match self.extend_from(ground, near, to) {
+                Extended::Arrived(vertex) => return Some(vertex),
+                Extended::Stepped(vertex) => near = vertex,
+                Extended::Trapped => return None,
+            }
+        }
+    }
+
+    /// Grows a step from a vertex towards a point.
+    pub fn extend_from<S: Sight>(&mut self, ground: &Ground<'_, S>, near: u32, to: Point2<f64>) -> Extended {
+        let from = self.point(near);
+        let way = to - from;
+        let length = way.norm();
+        if length > ground.step {
+            let end = from + way * (ground.step / length);
+            if end != from && ground.sight.sees(from, end) {
+                return Extended::Stepped(self.add(end, near));
+            }
+        } else if length == 0.0 {
+            return Extended::Arrived(near);
+        } else if ground.sight.sees(from, to) {
+            return Extended::Arrived(self.add(to, near));
+        }
+        Extended::Trapped
+    }
+
+    /// Grows out of what the tree covers, by the one of some exits drawn by chance that is nearest to `target`, and straight on as far as there
+    /// is something new. The cell `target` is met as soon as its run is covered.
+    pub fn explore<S: Sight>(
+        &mut self,
+        ground: &Ground<'_, S>,
+        sampler: &mut Sampler,
+        draws: usize,
+        target: Option<u32>,
+    ) -> Explored {
+        if self.covered == 0 {
+            self.frontier.clear(ground.lattice);
+        }
+        while self.covered < self.points.len() {
+            let vertex = self.covered as u32;
+            self.covered += 1;
+            let p = self.point(vertex);
+            match ground
+                .free_at(p)
+                .filter(|cell| ground.sight.sees(p, ground.center(*cell)))
+            {
+                Some(cell) if !self.frontier.covers(cell) => self.cover(ground, vertex, cell, target),
+                Some(_) => {}
+                None => self.complete &= vertex > 0,
+            }
+        }
+        let goal = target.map(|target| ground.center(target));
+        while !self.frontier.exits().is_empty() {
+            let exits = self.frontier.exits();
+            let distance =
+                |number: &usize| goal.map_or(0.0, |goal| (ground.center(exits[*number].cell) - goal).norm_squared());
+            let drawn = (0..draws.max(1)).map(|_| sampler.below(exits.len()));
+            let number = drawn.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
+            if let Some(exit) = self.frontier.take(number) {
+                self.leave(ground, exit, target);
+                return Explored::Left;
+            }
+        }
+        if self.complete {
+            Explored::Everything
+        } else {
+            Explored::Stuck
+        }
+    }
+
+    /// Leads the tree through an exit.
+    fn leave<S: Sight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
+        let pitch = ground.lattice.pitch();
+        let up = exit.cell > exit.via;
+        let corner = if up { exit.cell - pitch } else { exit.cell + pitch };
+        let Some(vertex) = self.thread(ground, exit.vertex, &[exit.via, corner, exit.cell]) else {
+            self.complete = false;
+            return;
+        };
+        let mut cell = exit.cell;
+        loop {
+            self.cover(ground, vertex, cell, target);
+            let next = if up { cell + pitch } else { cell - pitch };
+            if !ground.lattice.is_free(next) || self.frontier.covers(next) {
+                break;
+            }
+            cell = next;
+        }
+        self.thread(ground, vertex, &[cell]);
+    }
+
+    fn cover<S: Sight>(&mut self, ground: &Ground<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
+        let [first, last] = self.frontier.cover(ground.lattice, vertex, via);
+        if let Some(target) = target.filter(|target| (first..=last).contains(target)) {
+            self.thread(ground, vertex, &[via, target]);
+        }
+    }
+
+    /// Adds a way from a vertex over the centres of cells to the last one of them, with as few of the others as are needed.
+    fn thread<S: Sight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
+        let (mut at, mut done) = (vertex, 0);
+        while done < cells.len() {
+            let from = self.point(at);
+            let seen = (done..cells.len())
+                .rev()
+                .find(|i| ground.sight.sees(from, ground.center(cells[*i])))?;
+            let end = ground.center(cells[seen]);
+            if end != from {
+                at = self.add(end, at);
+            }
+            done = seen + 1;
+        }
+        Some(at)
+    }
+}

@@ -1,0 +1,252 @@
+//! How long does smoothing take, how often does a curve come out, and is every trajectory sound? `cargo bench -p zenav-cloud --bench smoothing`
+//!
+//! Pairs of places are drawn on a map; for each shipped robot the ways between them are planned and smoothed. Times are thread CPU time, the
+//! least of a few runs a way. Every trajectory is then looked at by other means than the smoother's own: the true footprint every
+//! millimetre, every limit every millisecond; and its duration beside that of stop, turn and go along the same way. A collision or a
+//! limit that is not kept ends the bench.
+//!
+//! | variable | does |
+//! |---|---|
+//! | `ZENAV_BENCH_MAP=FILE` | this map instead of a generated house (`.yaml`, `.pgm`, `.png`, `.map`) |
+//! | `ZENAV_BENCH_ONLY=NAME` | only robots whose name holds this |
+//! | `ZENAV_BENCH_WAYS=N` | so many ways, 200 without |
+
+#![allow(missing_docs, reason = "a bench has no users")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "a bench prints its table and stops at the first thing that is not as it should be"
+)]
+
+use std::path::Path;
+
+use nalgebra::Point2;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+use rustix::time::{ClockId, clock_gettime};
+use zenav_mapping::map_file;
+use zenav_planning::{Budget, PlanOptions, Searcher, plan};
+use zenav_smoothing::timing::legs::safe_motion;
+use zenav_smoothing::timing::{Limits, UNRESTRICTED};
+use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+use zenav_space::{ConfigurationSpace, UnknownPolicy};
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::robot::{RobotModel, shipped};
+
+/// Robots, and what is close to each of them.
+const ROBOTS: [&str; 4] = ["tiago", "neato", "turtlebot3_waffle", "jackal"];
+const SEED: u64 = 1;
+/// Runs of each way, of which the least time counts.
+const RUNS: usize = 3;
+/// A long way, m.
+const TOUR: f64 = 113.0;
+/// Limits are kept to within this.
+const ROUNDING: f64 = 1e-6;
+
+fn main() {
+    let grid = match std::env::var_os("ZENAV_BENCH_MAP") {
+        Some(path) => map_file::read_map(Path::new(&path), 0.05).expect("a map"),
+        None => house(),
+    };
+    let only = std::env::var("ZENAV_BENCH_ONLY").unwrap_or_default();
+    let ways = std::env::var("ZENAV_BENCH_WAYS").map_or(200, |count| count.parse().expect("a number of ways"));
+    println!("times in ms, median (95th percentile); lengths in m\n");
+    println!(
+        "| robot | ways | smoothed | fallbacks | corridor | geometry | time law | ms a 100 m, both | a way of 113 m: both | time beside stop, turn, go |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    for name in ROBOTS.iter().filter(|name| name.contains(&only)) {
+        let model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+        let mut found = Vec::new();
+        let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
+        for (way, start) in drawn(&space, ways, false) {
+            found.push(measured(&space, &model, &way, start));
+        }
+        let tour = tour(&space, TOUR).map(|(way, start)| measured(&space, &model, &way, start).0);
+        row(name, &found, tour.as_ref());
+    }
+}
+
+/// 12 rooms by 9 of 4 m with doors of 1 m and a piece of furniture each.
+fn house() -> OccupancyGrid {
+    const ROOM: u32 = 80;
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: 12 * ROOM + 1,
+        height: 9 * ROOM + 1,
+    };
+    let mut random = Pcg64Mcg::seed_from_u64(SEED);
+    let mut at = || -> Vec<u32> { (0..108).map(|_| random.random_range(6..54)).collect() };
+    let [doors_x, doors_y, left, low] = [at(), at(), at(), at()];
+    let mut grid = Grid::filled(spec, Occupancy::FREE);
+    for y in 0..spec.height {
+        for x in 0..spec.width {
+            let (room, in_x, in_y) = ((x / ROOM + 12 * (y / ROOM)) as usize % 108, x % ROOM, y % ROOM);
+            let outer = x == 0 || y == 0 || x + 1 == spec.width || y + 1 == spec.height;
+            let door = |from: u32, at: u32| (from..from + 20).contains(&at);
+            let wall = (in_x == 0 && !door(doors_x[room], in_y)) || (in_y == 0 && !door(doors_y[room], in_x));
+            let furniture = (left[room]..left[room] + 12).contains(&in_x) && (low[room]..low[room] + 8).contains(&in_y);
+            if outer || wall || furniture {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    grid
+}
+
+/// A way, and where a robot at rest starts on it: along its first leg.
+type Way = (Vec<Point2<f64>>, Pose2);
+
+/// Ways between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
+fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Way> {
+    let spec = *space.spec();
+    let mut random = Pcg64Mcg::seed_from_u64(SEED);
+    let mut searcher = Searcher::new(space.free()).unwrap();
+    let room = space.footprint().circumscribed_radius();
+    let options = PlanOptions {
+        any_heading: true,
+        ..PlanOptions::default()
+    };
+    let mut draw = || {
+        let cell = Cell::new(random.random_range(0..spec.width), random.random_range(0..spec.height));
+        let center = spec.center(cell);
+        (space.is_free(cell) && space.clearance(center) > room).then(|| Pose2::new(center.x, center.y, 0.0))
+    };
+    let (mut ways, mut from) = (Vec::new(), None);
+    for _ in 0..100 * count {
+        if ways.len() == count {
+            break;
+        }
+        let (Some(start), Some(goal)) = (from.or_else(&mut draw), draw()) else {
+            continue;
+        };
+        let planned = plan(space, &mut searcher, start, goal, &options, Budget::UNLIMITED);
+        if let PlanOutcome::Found { path, .. } = planned.outcome
+            && let Some(leg) = path.windows(2).map(|leg| leg[1] - leg[0]).find(|leg| leg.norm() > 0.0)
+        {
+            ways.push((path, Pose2::new(start.x, start.y, leg.y.atan2(leg.x))));
+            from = is_tour.then_some(goal);
+        }
+    }
+    ways
+}
+
+/// A way of `length` (m), from one drawn place to the next.
+fn tour(space: &ConfigurationSpace, length: f64) -> Option<Way> {
+    let ways = drawn(space, 20, true);
+    let start = ways.first()?.1;
+    let points = ways.iter().flat_map(|(way, _)| way.iter().copied());
+    let (mut tour, mut left): (Vec<Point2<f64>>, f64) = (vec![start.position()], length);
+    for point in points {
+        let last = *tour.last()?;
+        let leg = point - last;
+        if leg.norm() >= left {
+            tour.push(last + leg * (left / leg.norm()));
+            return Some((tour, start));
+        }
+        left -= leg.norm();
+        tour.push(point);
+    }
+    None
+}
+
+/// The fastest run, and how long stop, turn and go would take.
+fn measured(space: &ConfigurationSpace, model: &RobotModel, way: &[Point2<f64>], start: Pose2) -> (Smoothed, f64) {
+    let query = SmoothQuery {
+        way,
+        start,
+        start_velocity: Twist2::ZERO,
+        goal_yaw: None,
+    };
+    let run = || smooth(space, &query, model, &SmoothSettings::default(), &mut cpu);
+    let best = (1..RUNS).fold(run(), |best, _| {
+        let again = run();
+        if both(&again) < both(&best) { again } else { best }
+    });
+    assert_sound(space, model, &best);
+    let limits = Limits::of(model);
+    let safe = safe_motion(way, start, Twist2::ZERO, None, &limits, UNRESTRICTED);
+    (best, safe.duration())
+}
+
+fn both(smoothed: &Smoothed) -> f64 {
+    smoothed.statistics.corridor_ms + smoothed.statistics.geometry_ms
+}
+
+/// Free every millimetre; every limit kept every millisecond.
+fn assert_sound(space: &ConfigurationSpace, model: &RobotModel, smoothed: &Smoothed) {
+    let (drive, limits) = (&model.drive, Limits::of(model));
+    let half = 0.5 * drive.wheel_separation;
+    let mut last: Option<Pose2> = None;
+    for state in smoothed.motion.states(1e-3_f64.min(1e-3 / limits.speed)) {
+        let (point, a, alpha) = (state.point, state.a, state.alpha);
+        for side in [-half, half] {
+            assert!((point.v + side * point.w).abs() <= 0.95 * drive.max_wheel_speed * drive.wheel_radius + ROUNDING);
+            assert!((a + side * alpha).abs() <= 0.95 * drive.acceleration() + ROUNDING);
+        }
+        assert!(point.v.abs() <= 0.95 * drive.top_speed() + ROUNDING);
+        assert!((point.v * point.w).abs() <= 0.95 * drive.max_lateral_acceleration + ROUNDING);
+        let pose = point.pose();
+        let moved = |last: Pose2| last.distance(&pose) > 0.5e-3 || (last.yaw - pose.yaw).abs() > 1e-3;
+        if last.is_none_or(moved) {
+            assert!(
+                space.is_valid(pose),
+                "collision at {pose:?}: {}",
+                smoothed.statistics.status
+            );
+            last = Some(pose);
+        }
+    }
+}
+
+fn row(name: &str, found: &[(Smoothed, f64)], tour: Option<&Smoothed>) {
+    let smooth = found.iter().filter(|(smoothed, _)| smoothed.is_smooth()).count();
+    let mut reasons: Vec<&str> = found
+        .iter()
+        .map(|(smoothed, _)| smoothed.statistics.status.as_str())
+        .collect();
+    reasons.retain(|reason| *reason != "smoothed");
+    reasons.sort_unstable();
+    reasons.dedup();
+    let all = |of: fn(&Smoothed) -> f64| {
+        let mut values: Vec<f64> = found.iter().map(|(smoothed, _)| of(smoothed)).collect();
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| {
+            values
+                .get((values.len() as f64 * share) as usize)
+                .copied()
+                .unwrap_or(f64::NAN)
+        };
+        format!("{:.2} ({:.2})", at(0.5), at(0.95))
+    };
+    let tour = tour.map_or_else(String::new, |tour| {
+        let rooms = tour
+            .statistics
+            .certificate
+            .corridor
+            .as_ref()
+            .map_or(0, |corridor| corridor.rooms);
+        format!("{rooms} rooms, {:.2}, {}", both(tour), tour.statistics.status)
+    });
+    let sum = |of: &dyn Fn(&(Smoothed, f64)) -> f64| found.iter().map(of).sum::<f64>();
+    println!(
+        "| {name} | {} | {smooth} | {} | {} | {} | {} | {:.2} | {tour} | {:.3} |",
+        found.len(),
+        reasons.join(" "),
+        all(|smoothed| smoothed.statistics.corridor_ms),
+        all(|smoothed| smoothed.statistics.geometry_ms),
+        all(|smoothed| smoothed.statistics.timing_ms),
+        100.0 * sum(&|(smoothed, _)| both(smoothed)) / sum(&|(smoothed, _)| smoothed.statistics.length),
+        sum(&|(smoothed, _)| smoothed.motion.duration()) / sum(&|(_, safe)| *safe),
+    );
+}
+
+/// Thread CPU time, s.
+fn cpu() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}

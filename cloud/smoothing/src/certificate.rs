@@ -1,0 +1,329 @@
+//! May a motion be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of the drive, both
+//! from the motion itself and not from what any solver said, before it leaves the house.
+
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
+use zenav_protocol::robot::{Drive, Footprint};
+
+use super::corridor::Room;
+use super::shortcut::is_permitted_along;
+use super::timing::{JerkFigures, Limits, Motion};
+use zenav_space::ConfigurationSpace;
+
+/// Largest distance between two checked poses, m, and turn between them, rad.
+const STEP: f64 = 0.03;
+const TURN: f64 = 0.08;
+
+/// The motion touches an obstacle, or leads where nobody has looked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("collision")]
+pub struct Collision;
+
+/// Least distance (m) of the true footprint to an obstacle along a motion; `None` when there is nothing within the space's reach.
+///
+/// The first `exempt` metres around the start are no reason to refuse: a robot that stands where it should not has to leave. They
+/// count in the clearance that is told.
+///
+/// # Errors
+/// [`Collision`].
+pub fn clearance(
+    space: &ConfigurationSpace,
+    motion: &Motion,
+    limits: &Limits,
+    exempt: f64,
+) -> Result<Option<f64>, Collision> {
+    let turning = match space.footprint() {
+        Footprint::Polygon(_) => TURN / limits.yaw_rate,
+        Footprint::Radius(_) => f64::INFINITY,
+    };
+    let period = (STEP / limits.speed).min(turning);
+    // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
+    let bulge = limits.lateral_acceleration * period * period / 8.0;
+    let all: Vec<Pose2> = motion
+        .states(period)
+        .into_iter()
+        .map(|state| state.point.pose())
+        .collect();
+    let leaving = all.first().filter(|_| exempt > 0.0).map_or(0, |start| {
+        let left = all.iter().position(|pose| pose.distance(start) > exempt);
+        left.unwrap_or(all.len())
+    });
+    let poses = &all[leaving..];
+    if poses
+        .windows(2)
+        .any(|pair| !is_permitted_along(space, pair[0].position(), pair[1].position()))
+    {
+        return Err(Collision);
+    }
+    let least = sweep(space, poses);
+    if least <= bulge && !poses.is_empty() {
+        return Err(Collision);
+    }
+    let least = if leaving > 0 {
+        least.min(sweep(space, &all[..leaving]))
+    } else {
+        least
+    };
+    Ok((least < space.reach()).then_some(least))
+}
+
+/// Poses that are measured together.
+const CHUNK: usize = 16;
+
+/// As [`ConfigurationSpace::sweep_min_clearance`], but the distance field tells first where it is worth looking.
+fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
+    let radius = space.footprint().circumscribed_radius();
+    let bound = |pose: &Pose2| {
+        let Some(cell) = space.spec().cell_at(pose.position()) else {
+            return 0.0;
+        };
+        space.field().distance(cell) - (space.spec().center(cell) - pose.position()).norm() - radius
+    };
+    // Between two poses that both count, no place is farther from the nearer one than half a step.
+    let bounds = (0..poses.len()).step_by(CHUNK).map(|begin| {
+        let chunk = &poses[begin..(begin + CHUNK + 1).min(poses.len())];
+        (
+            chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * STEP - radius * 0.5 * TURN,
+            chunk,
+        )
+    });
+    let mut chunks: Vec<_> = bounds.collect();
+    chunks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut least = space.reach();
+    for (bound, chunk) in chunks {
+        if bound >= least {
+            break;
+        }
+        least = space.sweep_clearance_within(chunk, least);
+    }
+    least
+}
+
+/// How the parts of a curve came about; one part after the other is added.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Evidence {
+    corridor: Option<CorridorFigures>,
+    geometry: Option<SolverFigures>,
+}
+
+impl Evidence {
+    /// Adds a curve through rooms.
+    pub fn add(&mut self, rooms: &[Room], solver: SolverFigures) {
+        let width = rooms.iter().map(width).fold(f64::INFINITY, f64::min);
+        let corridor = self.corridor.get_or_insert(CorridorFigures {
+            rooms: 0,
+            least_width: f64::INFINITY,
+        });
+        corridor.rooms += rooms.len();
+        corridor.least_width = corridor.least_width.min(width);
+        let known = self.geometry.get_or_insert_with(|| SolverFigures {
+            status: solver.status.clone(),
+            ..SolverFigures::default()
+        });
+        if known.status == "Solved" {
+            known.status = solver.status;
+        }
+        known.iterations += solver.iterations;
+        known.gap = known.gap.max(solver.gap);
+    }
+
+    /// The geometry solver's status; empty without a curve.
+    #[must_use]
+    pub fn status(&self) -> String {
+        self.geometry
+            .as_ref()
+            .map_or(String::new(), |solver| solver.status.clone())
+    }
+}
+
+/// Width of a room across the middle of its piece, m.
+fn width(room: &Room) -> f64 {
+    let along = room.to - room.from;
+    let across = nalgebra::Vector2::new(-along.y, along.x);
+    let Some(across) = across.try_normalize(1e-9) else {
+        return f64::INFINITY;
+    };
+    let middle = nalgebra::center(&room.from, &room.to);
+    let reach = |direction: nalgebra::Vector2<f64>| {
+        let sides = room
+            .sides
+            .iter()
+            .map(|side| (side.depth(middle), side.normal.dot(&direction)));
+        sides
+            .filter(|(_, towards)| *towards > 1e-9)
+            .map(|(depth, towards)| depth / towards)
+            .fold(f64::INFINITY, f64::min)
+    };
+    reach(across) + reach(-across)
+}
+
+/// The certificate of a motion: what its parts told, and what the motion itself shows.
+#[must_use]
+pub fn certify(motion: &Motion, drive: &Drive, evidence: Evidence, jerk: Option<JerkFigures>) -> Certificate {
+    let time_law = match &jerk {
+        None => "sweep".to_owned(),
+        Some(JerkFigures { failed: None, .. }) => "jerk_limited".to_owned(),
+        Some(JerkFigures {
+            failed: Some(error), ..
+        }) => format!("sweep:{error}"),
+    };
+    Certificate {
+        corridor: evidence.corridor,
+        geometry: evidence.geometry,
+        time_law,
+        timing: jerk.map(|figures| figures.solver),
+        largest_use: largest_use(motion, drive),
+        lower_bound: motion.lower_bound(),
+        over_lower_bound: if motion.lower_bound() > 0.0 {
+            motion.duration() / motion.lower_bound()
+        } else {
+            1.0
+        },
+    }
+}
+
+/// Acceleration that differs by less where two pieces of a motion meet does not jump, m/s².
+const SAME_ACCELERATION: f64 = 1e-6;
+
+/// Largest use of each limit along a motion.
+#[must_use]
+pub fn largest_use(motion: &Motion, drive: &Drive) -> LimitUse {
+    let mut most = LimitUse::default();
+    let mut jerk = 0.0_f64;
+    let half = 0.5 * drive.wheel_separation;
+    let mut before: Option<(f64, f64)> = None;
+    for rates in motion.rates() {
+        let (v, w) = (rates.twist.v, rates.twist.w);
+        for wheel in drive.wheels(rates.twist) {
+            most.wheel_speed = most.wheel_speed.max(wheel.abs() / drive.max_wheel_speed);
+        }
+        let accelerations = [rates.a - half * rates.alpha, rates.a + half * rates.alpha];
+        for wheel in accelerations {
+            most.wheel_acceleration = most.wheel_acceleration.max(wheel.abs() / drive.acceleration());
+        }
+        most.speed = most.speed.max(v.abs() / drive.top_speed());
+        most.lateral_acceleration = most
+            .lateral_acceleration
+            .max((v * w).abs() / drive.max_lateral_acceleration);
+        most.yaw_rate = most.yaw_rate.max(w.abs() / drive.top_yaw_rate());
+        // On the spot there is no base that moves: a wheel's.
+        let acceleration = if v == 0.0 && rates.a == 0.0 {
+            half * rates.alpha
+        } else {
+            rates.a
+        };
+        if let Some((t, other)) = before {
+            let change = (acceleration - other).abs();
+            if rates.t - t > 1e-9 {
+                jerk = jerk.max(change / (rates.t - t));
+            } else if change > SAME_ACCELERATION {
+                jerk = f64::INFINITY;
+            }
+        }
+        before = Some((rates.t, acceleration));
+    }
+    most.jerk = drive
+        .max_jerk
+        .map(|limit| jerk / limit)
+        .filter(|use_of| use_of.is_finite());
+    most
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::super::timing::{GeometricPath, PathPoint};
+    use super::*;
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    fn tiago(jerk: Option<f64>) -> RobotModel {
+        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        model.drive.max_jerk = jerk;
+        model
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn the_largest_use_is_what_fine_sampling_finds(
+            turns in prop::collection::vec((-5.0..5.0_f64, 5_usize..30), 1..6), angle in -3.0..3.0_f64, jerk in prop::option::of(0.5..5.0_f64),
+        ) {
+            let model = tiago(jerk);
+            let (drive, limits) = (&model.drive, Limits::of(&model));
+            let mut k = 0.0;
+            let mut links = Vec::new();
+            for (target, pieces) in turns {
+                links.extend((1..=pieces).map(|i| (0.02, k + (target - k) * i as f64 / pieces as f64)));
+                k = target;
+            }
+            let mut motion = Motion::new();
+            motion.spin(Pose2::new(0.0, 0.0, -angle), angle, &limits);
+            motion.follow(GeometricPath::chain(PathPoint::default(), &links).unwrap(), 0.0, &limits).unwrap();
+            let (motion, figures) = motion.with_limited_jerk(&limits);
+            let found = largest_use(&motion, drive);
+            let mut fine = LimitUse::default();
+            let mut fine_jerk = 0.0_f64;
+            let states = motion.states(2e-4);
+            let half = 0.5 * drive.wheel_separation;
+            for pair in states.windows(2) {
+                let (point, a, alpha) = (pair[1].point, pair[1].a, pair[1].alpha);
+                fine.speed = fine.speed.max(point.v / drive.top_speed());
+                fine.wheel_speed = fine.wheel_speed.max((point.v.abs() + half * point.w.abs()) / drive.wheel_radius / drive.max_wheel_speed);
+                fine.wheel_acceleration = fine.wheel_acceleration.max((a.abs() + half * alpha.abs()) / drive.acceleration());
+                fine.lateral_acceleration = fine.lateral_acceleration.max((point.v * point.w).abs() / drive.max_lateral_acceleration);
+                fine.yaw_rate = fine.yaw_rate.max(point.w.abs() / drive.top_yaw_rate());
+                let dt = point.t - pair[0].point.t;
+                let change = if point.v == 0.0 { half * (alpha - pair[0].alpha) } else { a - pair[0].a };
+                fine_jerk = fine_jerk.max(change.abs() / dt);
+            }
+            for (found, fine) in [
+                (found.speed, fine.speed), (found.wheel_speed, fine.wheel_speed), (found.wheel_acceleration, fine.wheel_acceleration),
+                (found.lateral_acceleration, fine.lateral_acceleration), (found.yaw_rate, fine.yaw_rate),
+            ] {
+                prop_assert!(found <= 0.95 + 1e-6 && (found - fine).abs() < 5e-3, "{} against {}", found, fine);
+            }
+            match (jerk, figures.map(|figures| figures.failed)) {
+                (Some(limit), Some(None)) => {
+                    let share = found.jerk.unwrap();
+                    prop_assert!(share <= 0.95 + 1e-6 && (share - fine_jerk / limit).abs() < 0.02, "{} against {}", share, fine_jerk / limit);
+                }
+                _ => prop_assert_eq!(found.jerk, None),
+            }
+        }
+    }
+
+    #[test]
+    fn parts_of_a_curve_add_up_and_the_worst_status_stays() {
+        let side = |x: f64, y: f64, offset: f64| super::super::corridor::HalfPlane {
+            normal: nalgebra::Vector2::new(x, y),
+            offset,
+        };
+        let room = |width: f64| Room {
+            sides: vec![
+                side(0.0, 1.0, 0.5 * width),
+                side(0.0, -1.0, 0.5 * width),
+                side(1.0, 0.0, 3.0),
+                side(-1.0, 0.0, 1.0),
+            ],
+            from: Point2::new(0.0, 0.1),
+            to: Point2::new(2.0, 0.1),
+            length: 2.0,
+        };
+        let solver = |status: &str, iterations, gap| SolverFigures {
+            status: status.to_owned(),
+            iterations,
+            gap,
+        };
+        let mut evidence = Evidence::default();
+        evidence.add(&[room(2.0), room(0.7)], solver("AlmostSolved", 9, 1e-5));
+        evidence.add(&[room(1.0)], solver("Solved", 7, 1e-9));
+        let certificate = certify(&Motion::new(), &tiago(None).drive, evidence, None);
+        let corridor = certificate.corridor.unwrap();
+        assert!(corridor.rooms == 3 && (corridor.least_width - 0.7).abs() < 1e-12);
+        assert_eq!(certificate.geometry.unwrap(), solver("AlmostSolved", 16, 1e-5));
+        assert_eq!(certificate.over_lower_bound, 1.0);
+    }
+}

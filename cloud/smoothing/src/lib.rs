@@ -1,0 +1,33 @@
+//! What does the robot really drive? A smooth curve through the free space around a way, with a time law.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`shortcut`] | which corners of a way are needed? |
+//! | [`corridor`] | how much room is there around it? |
+//! | [`fit`] | which curve through that room bends least? |
+//! | `cost` | what does a curve cost? |
+//! | [`curve`] | where does a curve run? |
+//! | `part` | which curve leads from one stop to the next, for the true footprint? |
+//! | `course` | where does the robot brake, stop and turn, and on which curves does it go between? |
+//! | [`certificate`] | is the motion free? |
+//! | [`smoother`] | which trajectory does a way become? |
+//! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
+//! | [`timing`] | when is the robot where? |
+
+pub mod certificate;
+pub mod corridor;
+mod cost;
+mod course;
+pub mod curve;
+pub mod fit;
+mod part;
+pub mod shortcut;
+pub mod smoother;
+pub mod timing;
+pub mod unsmoothed;
+
+#[cfg(test)]
+mod tests;
+
+pub use smoother::{PERIOD, SmoothQuery, SmoothSettings, Smoothed, smooth};
+pub use unsmoothed::unsmoothed;

@@ -1,0 +1,182 @@
+//! How many straight ways are checked a second? Segments of several lengths on one map, against a walk from cell to cell and the exact
+//! measure of a moved disc.
+//!
+//! `cargo bench -p zenav-cloud --bench sight`, on a house made from a seed; `ZENAV_BENCH_MAP=file` takes a map (.yaml, .pgm, .png, .map).
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, reason = "a bench")]
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use nalgebra::{Point2, Vector2};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+use zenav_mapping::map_file;
+use zenav_space::{BitGrid, ConfigurationSpace, PointSight, Sight, UnknownPolicy};
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::robot::Footprint;
+
+/// Segments of each length.
+const SEGMENTS: usize = 1000;
+
+/// Rooms of 4 m with doors, and a box in most of them.
+fn house() -> OccupancyGrid {
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: 1000,
+        height: 1000,
+    };
+    let mut random = Pcg64Mcg::seed_from_u64(7);
+    let mut grid = Grid::filled(spec, Occupancy::FREE);
+    let room = |x: u32| x / 80;
+    let doors: Vec<u32> = (0..400).map(|_| random.random_range(10..50)).collect();
+    for y in 0..spec.height {
+        for x in 0..spec.width {
+            let (in_x, in_y) = (x % 80, y % 80);
+            let door = |i: u32, at: u32| (doors[i as usize % 400]..doors[i as usize % 400] + 20).contains(&at);
+            let number = room(x) * 13 + room(y);
+            let wall = (in_x == 0 && !door(number, in_y)) || (in_y == 0 && !door(number + 200, in_x));
+            let (bx, by) = (doors[(number as usize + 57) % 400], doors[(number as usize + 91) % 400]);
+            let inside = (bx..bx + 12).contains(&in_x) && (by..by + 8).contains(&in_y);
+            if wall || inside {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    grid
+}
+
+fn map() -> OccupancyGrid {
+    match std::env::var_os("ZENAV_BENCH_MAP") {
+        Some(path) => map_file::read_map(std::path::Path::new(&path), 0.05).expect("a map"),
+        None => house(),
+    }
+}
+
+/// Segments of a length that start where one may be and end inside the grid.
+fn segments(sight: &impl Sight, length: f64) -> Vec<[Point2<f64>; 2]> {
+    let [width, height] = sight.size().map(f64::from);
+    let mut random = Pcg64Mcg::seed_from_u64(1);
+    let mut segments = Vec::new();
+    while segments.len() < SEGMENTS {
+        let a = Point2::new(random.random_range(0.0..width), random.random_range(0.0..height));
+        let angle = random.random_range(0.0..std::f64::consts::TAU);
+        let b = a + Vector2::new(angle.cos(), angle.sin()) * length;
+        if sight.admits(a) && b.x > 0.0 && b.y > 0.0 && b.x < width && b.y < height {
+            segments.push([a, b]);
+        }
+    }
+    segments
+}
+
+/// From cell to cell, both cells beside a corner asked: what planners do that know a map by its cells only.
+fn walk(free: &[bool], width: i64, height: i64, a: Point2<f64>, b: Point2<f64>) -> bool {
+    let is_free = |x: i64, y: i64| x >= 0 && y >= 0 && x < width && y < height && free[(y * width + x) as usize];
+    let (mut x, mut y) = (a.x as i64, a.y as i64);
+    let (last_x, last_y) = (b.x as i64, b.y as i64);
+    let axis = |from: f64, cell: i64, d: f64| {
+        if d > 0.0 {
+            (1, ((cell + 1) as f64 - from) / d, 1.0 / d)
+        } else {
+            (-1, (from - cell as f64) / -d, -1.0 / d)
+        }
+    };
+    let (step_x, mut next_x, delta_x) = axis(a.x, x, b.x - a.x);
+    let (step_y, mut next_y, delta_y) = axis(a.y, y, b.y - a.y);
+    if !is_free(x, y) {
+        return false;
+    }
+    while x != last_x || y != last_y {
+        if (next_x - next_y).abs() < 1e-12 {
+            if !is_free(x + step_x, y) || !is_free(x, y + step_y) {
+                return false;
+            }
+            (x, y, next_x, next_y) = (x + step_x, y + step_y, next_x + delta_x, next_y + delta_y);
+        } else if next_x < next_y {
+            (x, next_x) = (x + step_x, next_x + delta_x);
+        } else {
+            (y, next_y) = (y + step_y, next_y + delta_y);
+        }
+        if !is_free(x, y) {
+            return false;
+        }
+    }
+    true
+}
+
+fn points(criterion: &mut Criterion) {
+    let grid = map();
+    let spec = *grid.spec();
+    let free = BitGrid::from_fn(spec.width, spec.height, |cell| {
+        Occupancy::of(grid[cell]) == Occupancy::Free
+    });
+    let cells: Vec<bool> = grid
+        .values()
+        .iter()
+        .map(|value| Occupancy::of(*value) == Occupancy::Free)
+        .collect();
+    criterion.bench_function("PointSight::new", |bencher| {
+        bencher.iter(|| PointSight::new(&free));
+    });
+    let sight = PointSight::new(&free);
+    for only_seen in [false, true] {
+        let mut group = criterion.benchmark_group(if only_seen { "point, in sight" } else { "point" });
+        group.throughput(Throughput::Elements(SEGMENTS as u64));
+        for length in [5, 20, 80, 320] {
+            let mut segments = segments(&sight, length.into());
+            if only_seen {
+                segments.retain(|[a, b]| sight.sees(*a, *b));
+                segments = segments
+                    .iter()
+                    .copied()
+                    .cycle()
+                    .take(if segments.is_empty() { 0 } else { SEGMENTS })
+                    .collect();
+            }
+            let seen = segments.iter().filter(|[a, b]| sight.sees(*a, *b)).count();
+            eprintln!("{length} cells: {seen} of {} seen", segments.len());
+            let (width, height) = (i64::from(spec.width), i64::from(spec.height));
+            group.bench_function(BenchmarkId::new("words", length), |bencher| {
+                bencher.iter(|| black_box(segments.iter().filter(|[a, b]| sight.sees(*a, *b)).count()));
+            });
+            group.bench_function(BenchmarkId::new("walk", length), |bencher| {
+                bencher.iter(|| {
+                    black_box(
+                        segments
+                            .iter()
+                            .filter(|[a, b]| walk(&cells, width, height, *a, *b))
+                            .count(),
+                    )
+                });
+            });
+        }
+        group.finish();
+    }
+}
+
+fn discs(criterion: &mut Criterion) {
+    let space = ConfigurationSpace::new(&map(), &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0);
+    let mut group = criterion.benchmark_group("disc");
+    group.throughput(Throughput::Elements(SEGMENTS as u64));
+    for length in [5, 20, 80, 320] {
+        let segments = segments(&space, length.into());
+        let seen = segments.iter().filter(|[a, b]| space.sees(*a, *b)).count();
+        eprintln!("{length} cells: {seen} of {} seen", segments.len());
+        group.bench_function(BenchmarkId::new("hops", length), |bencher| {
+            bencher.iter(|| black_box(segments.iter().filter(|[a, b]| space.sees(*a, *b)).count()));
+        });
+        group.bench_function(BenchmarkId::new("measured", length), |bencher| {
+            let spec = *space.spec();
+            bencher.iter(|| {
+                let free = segments
+                    .iter()
+                    .filter(|[a, b]| space.segment_is_free(spec.from_cells(*a), spec.from_cells(*b), space.radius()));
+                black_box(free.count())
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, points, discs);
+criterion_main!(benches);

@@ -1,0 +1,280 @@
+//! How fast is the configuration space made and kept up to date? `cargo bench -p zenav-cloud --bench space`
+//!
+//! Beside every transform stands the one of the textbook (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions",
+//! 2012), written plainly, on the same map in the same run. Times are the thread's own, whatever else the machine does.
+
+#![allow(missing_docs, reason = "criterion's macros")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a bench stops at the first thing that is not as it should be"
+)]
+
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Duration;
+
+use criterion::measurement::{Measurement, ValueFormatter, WallTime};
+use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
+use nalgebra::Point2;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+use zenav_protocol::map_replica::{MapMirror, Mirrored};
+use zenav_space::exact::squared_distances;
+use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, TILE, Tile};
+use zenav_protocol::robot::Footprint;
+use zenav_protocol::time::Stamp;
+
+/// Time that this thread has had a processor for.
+struct ThreadTime;
+
+impl Measurement for ThreadTime {
+    type Intermediate = Duration;
+    type Value = Duration;
+
+    fn start(&self) -> Duration {
+        let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        Duration::new(now.tv_sec.cast_unsigned(), now.tv_nsec as u32)
+    }
+
+    fn end(&self, start: Duration) -> Duration {
+        self.start() - start
+    }
+
+    fn add(&self, one: &Duration, other: &Duration) -> Duration {
+        *one + *other
+    }
+
+    fn zero(&self) -> Duration {
+        Duration::ZERO
+    }
+
+    fn to_f64(&self, value: &Duration) -> f64 {
+        value.as_nanos() as f64
+    }
+
+    fn formatter(&self) -> &dyn ValueFormatter {
+        WallTime.formatter()
+    }
+}
+
+const SIDES: [u32; 2] = [1000, 4000];
+/// Cells.
+const REACH: u32 = 10;
+
+fn spec(side: u32) -> GridSpec {
+    GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: side,
+        height: side,
+    }
+}
+
+/// Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and something in every room.
+fn office(side: u32) -> BitGrid {
+    BitGrid::from_fn(side, side, |Cell { x, y }| {
+        let (u, v) = (x % 100, y % 110);
+        let wall = (u == 0 && v <= 80 && !(30..48).contains(&v)) || ((v == 0 || v == 80) && !(60..78).contains(&u));
+        let table = (40..60).contains(&u) && (20..36).contains(&v) && (x / 100 + y / 110) % 3 != 0;
+        wall || table
+    })
+}
+
+/// Obstacles of each kind of map.
+fn maps(side: u32) -> [(&'static str, BitGrid); 4] {
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mut random = |share: f64| BitGrid::from_fn(side, side, |_| rng.random_bool(share));
+    let (dense, sparse) = (random(0.2), random(0.01));
+    [
+        ("random 20 %", dense),
+        ("random 1 %", sparse),
+        ("office", office(side)),
+        ("empty", BitGrid::new(side, side)),
+    ]
+}
+
+/// The textbook's transform: squared distances from centre to centre, cells.
+mod textbook {
+    use zenav_space::BitGrid;
+    use zenav_protocol::grid::Cell;
+
+    const FAR: f32 = 1e12;
+
+    /// One dimension: the lower envelope of parabolas.
+    fn line(f: &[f32], out: &mut [f32], v: &mut [usize], z: &mut [f32]) {
+        let (n, mut k) = (f.len(), 0);
+        (v[0], z[0], z[1]) = (0, f32::NEG_INFINITY, f32::INFINITY);
+        for q in 1..n {
+            let meet =
+                |p: usize| ((f[q] + (q * q) as f32) - (f[p] + (p * p) as f32)) / (2.0 * q as f32 - 2.0 * p as f32);
+            let mut s = meet(v[k]);
+            while s <= z[k] {
+                k -= 1;
+                s = meet(v[k]);
+            }
+            k += 1;
+            (v[k], z[k], z[k + 1]) = (q, s, f32::INFINITY);
+        }
+        k = 0;
+        for (q, out) in out.iter_mut().enumerate() {
+            while z[k + 1] < q as f32 {
+                k += 1;
+            }
+            let d = q as f32 - v[k] as f32;
+            *out = d * d + f[v[k]];
+        }
+    }
+
+    pub fn squared_distances(obstacles: &BitGrid) -> Vec<f32> {
+        let (width, height) = (obstacles.width() as usize, obstacles.height() as usize);
+        let cell = |i: usize| Cell::new((i % width) as u32, (i / width) as u32);
+        let mut grid: Vec<f32> = (0..width * height)
+            .map(|i| if obstacles.get(cell(i)) { 0.0 } else { FAR })
+            .collect();
+        let longest = width.max(height);
+        let (mut f, mut out) = (vec![0.0; longest], vec![0.0; longest]);
+        let (mut v, mut z) = (vec![0; longest], vec![0.0; longest + 1]);
+        for x in 0..width {
+            for y in 0..height {
+                f[y] = grid[y * width + x];
+            }
+            line(&f[..height], &mut out[..height], &mut v, &mut z);
+            for y in 0..height {
+                grid[y * width + x] = out[y];
+            }
+        }
+        for y in 0..height {
+            f[..width].copy_from_slice(&grid[y * width..][..width]);
+            line(&f[..width], &mut grid[y * width..][..width], &mut v, &mut z);
+        }
+        grid
+    }
+}
+
+fn distance(c: &mut Criterion<ThreadTime>) {
+    for side in SIDES {
+        let mut group = c.benchmark_group(format!("distance {side}x{side}"));
+        group.sample_size(if side > 2000 { 10 } else { 50 });
+        for (name, obstacles) in maps(side) {
+            group.bench_with_input(BenchmarkId::new("to 10 cells", name), &obstacles, |b, obstacles| {
+                b.iter_with_large_drop(|| DistanceField::new(spec(side), obstacles, REACH));
+            });
+            group.bench_with_input(BenchmarkId::new("any", name), &obstacles, |b, obstacles| {
+                b.iter_with_large_drop(|| squared_distances(obstacles));
+            });
+            group.bench_with_input(BenchmarkId::new("textbook", name), &obstacles, |b, obstacles| {
+                b.iter_with_large_drop(|| textbook::squared_distances(obstacles));
+            });
+        }
+    }
+}
+
+/// The largest map that is asked for: offices in a corner of it, the rest open; and offices everywhere.
+fn largest(c: &mut Criterion<ThreadTime>) {
+    const SIDE: u32 = 16_384;
+    let mut group = c.benchmark_group(format!("space {SIDE}x{SIDE}, radius 0.25 m"));
+    group.sample_size(10);
+    let footprint = Footprint::Radius(0.25);
+    let office = office(SIDE);
+    for (name, rows) in [("offices in 4 % of it", SIDE / 5), ("offices everywhere", SIDE)] {
+        let mut grid = OccupancyGrid::filled(spec(SIDE), Occupancy::FREE);
+        for y in 0..rows {
+            for x in office.set_in_row(y, 0, i64::from(rows)) {
+                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+        let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0);
+        eprintln!("{name}: {} MiB beside a map of 256 MiB", space.bytes() >> 20);
+        drop(space);
+        group.bench_function(name, |b| {
+            b.iter_with_large_drop(|| ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Free, 0.0));
+        });
+    }
+}
+
+/// A map of offices, its copy at revision 1, and patches of one tile to and fro.
+fn mirrored(side: u32) -> (MapMirror, [MapPatch; 2]) {
+    let spec = spec(side);
+    let office = office(side);
+    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+    for y in 0..side {
+        for x in office.set_in_row(y, 0, i64::MAX) {
+            grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
+        }
+    }
+    let map = |revision| MapRef {
+        id: "bench".to_owned(),
+        revision,
+    };
+    let mut mirror = MapMirror::new();
+    assert!(mirror.replace(&MapReply {
+        info: MapInfo {
+            stamp: Stamp::ZERO,
+            map: map(1),
+            spec,
+            free: 0,
+            occupied: 0,
+            unknown: 0,
+            scans: 0,
+            stored: false,
+        },
+        values: grid.values().to_vec(),
+        trajectory: Vec::new(),
+    }));
+    let column = side / TILE / 2;
+    let tile = |shift: u32| {
+        let cells =
+            (0..TILE * TILE).map(|i| Cell::new(column * TILE + i % TILE, column * TILE + (i / TILE + shift) % TILE));
+        Tile {
+            x: column,
+            y: column,
+            values: cells.map(|cell| grid[cell]).collect(),
+        }
+    };
+    let patch = |base, tile| MapPatch {
+        stamp: Stamp::ZERO,
+        map: map(base + 1),
+        base_revision: base,
+        spec,
+        tiles: vec![tile],
+    };
+    (mirror, [patch(1, tile(7)), patch(2, tile(0))])
+}
+
+/// A map's revision with one changed tile of 64 by 64 cells.
+fn update(c: &mut Criterion<ThreadTime>) {
+    let mut group = c.benchmark_group("space 1000x1000, radius 0.25 m");
+    let footprint = Footprint::Radius(0.25);
+    let (mirror, patches) = mirrored(1000);
+    group.bench_function("anew", |b| {
+        b.iter_with_large_drop(|| ConfigurationSpace::new(mirror.grid(), &footprint, UnknownPolicy::Free, 0.0));
+    });
+    for (name, held) in [("a tile, in place", false), ("a tile, others hold the last one", true)] {
+        group.bench_function(name, |b| {
+            b.iter_batched(
+                || {
+                    let (mut cache, mut mirror) = (SpaceCache::default(), mirror.clone());
+                    let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+                    assert_eq!(mirror.apply(&patches[0]), Mirrored::Applied);
+                    (cache, mirror, held.then(|| Arc::clone(&first)))
+                },
+                |(mut cache, mirror, held)| {
+                    let space = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+                    (cache, mirror, held, black_box(space))
+                },
+                BatchSize::LargeInput,
+            );
+        });
+    }
+    let mut there = mirror.clone();
+    let _ = there.apply(&patches[0]);
+    let mut back = there.clone();
+    assert_eq!(back.apply(&patches[1]), Mirrored::Applied);
+    assert_eq!(back.grid(), mirror.grid(), "the second patch undoes the first");
+}
+
+criterion_group!(name = benches; config = Criterion::default().with_measurement(ThreadTime); targets = distance, update, largest);
+criterion_main!(benches);

@@ -1,0 +1,150 @@
+//! Which configuration space belongs to a map, a robot and a policy? Made once, and from then on kept up to date by the map's tiles.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use zenav_protocol::messages::MapRef;
+use zenav_protocol::robot::Footprint;
+
+use super::{ConfigurationSpace, UnknownPolicy, Zones};
+use zenav_protocol::map_replica::MapMirror;
+
+/// Spaces that are kept.
+const KEPT: usize = 8;
+
+/// The latest spaces.
+#[derive(Clone, Debug, Default)]
+pub struct SpaceCache {
+    /// The one asked for last comes first; each with the state of the map that it stands for.
+    kept: VecDeque<(MapRef, Arc<ConfigurationSpace>)>,
+    zones: Arc<Zones>,
+}
+
+impl SpaceCache {
+    /// None yet; all will be of maps with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            kept: VecDeque::new(),
+            zones,
+        }
+    }
+
+    /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
+    ///
+    /// Whoever still holds an older one keeps it as it was; otherwise it is changed in place.
+    pub fn get(&mut self, map: &MapMirror, footprint: &Footprint, unknown: UnknownPolicy) -> Arc<ConfigurationSpace> {
+        let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
+            of.id == map.map().id && space.unknown_policy() == unknown && space.footprint() == footprint
+        };
+        let kept = self.kept.iter().position(fits).and_then(|at| self.kept.remove(at));
+        let space = match kept {
+            Some((of, space)) => Self::brought_up(space, of.revision, map),
+            None => None,
+        };
+        let anew = || ConfigurationSpace::with_zones(map.grid(), footprint, unknown, 0.0, &self.zones);
+        let space = space.unwrap_or_else(|| Arc::new(anew()));
+        self.kept.push_front((map.map().clone(), Arc::clone(&space)));
+        self.kept.truncate(KEPT);
+        space
+    }
+
+    /// The space of a revision brought to the map's present one; `None` where it has to be built anew.
+    fn brought_up(
+        mut space: Arc<ConfigurationSpace>,
+        revision: u64,
+        map: &MapMirror,
+    ) -> Option<Arc<ConfigurationSpace>> {
+        let differences = space.differences(map.grid(), &map.changed_since(revision)).ok()?;
+        if !differences.is_empty() {
+            Arc::make_mut(&mut space).apply(map.grid(), &differences);
+        }
+        Some(space)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use zenav_protocol::grid::GridSpec;
+    use zenav_protocol::messages::{MapPatch, TILE, Tile};
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+    use zenav_protocol::map_replica::Mirrored;
+
+    /// A patch of a map of so many tiles, with one occupied cell in each tile given.
+    fn patch(base_revision: u64, columns: u32, tiles: &[(u32, u32, usize)]) -> MapPatch {
+        let tile = |(x, y, at): &(u32, u32, usize)| {
+            let mut values = vec![0; (TILE * TILE) as usize];
+            values[*at] = 100;
+            Tile { x: *x, y: *y, values }
+        };
+        MapPatch {
+            stamp: Stamp::ZERO,
+            map: MapRef {
+                id: "m".to_owned(),
+                revision: base_revision + 1,
+            },
+            base_revision,
+            spec: GridSpec {
+                origin: Point2::origin(),
+                resolution: 0.1,
+                width: columns * TILE,
+                height: 2 * TILE,
+            },
+            tiles: tiles.iter().map(tile).collect(),
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+
+        #[test]
+        fn a_kept_space_equals_one_that_is_built_anew(steps in prop::collection::vec((prop::collection::vec((0_u32..3, 0_u32..2, 0_usize..4096), 0..3), any::<bool>(), any::<bool>(), any::<bool>()), 1..8)) {
+            let (mut mirror, mut cache) = (MapMirror::new(), SpaceCache::default());
+            let (mut columns, mut held) = (3, None);
+            let footprint = Footprint::Radius(0.3);
+            for (revision, (tiles, grow, hold, ask)) in (0..).zip(steps) {
+                columns += u32::from(grow);
+                prop_assert_eq!(mirror.apply(&patch(revision, columns, &tiles)), Mirrored::Applied);
+                if !ask {
+                    continue;
+                }
+                for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked] {
+                    let kept = cache.get(&mirror, &footprint, policy);
+                    let anew = ConfigurationSpace::new(mirror.grid(), &footprint, policy, 0.0);
+                    prop_assert_eq!((kept.spec(), kept.free(), kept.field()), (anew.spec(), anew.free(), anew.field()));
+                    prop_assert_eq!((kept.obstacles(), kept.forbidden()), (anew.obstacles(), anew.forbidden()));
+                    prop_assert!(Arc::ptr_eq(&kept, &cache.get(&mirror, &footprint, policy)));
+                    if hold {
+                        held = Some((kept, anew));
+                    }
+                }
+                if let Some((kept, anew)) = &held {
+                    prop_assert_eq!((kept.free(), kept.field()), (anew.free(), anew.field()), "what others hold stays as it was");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_revision_in_which_no_cell_means_anything_else_has_the_same_space() {
+        let (mut mirror, mut cache) = (MapMirror::new(), SpaceCache::default());
+        let footprint = Footprint::Radius(0.3);
+        let _ = mirror.apply(&patch(0, 2, &[(0, 0, 5)]));
+        let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+        assert_eq!(mirror.apply(&patch(1, 2, &[(0, 0, 5)])), Mirrored::Applied);
+        assert!(Arc::ptr_eq(
+            &first,
+            &cache.get(&mirror, &footprint, UnknownPolicy::Free)
+        ));
+        assert_eq!(mirror.apply(&patch(2, 2, &[(0, 0, 6)])), Mirrored::Applied);
+        assert!(!Arc::ptr_eq(
+            &first,
+            &cache.get(&mirror, &footprint, UnknownPolicy::Free)
+        ));
+    }
+}

@@ -1,0 +1,140 @@
+//! How far does a copy of a map reach beyond the map? Ways may lead through what nobody has seen, and that does not end where the map does:
+//! whole tiles of unknown cells lie around it, out to every place that was asked for.
+
+use nalgebra::{Point2, Vector2};
+use crate::grid::GridSpec;
+use crate::messages::TILE;
+use crate::robot::Footprint;
+
+use crate::grid::MAX_CELLS;
+
+/// Where somebody may go, seen or not.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outlook {
+    /// Places that belong to the copy, map frame, m.
+    pub places: Vec<Point2<f64>>,
+    /// Width of the unknown around them and around the map, m.
+    pub ring: f64,
+}
+
+impl Outlook {
+    /// Room for a robot to go around everything.
+    #[must_use]
+    pub fn of(footprint: &Footprint, places: Vec<Point2<f64>>) -> Self {
+        Self {
+            places,
+            ring: 2.0 * footprint.circumscribed_radius() + MORE,
+        }
+    }
+}
+
+/// Room beside the robot, m.
+const MORE: f64 = 0.5;
+
+/// Which places beyond a map belong to its copy.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Beyond {
+    /// Lower left and upper right corner of all places asked for, m.
+    bounds: Option<[Point2<f64>; 2]>,
+    /// Width of the unknown around all that, m.
+    ring: f64,
+}
+
+impl Beyond {
+    /// From now on these places lie in the copy, as the map does, at least the ring's width from its border. What is not finite is not
+    /// asked for.
+    pub fn include(&mut self, Outlook { places, ring }: &Outlook) {
+        for place in places.iter().filter(|place| place.coords.iter().all(|c| c.is_finite())) {
+            let [low, high] = self.bounds.unwrap_or([*place; 2]);
+            self.bounds = Some([low.inf(place), high.sup(place)]);
+        }
+        if ring.is_finite() {
+            self.ring = self.ring.max(*ring);
+        }
+    }
+
+    /// The grid of a copy of a map on this grid: larger by whole tiles to the left and below, so that the map's tiles stay tiles. Where
+    /// that would be more than a map may have, the map's own.
+    #[must_use]
+    pub fn around(&self, spec: GridSpec) -> GridSpec {
+        if spec.is_empty() || *self == Self::default() {
+            return spec;
+        }
+        let [low, high] = self.bounds.unwrap_or([spec.origin; 2]);
+        let size = Vector2::new(f64::from(spec.width), f64::from(spec.height)) * spec.resolution;
+        let tile = f64::from(TILE) * spec.resolution;
+        let out = Vector2::repeat(self.ring);
+        let below = (spec.origin - low.inf(&spec.origin) + out) / tile;
+        let above = (high.sup(&(spec.origin + size)) - (spec.origin + size) + out) / tile;
+        let tiles = |share: f64| share.ceil().clamp(0.0, 1e6) as u64;
+        let side =
+            |cells: u32, more: f64, further: f64| u64::from(cells) + (tiles(more) + tiles(further)) * u64::from(TILE);
+        let (width, height) = (side(spec.width, below.x, above.x), side(spec.height, below.y, above.y));
+        let fits = width.checked_mul(height).is_some_and(|cells| cells <= MAX_CELLS);
+        let larger = GridSpec {
+            origin: spec.origin - Vector2::new(tiles(below.x) as f64, tiles(below.y) as f64) * tile,
+            width: u32::try_from(width).unwrap_or(u32::MAX),
+            height: u32::try_from(height).unwrap_or(u32::MAX),
+            ..spec
+        };
+        larger.checked().ok().filter(|_| fits).unwrap_or(spec)
+    }
+}
+
+/// Tiles (columns and rows) of a copy that lie before the first one of its map.
+#[must_use]
+pub fn tiles_before(copy: &GridSpec, map: &GridSpec) -> (u32, u32) {
+    // Casts saturate.
+    let tiles = copy.to_cells(map.origin) / f64::from(TILE);
+    (tiles.x.round() as u32, tiles.y.round() as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn spec(width: u32, height: u32) -> GridSpec {
+        GridSpec {
+            origin: Point2::new(-3.0, 2.0),
+            resolution: 0.05,
+            width,
+            height,
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn every_place_lies_inside_the_ring(width in 1_u32..300, height in 1_u32..300, x in -60.0..60.0_f64, y in -60.0..60.0_f64, ring in 0.0..4.0_f64) {
+            let (map, place) = (spec(width, height), Point2::new(x, y));
+            let mut beyond = Beyond::default();
+            beyond.include(&Outlook { places: vec![place], ring });
+            let copy = beyond.around(map);
+            for corner in [place, map.origin, map.from_cells(Point2::new(f64::from(width), f64::from(height)))] {
+                let p = copy.to_cells(corner) * copy.resolution;
+                let far = [p.x, p.y, f64::from(copy.width) * 0.05 - p.x, f64::from(copy.height) * 0.05 - p.y];
+                prop_assert!(far.iter().all(|far| *far >= ring - 1e-6), "{far:?}");
+            }
+            let (columns, rows) = tiles_before(&copy, &map);
+            let shift = copy.to_cells(map.origin) - Point2::new(f64::from(columns * TILE), f64::from(rows * TILE));
+            prop_assert!(shift.norm() < 1e-6, "tiles stay tiles");
+            prop_assert_eq!(beyond.around(map), copy);
+        }
+    }
+
+    #[test]
+    fn what_nobody_asked_for_or_nobody_could_hold_changes_nothing() {
+        let to = |x| Outlook {
+            places: vec![Point2::new(x, 0.0)],
+            ring: 1.0,
+        };
+        let mut beyond = Beyond::default();
+        assert_eq!(beyond.around(spec(10, 10)), spec(10, 10));
+        beyond.include(&to(f64::NAN));
+        assert_eq!(beyond.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");
+        beyond.include(&to(1e9));
+        assert_eq!(beyond.around(spec(10, 10)), spec(10, 10));
+        assert_eq!(beyond.around(spec(0, 0)), spec(0, 0));
+    }
+}
