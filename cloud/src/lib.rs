@@ -1,21 +1,22 @@
-//! The off-board side of zenav: the libraries, and the services that put them on the bus.
+//! zenav's off-board services: each feeds one library's core from the bus and carries its effects out.
 //!
-//! | library | answers |
+//! | service | of | answers |
+//! |---|---|---|
+//! | [`mapping`] | [`zenav_mapping`] | what does the world look like? |
+//! | [`planning`] | [`zenav_planning`] | is there a path? |
+//! | [`smoothing`] | [`zenav_smoothing`] | how is a path driven, in time? |
+//! | [`mission`] | [`zenav_mission`] | which goal is driven, and how is none lost? |
+//! | [`dispatch`] | | which robot of a group does a goal? |
+//!
+//! | shared | |
 //! |---|---|
-//! | [`mapping`] | what does the world look like? |
-//! | [`space`] | where may the robot be? configuration space, distances, exact checks |
-//! | [`planning`] | is there a path? searches |
-//! | [`smoothing`] | how is a path driven, in time? |
-//! | [`behaviour_tree`] | what comes next? an engine that knows no robot |
-//! | [`mission`] | which goal is driven, and how is none lost? |
-//!
-//! [`services`] holds one thin service for each of them.
+//! | [`worker_host`] | how does a worker that answers requests live on the network? |
+//! | [`map_subscriber`] | how does a service keep up with every robot's map? |
 
-pub use zenav_behaviour_tree as behaviour_tree;
-pub use zenav_mapping as mapping;
-pub use zenav_mission as mission;
-pub use zenav_planning as planning;
-pub use zenav_smoothing as smoothing;
-pub use zenav_space as space;
-
-pub mod services;
+pub mod dispatch;
+pub mod map_subscriber;
+pub mod mapping;
+pub mod mission;
+pub mod planning;
+pub mod smoothing;
+pub mod worker_host;

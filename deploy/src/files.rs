@@ -4,13 +4,13 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use zenav_cloud::mapping::map_file;
-use zenav_cloud::space::Zones;
+use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::{self, Footprint, RobotModel};
 use zenav_sim::{World, world};
+use zenav_space::Zones;
 
 use crate::failure::Failure;
 

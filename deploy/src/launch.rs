@@ -7,10 +7,10 @@ use zenav_protocol::bus::{Router, RouterConfig, Shutdown};
 use zenav_protocol::messages::exit_code;
 use zenav_sim::World;
 
+use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment};
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::parts::{CloudPart, Parts};
 
 /// Arguments of `zenav up`.
 #[derive(Debug, Args)]

@@ -5,10 +5,10 @@
 //! | `cli` | which commands there are, and their exit codes |
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
-//! | `parts` | how the parts start and end that share a process |
+//! | `components` | how the parts start and end that share a process |
 //! | `router` | the router |
 //! | `receivers` | how many threads receive, in a process with a router |
-//! | `served_world` | how robots on several machines share one world |
+//! | `world_server` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
@@ -23,6 +23,7 @@
 pub mod batch;
 pub mod canvas;
 pub mod cli;
+pub mod components;
 pub mod config;
 pub mod connect;
 pub mod demo;
@@ -34,12 +35,11 @@ pub mod launch;
 pub mod lockstep;
 pub mod operator;
 pub mod output;
-pub mod parts;
 pub mod receivers;
 pub mod report;
 pub mod router;
-pub mod served_world;
 pub mod wall_following;
+pub mod world_server;
 
 /// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
 #[must_use]

@@ -71,7 +71,7 @@ pub struct WallReport {
     pub kept: Kept,
     /// Contacts that the bumper told of.
     pub bumps: u64,
-    /// Way driven, m.
+    /// Path driven, m.
     pub driven_m: f64,
     /// Share of the time along walls.
     pub following: f64,

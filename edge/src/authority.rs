@@ -2,14 +2,14 @@
 //!
 //! A stop needs no lease, latches across restarts, and voids the plan; so does every change of the lease's holder.
 
-use zenav_protocol::lease::LeaseBook;
+use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 
 use crate::config::EdgeConfig;
-use crate::journal::Journal;
+use crate::control_io::Persisted;
+use crate::event_log::EventLog;
 use crate::link;
-use crate::mailbox::Persisted;
 use crate::teleop::Dropped;
 
 /// Longest name of a holder or request.
@@ -22,7 +22,7 @@ const MEMORY: usize = 64;
 /// Lease, stop latch, policy and link.
 #[derive(Clone, Debug)]
 pub struct Authority {
-    book: LeaseBook,
+    book: LeaseArbiter,
     stopped: bool,
     resumed: Option<Stamp>,
     policy: LostPolicy,
@@ -35,7 +35,7 @@ pub struct Authority {
 
 /// An answer, and what it did to the plan.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ruling<R> {
+pub struct Decision<R> {
     /// To be sent once [`Authority::unstored`] has been stored.
     pub answer: Result<R, Refusal>,
     /// Why whatever the robot was doing is void now, if it is.
@@ -44,7 +44,7 @@ pub struct Ruling<R> {
     pub holder_changed: bool,
 }
 
-impl<R> Ruling<R> {
+impl<R> Decision<R> {
     fn harmless(answer: Result<R, Refusal>) -> Self {
         Self {
             answer,
@@ -59,7 +59,7 @@ impl Authority {
     #[must_use]
     pub fn new(config: &EdgeConfig, stored: Persisted) -> Self {
         Self {
-            book: LeaseBook::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
+            book: LeaseArbiter::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
             stopped: stored.stopped,
             resumed: None,
             policy: config.on_lost,
@@ -72,12 +72,12 @@ impl Authority {
     }
 
     /// Answers a request for the lease; a repeated request gets the first answer.
-    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut Journal) -> Ruling<LeaseReply> {
+    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut EventLog) -> Decision<LeaseReply> {
         if let Err(why) = well_formed(request) {
-            return Ruling::harmless(Err(Refusal::bad_request(why)));
+            return Decision::harmless(Err(Refusal::bad_request(why)));
         }
         if let Some((_, first)) = self.first_answers.iter().find(|(known, _)| known == request) {
-            return Ruling::harmless(first.clone());
+            return Decision::harmless(first.clone());
         }
         let before = self.book.epoch();
         let granted = self.book.request(now, request);
@@ -108,7 +108,7 @@ impl Authority {
             self.first_answers.pop_front();
         }
         self.first_answers.push_back((request.clone(), answer.clone()));
-        Ruling {
+        Decision {
             answer,
             void: holder_changed.then_some("another holder may command"),
             holder_changed,
@@ -143,7 +143,7 @@ impl Authority {
     }
 
     /// Stops and latches.
-    pub fn stop(&mut self, now: Stamp, request: &StopRequest, journal: &mut Journal) -> Ruling<StopReply> {
+    pub fn stop(&mut self, now: Stamp, request: &StopRequest, journal: &mut EventLog) -> Decision<StopReply> {
         let first = !self.stopped;
         self.stopped = true;
         if first {
@@ -154,7 +154,7 @@ impl Authority {
                 },
             );
         }
-        Ruling {
+        Decision {
             answer: Ok(StopReply { stopped: true }),
             void: Some("stopped by hand"),
             holder_changed: false,
@@ -162,7 +162,7 @@ impl Authority {
     }
 
     /// Allows a new plan, and nothing else.
-    pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, journal: &mut Journal) -> Ruling<StopReply> {
+    pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, journal: &mut EventLog) -> Decision<StopReply> {
         if self.stopped {
             self.stopped = false;
             self.resumed = Some(now);
@@ -173,7 +173,7 @@ impl Authority {
                 },
             );
         }
-        Ruling::harmless(Ok(StopReply { stopped: false }))
+        Decision::harmless(Ok(StopReply { stopped: false }))
     }
 
     /// Sets the policy, if asked to.
@@ -210,7 +210,7 @@ impl Authority {
     }
 
     /// Tells of a lapsed lease and a changed link.
-    pub fn watch(&mut self, now: Stamp, journal: &mut Journal) {
+    pub fn watch(&mut self, now: Stamp, journal: &mut EventLog) {
         let live = self.book.is_live(now);
         if self.live && !live && self.book.role().is_some() {
             journal.tell(
@@ -245,9 +245,9 @@ impl Authority {
 
     /// What may move the robot.
     #[must_use]
-    pub fn motive(&self, now: Stamp, plan_valid: bool) -> link::Motive {
+    pub fn motive(&self, now: Stamp, plan_valid: bool) -> link::MotionSource {
         if self.stopped {
-            link::Motive::Brake
+            link::MotionSource::Brake
         } else {
             link::motive(
                 self.book.is_live(now),

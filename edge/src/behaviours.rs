@@ -6,25 +6,25 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{BehaviourReport, BehaviourState, EventKind};
 use zenav_protocol::time::Stamp;
 
-use crate::journal::Journal;
-use crate::recoveries::{Behaviour, Step};
+use crate::event_log::EventLog;
+use crate::maneuvers::{Maneuver, Step};
 
 /// Executions remembered.
 const MEMORY: usize = 64;
 
 /// The running behaviour and the record of ended ones.
 #[derive(Clone, Debug, Default)]
-pub struct Behaviours {
-    running: Option<Behaviour>,
+pub struct Maneuvers {
+    running: Option<Maneuver>,
     /// The newest is last; the running one is in it.
     reports: VecDeque<BehaviourReport>,
 }
 
-impl Behaviours {
+impl Maneuvers {
     /// The id of the one that runs.
     #[must_use]
     pub fn running(&self) -> Option<&str> {
-        self.running.as_ref().map(Behaviour::id)
+        self.running.as_ref().map(Maneuver::id)
     }
 
     /// How an execution goes or went, if there was such.
@@ -40,7 +40,7 @@ impl Behaviours {
     }
 
     /// Starts one; the caller has seen to it that none runs and the id is new.
-    pub fn start(&mut self, behaviour: Behaviour) -> BehaviourReport {
+    pub fn start(&mut self, behaviour: Maneuver) -> BehaviourReport {
         let report = behaviour.report(BehaviourState::Running, None);
         self.record(report.clone());
         self.running = Some(behaviour);
@@ -48,14 +48,14 @@ impl Behaviours {
     }
 
     /// Records one that ended before it began.
-    pub fn refuse(&mut self, now: Stamp, report: BehaviourReport, journal: &mut Journal) -> BehaviourReport {
+    pub fn refuse(&mut self, now: Stamp, report: BehaviourReport, journal: &mut EventLog) -> BehaviourReport {
         self.record(report.clone());
         journal.tell(now, EventKind::BehaviourDone { report: report.clone() });
         report
     }
 
     /// Ends the running one.
-    pub fn cancel(&mut self, now: Stamp, reason: &str, journal: &mut Journal) {
+    pub fn cancel(&mut self, now: Stamp, reason: &str, journal: &mut EventLog) {
         if let Some(behaviour) = self.running.take() {
             self.end(now, behaviour.report(BehaviourState::Canceled, Some(reason)), journal);
         }
@@ -69,7 +69,7 @@ impl Behaviours {
         odom_from_base: Pose2,
         velocity: Twist2,
         stopped: bool,
-        journal: &mut Journal,
+        journal: &mut EventLog,
     ) -> Twist2 {
         let Some(behaviour) = &mut self.running else {
             return Twist2::ZERO;
@@ -84,7 +84,7 @@ impl Behaviours {
         }
     }
 
-    fn end(&mut self, now: Stamp, report: BehaviourReport, journal: &mut Journal) {
+    fn end(&mut self, now: Stamp, report: BehaviourReport, journal: &mut EventLog) {
         if let Some(known) = self.reports.iter_mut().rev().find(|known| known.id == report.id) {
             *known = report.clone();
         }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use zenav_protocol::time::Stamp;
 
 use crate::body::Body;
-use crate::exchange::Exchange;
+use crate::handoff::Handoff;
 use crate::pilot::Pilot;
 
 /// Time to come to rest at the end, in ticks.
@@ -75,7 +75,7 @@ impl Pace {
 pub fn run(
     body: Box<dyn Body>,
     mut pilot: Pilot,
-    exchange: &Arc<Exchange>,
+    exchange: &Arc<Handoff>,
     (tick, speed): (f64, f64),
     halt: &Arc<AtomicBool>,
 ) {

@@ -7,63 +7,63 @@
 //! |---|---|
 //! | [`body`] | what must a robot be able to do to be driven? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | [`surroundings`], [`intruders`], [`traces`], [`trodden`] | what stands around it, what of it moves, and what was never seen? |
+//! | [`local_obstacles`], [`moving_obstacles`], [`recent_places`], [`blind_spot_grid`] | what stands around it, what of it moves, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and what may move it? |
 //! | [`acceptance`] | may this plan move it? |
-//! | [`course`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`recoveries`], [`mod@nearest_free`], [`teleop`], [`wall_follower`], [`homing`] | what moves it without a plan? |
-//! | [`limiter`], [`guard`], [`stopping`], [`contact`] | may it move as it wants to? |
-//! | [`motors`] | how do both wheels slow down together? |
-//! | [`desk`], [`params`], [`journal`], [`telemetry`] | what does it answer, tell and publish? |
-//! | [`pilot`], [`mailbox`], [`config`] | what does it do in one tick? |
-//! | [`control`], [`punctuality`], [`exchange`] | when does the pilot step, how late, and how does it meet the network? |
+//! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
+//! | [`behaviours`], [`maneuvers`], [`mod@nearest_free`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
+//! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
+//! | [`wheel_coordination`] | how do both wheels slow down together? |
+//! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, tell and publish? |
+//! | [`pilot`], [`control_io`], [`config`] | what does it do in one tick? |
+//! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it meet the network? |
 //! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
 pub mod acceptance;
-mod aim;
+pub mod active_plan;
 pub mod authority;
 pub mod behaviours;
+pub mod blind_spot_grid;
 pub mod body;
+pub mod collision_monitor;
 pub mod config;
-pub mod contact;
 pub mod control;
-pub mod course;
-pub mod desk;
+pub mod control_io;
 pub mod estimator;
-pub mod exchange;
-pub mod guard;
+pub mod event_log;
+mod field_of_view;
+pub mod handoff;
 pub mod history;
-pub mod homing;
-pub mod intruders;
-pub mod journal;
 pub mod limiter;
 pub mod link;
-pub mod mailbox;
-pub mod motors;
+pub mod local_obstacles;
+pub mod loop_timing;
+pub mod maneuvers;
+pub mod moving_obstacles;
 pub mod nearest_free;
 pub mod params;
+pub mod passive_safety;
 pub mod pilot;
-pub mod punctuality;
-pub mod recoveries;
+pub mod recent_places;
 pub mod remote_body;
+pub mod requests;
+pub mod return_home;
+mod scan_reprojection;
 pub mod service;
 #[cfg(feature = "sim")]
 pub mod sim_body;
 pub mod state_file;
-pub mod stopping;
-pub mod surroundings;
 pub mod telemetry;
 pub mod teleop;
-pub mod traces;
+pub mod time_to_contact;
 pub mod trackers;
-pub mod trodden;
-mod view;
 pub mod wall_follower;
+pub mod wheel_coordination;
 
 pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
-pub use mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+pub use control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 pub use pilot::Pilot;
 pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};

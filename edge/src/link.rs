@@ -15,7 +15,7 @@ use zenav_protocol::messages::{LeaseRole, Link, LostPolicy};
 
 /// What moves the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Motive {
+pub enum MotionSource {
     /// The accepted plan.
     Plan,
     /// The operator's twists.
@@ -32,15 +32,21 @@ pub enum Motive {
 
 /// Reads the motion table. `plan_valid`: there is an accepted plan that has not expired.
 #[must_use]
-pub fn motive(lease_live: bool, role: Option<LeaseRole>, plan_valid: bool, policy: LostPolicy, link: Link) -> Motive {
+pub fn motive(
+    lease_live: bool,
+    role: Option<LeaseRole>,
+    plan_valid: bool,
+    policy: LostPolicy,
+    link: Link,
+) -> MotionSource {
     match (lease_live, role) {
-        (true, Some(LeaseRole::Operator)) => Motive::Teleop,
-        (true, _) if plan_valid => Motive::Plan,
-        (false, _) if plan_valid && policy == LostPolicy::Stop => Motive::Brake,
-        (false, _) if plan_valid => Motive::Plan,
-        (false, _) if policy == LostPolicy::WallFollow && link == Link::Lost => Motive::WallFollow,
-        (false, _) if policy == LostPolicy::ReturnHome && link == Link::Lost => Motive::ReturnHome,
-        _ => Motive::Rest,
+        (true, Some(LeaseRole::Operator)) => MotionSource::Teleop,
+        (true, _) if plan_valid => MotionSource::Plan,
+        (false, _) if plan_valid && policy == LostPolicy::Stop => MotionSource::Brake,
+        (false, _) if plan_valid => MotionSource::Plan,
+        (false, _) if policy == LostPolicy::WallFollow && link == Link::Lost => MotionSource::WallFollow,
+        (false, _) if policy == LostPolicy::ReturnHome && link == Link::Lost => MotionSource::ReturnHome,
+        _ => MotionSource::Rest,
     }
 }
 
@@ -64,19 +70,25 @@ mod tests {
         use LostPolicy::{FinishHorizon, ReturnHome, Stop, WallFollow};
         let motive = |live, role, plan_valid, policy| motive(live, role, plan_valid, policy, Link::Stale);
         for policy in [FinishHorizon, Stop, WallFollow, ReturnHome] {
-            assert_eq!(motive(true, Some(Mission), true, policy), Motive::Plan);
-            assert_eq!(motive(true, Some(Mission), false, policy), Motive::Rest);
-            assert_eq!(motive(false, Some(Mission), false, policy), Motive::Rest);
-            assert_eq!(motive(true, Some(Operator), true, policy), Motive::Teleop);
-            assert_eq!(motive(false, None, false, policy), Motive::Rest);
+            assert_eq!(motive(true, Some(Mission), true, policy), MotionSource::Plan);
+            assert_eq!(motive(true, Some(Mission), false, policy), MotionSource::Rest);
+            assert_eq!(motive(false, Some(Mission), false, policy), MotionSource::Rest);
+            assert_eq!(motive(true, Some(Operator), true, policy), MotionSource::Teleop);
+            assert_eq!(motive(false, None, false, policy), MotionSource::Rest);
         }
-        assert_eq!(motive(false, Some(Mission), true, FinishHorizon), Motive::Plan);
-        assert_eq!(motive(false, Some(Mission), true, Stop), Motive::Brake);
-        assert_eq!(motive(false, Some(Mission), true, WallFollow), Motive::Plan);
-        for (policy, motive) in [(WallFollow, Motive::WallFollow), (ReturnHome, Motive::ReturnHome)] {
+        assert_eq!(motive(false, Some(Mission), true, FinishHorizon), MotionSource::Plan);
+        assert_eq!(motive(false, Some(Mission), true, Stop), MotionSource::Brake);
+        assert_eq!(motive(false, Some(Mission), true, WallFollow), MotionSource::Plan);
+        for (policy, motive) in [
+            (WallFollow, MotionSource::WallFollow),
+            (ReturnHome, MotionSource::ReturnHome),
+        ] {
             let lost = |live, plan_valid| super::motive(live, Some(Mission), plan_valid, policy, Link::Lost);
             assert_eq!(lost(false, false), motive);
-            assert_eq!((lost(false, true), lost(true, false)), (Motive::Plan, Motive::Rest));
+            assert_eq!(
+                (lost(false, true), lost(true, false)),
+                (MotionSource::Plan, MotionSource::Rest)
+            );
         }
     }
 

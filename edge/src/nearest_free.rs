@@ -7,8 +7,8 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::Footprint;
 
-use crate::surroundings::Surroundings;
-use crate::view::rigid;
+use crate::field_of_view::rigid;
+use crate::local_obstacles::LocalObstacles;
 
 /// Directions that are tried.
 const DIRECTIONS: u32 = 16;
@@ -83,7 +83,7 @@ pub fn nearest_free(
 #[must_use]
 pub fn backs_into_the_unknown(
     footprint: &Footprint,
-    around: &Surroundings,
+    around: &LocalObstacles,
     odom_from_there: Pose2,
     twist: Twist2,
     secs: f64,

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{ParamReply, Refusal};
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::wall_following::WallFollowing;
-use zenav_protocol::written::Misfit;
 
 /// One gain, or all of them without a name; those of the wall follower too.
 ///
@@ -37,7 +37,7 @@ pub fn write(
     name: &str,
     value: f64,
 ) -> Result<(), Refusal> {
-    let refused = |misfit: Misfit| Refusal::rejected(misfit.to_string());
+    let refused = |misfit: OutOfBounds| Refusal::rejected(misfit.to_string());
     if let Some(changed) = wall.with(name, value, reach) {
         *wall = changed.map_err(refused)?;
     } else if let Some(changed) = gains.with(name, value) {

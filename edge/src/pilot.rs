@@ -9,25 +9,25 @@ use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 
 use crate::acceptance::{Grant, Rejection, judge_head};
+use crate::active_plan::{ActivePlan, Scene, Taken};
 use crate::authority::Authority;
-use crate::behaviours::Behaviours;
+use crate::behaviours::Maneuvers;
+use crate::collision_monitor::CollisionMonitor;
 use crate::config::EdgeConfig;
-use crate::course::{Course, Scene, Taken};
+use crate::control_io::{Inbox, Outbox, Persisted, Publication};
 use crate::estimator::Estimator;
-use crate::guard::Guard;
-use crate::homing::Homing;
-use crate::journal::Journal;
+use crate::event_log::EventLog;
 use crate::limiter::{Braking, Limiter};
-use crate::link::Motive;
-use crate::mailbox::{Inbox, Outbox, Persisted, Publication};
-use crate::motors::Motors;
-use crate::punctuality::Punctuality;
-use crate::stopping::touched;
-use crate::surroundings::Surroundings;
+use crate::link::MotionSource;
+use crate::local_obstacles::LocalObstacles;
+use crate::loop_timing::LoopTiming;
+use crate::passive_safety::touched;
+use crate::return_home::ReturnHome;
 use crate::telemetry::{self, Telemetry};
-use crate::teleop::Stick;
-use crate::trackers::View;
+use crate::teleop::DeadMan;
+use crate::trackers::TrackerInput;
 use crate::wall_follower::{Sight, WallFollower};
+use crate::wheel_coordination::WheelCoordination;
 
 /// A tick longer than this is not integrated by controllers and limiters, s.
 const LONGEST_TICK: f64 = 0.1;
@@ -48,18 +48,18 @@ pub struct Pilot {
     pub(crate) config: EdgeConfig,
     pub(crate) gains: zenav_protocol::robot::ControllerGains,
     pub(crate) authority: Authority,
-    pub(crate) behaviours: Behaviours,
-    pub(crate) journal: Journal,
+    pub(crate) behaviours: Maneuvers,
+    pub(crate) journal: EventLog,
     pub(crate) estimator: Estimator,
-    pub(crate) around: Surroundings,
-    pub(crate) guard: Guard,
-    pub(crate) course: Option<Course>,
+    pub(crate) around: LocalObstacles,
+    pub(crate) guard: CollisionMonitor,
+    pub(crate) course: Option<ActivePlan>,
     pub(crate) wall_following: zenav_protocol::wall_following::WallFollowing,
     follower: WallFollower,
-    homing: Homing,
+    homing: ReturnHome,
     limiter: Limiter,
-    motors: Motors,
-    stick: Stick,
+    motors: WheelCoordination,
+    stick: DeadMan,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
     /// Plans refused under the current grant: none comes back later, when it would fit by chance.
@@ -70,7 +70,7 @@ pub struct Pilot {
     battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
-    pub(crate) punctuality: Punctuality,
+    pub(crate) punctuality: LoopTiming,
 }
 
 impl Pilot {
@@ -81,18 +81,18 @@ impl Pilot {
         Self {
             gains: model.controller.clone(),
             authority: Authority::new(&config, stored),
-            behaviours: Behaviours::default(),
-            journal: Journal::new(boot_id),
+            behaviours: Maneuvers::default(),
+            journal: EventLog::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: Surroundings::new(&model.lidar, &model.footprint, model.drive.top_speed()),
-            guard: Guard::new(model, config.tick, config.scan_timeout),
+            around: LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed()),
+            guard: CollisionMonitor::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),
             follower: WallFollower::new(model),
-            homing: Homing::default(),
+            homing: ReturnHome::default(),
             limiter: Limiter::new(&model.drive),
-            motors: Motors::new(&model.drive),
-            stick: Stick::new(config.dead_man),
+            motors: WheelCoordination::new(&model.drive),
+            stick: DeadMan::new(config.dead_man),
             telemetry: Telemetry::default(),
             newest: None,
             refused: std::collections::VecDeque::new(),
@@ -102,7 +102,7 @@ impl Pilot {
             battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
-            punctuality: Punctuality::default(),
+            punctuality: LoopTiming::default(),
             config,
         }
     }
@@ -294,7 +294,7 @@ impl Pilot {
             velocity: self.estimator.velocity(),
             around: &self.around,
         };
-        Course::take(&mut self.course, plan, expiry, &scene)
+        ActivePlan::take(&mut self.course, plan, expiry, &scene)
     }
 
     /// Throws the plan and the behaviour away.
@@ -333,13 +333,13 @@ impl Pilot {
     fn choose(&mut self, now: Stamp, dt: f64, bump: &Bump) -> (Twist2, Braking) {
         let plan_valid = self.course.as_ref().is_some_and(|course| course.is_valid(now));
         let motive = self.authority.motive(now, plan_valid);
-        if motive != Motive::ReturnHome {
+        if motive != MotionSource::ReturnHome {
             self.homing.note(self.estimator.map_from_base().position());
         }
         if self.behaviours.running().is_some() {
             // A behaviour moves under a live lease only; whose it is was checked when it began.
             let live = self.authority.lease_state(now).live;
-            if live && motive != Motive::Brake {
+            if live && motive != MotionSource::Brake {
                 self.mode = Mode::Behaviour;
                 let stopped = self.guard.zone() == GuardZone::Stop;
                 let wanted = self.behaviours.step(
@@ -355,7 +355,7 @@ impl Pilot {
             self.behaviours.cancel(now, "the lease has expired", &mut self.journal);
         }
         match motive {
-            Motive::Brake => {
+            MotionSource::Brake => {
                 self.mode = if self.authority.is_stopped() {
                     Mode::Stopped
                 } else {
@@ -363,11 +363,11 @@ impl Pilot {
                 };
                 (Twist2::ZERO, Braking::Hard)
             }
-            Motive::Rest => {
+            MotionSource::Rest => {
                 self.mode = Mode::Idle;
                 (Twist2::ZERO, Braking::Normal)
             }
-            Motive::WallFollow => {
+            MotionSource::WallFollow => {
                 self.mode = Mode::WallFollow;
                 let sight = Sight {
                     now,
@@ -380,14 +380,14 @@ impl Pilot {
                 };
                 (self.follower.step(&sight, &mut self.journal), Braking::Normal)
             }
-            Motive::ReturnHome => {
+            MotionSource::ReturnHome => {
                 let map_from_base = self.estimator.map_from_base();
                 if self.homing.is_home(&map_from_base) {
                     self.mode = Mode::Idle;
                     return (Twist2::ZERO, Braking::Normal);
                 }
                 self.mode = Mode::ReturnHome;
-                let view = View {
+                let view = TrackerInput {
                     dt,
                     map_from_base,
                     velocity: self.estimator.velocity(),
@@ -395,7 +395,7 @@ impl Pilot {
                 };
                 (self.homing.step(&view, &self.config.model), Braking::Normal)
             }
-            Motive::Teleop => {
+            MotionSource::Teleop => {
                 self.mode = Mode::Teleop;
                 if self.stick.has_run_out(now) {
                     let reason = "no command follows".to_owned();
@@ -404,7 +404,7 @@ impl Pilot {
                 }
                 (self.stick.twist(now), Braking::Normal)
             }
-            Motive::Plan => match &mut self.course {
+            MotionSource::Plan => match &mut self.course {
                 Some(course) => {
                     let wanted = course.step(
                         now,

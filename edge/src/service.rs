@@ -17,8 +17,8 @@ use zenav_protocol::topics::{self, Ask, Topic};
 use crate::body::Body;
 use crate::config::EdgeConfig;
 use crate::control;
-use crate::exchange::{Bundle, Exchange};
-use crate::mailbox::{Answer, Inbox, Publication, Question};
+use crate::control_io::{Answer, Inbox, Publication, Question};
+use crate::handoff::{Bundle, Handoff};
 use crate::pilot::Pilot;
 use crate::state_file::{StateError, StateFile};
 
@@ -75,7 +75,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     // A new boot counts only if the next one can be told from it: find out now whether the folder can be written.
     file.save(&stored)?;
 
-    let exchange = Arc::new(Exchange::default());
+    let exchange = Arc::new(Handoff::default());
     let mut intake = JoinSet::new();
     hear(&mut intake, &bus, &exchange, &topics::PLAN, &robot, |inbox| {
         &mut inbox.plans
@@ -155,9 +155,9 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
         &exchange,
         &topics::BEHAVIOUR,
         &robot,
-        Question::Behaviour,
+        Question::Maneuver,
         |answer| match answer {
-            Answer::Behaviour(reply) => Some(reply),
+            Answer::Maneuver(reply) => Some(reply),
             _ => None,
         },
     )?;
@@ -177,7 +177,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     let mut output = JoinSet::new();
     let publishers = Publishers::new(&bus, &robot, config.gives_the_time)?;
     output.spawn(publish(publishers, Arc::clone(&exchange)));
-    output.spawn(clerk(file, Arc::clone(&exchange)));
+    output.spawn(persist_then_reply(file, Arc::clone(&exchange)));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
 
     let halt = Arc::new(AtomicBool::new(false));
@@ -207,7 +207,7 @@ async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown
 fn spawn_control(
     body: Box<dyn Body>,
     pilot: Pilot,
-    exchange: Arc<Exchange>,
+    exchange: Arc<Handoff>,
     pace: (f64, f64),
     halt: Arc<AtomicBool>,
 ) -> Result<oneshot::Receiver<()>, EdgeError> {
@@ -233,7 +233,7 @@ fn new_boot_id() -> String {
 fn hear<T: DeserializeOwned + Send + 'static>(
     tasks: &mut JoinSet<()>,
     bus: &Bus,
-    exchange: &Arc<Exchange>,
+    exchange: &Arc<Handoff>,
     topic: &'static Topic<T>,
     robot: &str,
     place: fn(&mut Inbox) -> &mut Vec<T>,
@@ -252,7 +252,7 @@ fn hear<T: DeserializeOwned + Send + 'static>(
 fn serve<Q, R>(
     tasks: &mut JoinSet<()>,
     bus: &Bus,
-    exchange: &Arc<Exchange>,
+    exchange: &Arc<Handoff>,
     ask: &'static Ask<Q, R>,
     robot: &str,
     question: fn(Q) -> Question,
@@ -334,14 +334,14 @@ impl Publishers {
     }
 }
 
-async fn publish(publishers: Publishers, exchange: Arc<Exchange>) {
+async fn publish(publishers: Publishers, exchange: Arc<Handoff>) {
     while let Some(bundle) = exchange.bundle().await {
         publishers.put(&bundle);
     }
 }
 
 /// Stores, then answers: nobody learns an epoch or a latch that a power cut could take back.
-async fn clerk(file: StateFile, exchange: Arc<Exchange>) {
+async fn persist_then_reply(file: StateFile, exchange: Arc<Handoff>) {
     let mut unsaved = None;
     while let Some(clerking) = exchange.clerking().await {
         unsaved = clerking.persist.clone().or(unsaved);
@@ -364,7 +364,7 @@ async fn clerk(file: StateFile, exchange: Arc<Exchange>) {
     }
 }
 
-fn save(file: StateFile, state: crate::mailbox::Persisted) -> impl Future<Output = Result<(), String>> {
+fn save(file: StateFile, state: crate::control_io::Persisted) -> impl Future<Output = Result<(), String>> {
     let saved = tokio::task::spawn_blocking(move || file.save(&state).map_err(|error| error.to_string()));
     async { saved.await.unwrap_or_else(|error| Err(error.to_string())) }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use zenav_protocol::id::Id;
 
-use crate::mailbox::Persisted;
+use crate::control_io::Persisted;
 
 /// The file.
 #[derive(Clone, Debug)]

@@ -6,8 +6,8 @@ use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
+use crate::control_io::Publication;
 use crate::estimator::{Estimator, Tally};
-use crate::mailbox::Publication;
 
 /// Period of the state, s.
 const STATE: f64 = 0.1;

@@ -9,7 +9,7 @@ use zenav_protocol::messages::{EventKind, Teleop};
 use zenav_protocol::time::Stamp;
 
 use crate::authority::Authority;
-use crate::journal::Journal;
+use crate::event_log::EventLog;
 
 /// Least time between two events about the same cause, s.
 const TOLD: f64 = 10.0;
@@ -52,7 +52,7 @@ pub enum Dropped {
 
 /// The operator's stick with a dead-man's switch.
 #[derive(Clone, Debug)]
-pub struct Stick {
+pub struct DeadMan {
     dead_man: f64,
     /// The newest message that counted.
     newest: Option<Teleop>,
@@ -61,7 +61,7 @@ pub struct Stick {
     told: Vec<(Discriminant<Dropped>, Stamp)>,
 }
 
-impl Stick {
+impl DeadMan {
     /// Let go; a twist counts until the stamp that it echoes is `dead_man` seconds old.
     #[must_use]
     pub fn new(dead_man: f64) -> Self {
@@ -75,7 +75,7 @@ impl Stick {
 
     /// Takes what arrived: those of the operator who holds the lease act and renew it. Why others do not is told, for each cause once in
     /// a while.
-    pub fn hear(&mut self, now: Stamp, teleops: &[Teleop], authority: &mut Authority, journal: &mut Journal) {
+    pub fn hear(&mut self, now: Stamp, teleops: &[Teleop], authority: &mut Authority, journal: &mut EventLog) {
         for teleop in teleops {
             let taken = authority
                 .admit_teleop(now, teleop.epoch)
@@ -184,7 +184,7 @@ mod tests {
 
     #[test]
     fn what_is_old_or_of_the_future_or_no_number_or_out_of_order_does_not_count() {
-        let mut stick = Stick::new(0.3);
+        let mut stick = DeadMan::new(0.3);
         let now = at(10.0);
         assert!(matches!(stick.take(now, &teleop(9.6, 0.5)), Err(Dropped::Old { .. })));
         assert_eq!(stick.take(now, &teleop(10.1, 0.5)), Err(Dropped::NotSentYet));
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_twist_acts_until_its_echo_is_a_dead_mans_time_old_however_late_it_came() {
-        let mut stick = Stick::new(0.3);
+        let mut stick = DeadMan::new(0.3);
         assert_eq!(stick.take(at(10.2), &teleop(10.0, 0.5)), Ok(true));
         assert_eq!(stick.twist(at(10.29)).v, 0.5);
         assert!(!stick.has_run_out(at(10.29)));
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn a_replay_never_moves_it_after_a_later_message() {
-        let mut stick = Stick::new(0.3);
+        let mut stick = DeadMan::new(0.3);
         let (drive, stop) = (teleop(10.0, 0.5), teleop(10.0, 0.0));
         assert_eq!(stick.take(at(10.05), &drive), Ok(true));
         assert_eq!(stick.take(at(10.06), &drive), Ok(false), "the same again is harmless");
@@ -227,7 +227,7 @@ mod tests {
 
     /// Stamps come every `period`, messages every 50 ms with the newest stamp heard; each way takes `way`.
     fn stutters(period: f64, way: f64) -> bool {
-        let mut stick = Stick::new(0.3);
+        let mut stick = DeadMan::new(0.3);
         let mut began = false;
         (0..2000_u32).any(|tick| {
             let now = 100.0 + f64::from(tick) * 0.005;
@@ -254,7 +254,7 @@ mod tests {
 
     #[test]
     fn why_a_message_was_dropped_is_told_once_in_a_while_for_each_cause() {
-        let mut stick = Stick::new(0.3);
+        let mut stick = DeadMan::new(0.3);
         let old = |age| Dropped::Old { age, dead_man: 0.3 };
         assert!(stick.is_news(at(1.0), &old(0.4)));
         assert!(!stick.is_news(at(1.1), &old(0.5)));

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::written::Misfit;
+use crate::config_text::OutOfBounds;
 
 /// The law that follows a plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,7 +118,7 @@ impl ControllerGains {
     ///
     /// # Errors
     /// The bounds that the value is not within.
-    pub fn with(&self, name: &str, value: f64) -> Option<Result<Self, Misfit>> {
+    pub fn with(&self, name: &str, value: f64) -> Option<Result<Self, OutOfBounds>> {
         let (.., place) = GAINS.iter().find(|(known, ..)| *known == name)?;
         let mut changed = self.clone();
         *place(&mut changed) = value;
@@ -129,12 +129,12 @@ impl ControllerGains {
     ///
     /// # Errors
     /// The first that is not.
-    pub fn check(&self) -> Result<(), Misfit> {
+    pub fn check(&self) -> Result<(), OutOfBounds> {
         let mut gains = self.clone();
         for (name, least, most, place) in &GAINS {
             let value = *place(&mut gains);
             if !(*least..=*most).contains(&value) {
-                return Err(Misfit::outside(name, value, *least, *most));
+                return Err(OutOfBounds::outside(name, value, *least, *most));
             }
         }
         Ok(())

@@ -16,7 +16,7 @@ use crate::time::Stamp;
 
 /// The current grant of one robot.
 #[derive(Clone, Debug)]
-pub struct LeaseBook {
+pub struct LeaseArbiter {
     ttl: Duration,
     epoch: u64,
     grant: Option<Grant>,
@@ -43,7 +43,7 @@ pub struct Granted {
     pub holder_changed: bool,
 }
 
-impl LeaseBook {
+impl LeaseArbiter {
     /// No grant; epochs go on above `last_epoch`, the greatest that was ever granted, and `leader` still leads.
     #[must_use]
     pub const fn new(ttl: Duration, last_epoch: u64, leader: Option<Leader>) -> Self {
@@ -277,7 +277,7 @@ mod tests {
 
     #[test]
     fn two_missions_never_hold_the_lease_at_once() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 41, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 41, None);
         assert_eq!(
             book.request(at(0.0), &request("a", MISSION, TAKE)),
             Ok(Granted {
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn a_lapsed_holder_must_ask_anew_and_gets_a_new_epoch() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
         assert!(book.renew(at(0.5), "a", 1, 1));
         assert!(!book.renew(at(0.6), "a", 1, 1), "a replayed heartbeat renews nothing");
@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_command_renews_as_a_heartbeat_does_and_heartbeats_count_on() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &request("a", LeaseRole::Operator, TAKE)).unwrap();
         book.heard(at(0.8));
         assert!(book.is_live(at(1.7)));
@@ -354,7 +354,7 @@ mod tests {
 
     #[test]
     fn only_a_mission_that_has_caught_up_leads_next() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &keeper("a", TAKE)).unwrap();
         let alone = Err(Refusal::NotCaughtUp {
             caught_up: vec!["a".into()],
@@ -373,7 +373,7 @@ mod tests {
             "a deposed leader's word counts no more"
         );
         // Not even over a restart of the robot.
-        let mut book = LeaseBook::new(Duration::from_secs(1), 2, book.leader().cloned());
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 2, book.leader().cloned());
         assert!(book.request(at(0.0), &keeper("a", TAKE)).is_err());
         book.request(at(0.0), &request("me", LeaseRole::Operator, LeaseAction::Forget))
             .unwrap();
@@ -382,7 +382,7 @@ mod tests {
 
     #[test]
     fn a_leader_s_word_of_an_earlier_life_counts_no_more() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &keeper("a", TAKE)).unwrap();
         let again = book.request(at(0.1), &keeper("a", TAKE)).unwrap();
         assert_eq!((again.epoch, again.holder_changed), (2, false));
@@ -398,7 +398,7 @@ mod tests {
 
     #[test]
     fn who_keeps_no_goals_and_an_operator_change_nothing_in_who_leads() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &keeper("a", TAKE)).unwrap();
         book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
             .unwrap();
@@ -410,7 +410,7 @@ mod tests {
 
     #[test]
     fn a_leader_s_word_that_comes_late_counts_no_more() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &keeper("a", TAKE)).unwrap();
         book.request(at(0.1), &caught_up("a", 1, 2, &["a"])).unwrap();
         assert_eq!(
@@ -422,7 +422,7 @@ mod tests {
 
     #[test]
     fn while_an_operator_commands_a_silent_leader_is_followed_by_one_that_has_caught_up() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &keeper("a", TAKE)).unwrap();
         book.request(at(0.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
         book.request(at(0.5), &request("me", LeaseRole::Operator, TAKE))
@@ -447,7 +447,7 @@ mod tests {
 
     #[test]
     fn an_operator_outranks_a_mission_but_not_the_other_way_round() {
-        let mut book = LeaseBook::new(Duration::from_secs(1), 0, None);
+        let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
         book.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
         book.request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
             .unwrap();

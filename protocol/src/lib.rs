@@ -16,13 +16,14 @@
 //! | [`lease`] | who may command a robot |
 //! | [`topics`] | the key table |
 //! | [`wall_following`] | how a robot follows walls |
-//! | [`written`] | what users write in files: pairs, bounds, lines |
+//! | [`config_text`] | what users write in files: pairs, bounds, lines |
 //! | [`codec`] | JSON and CBOR by encoding |
 //! | `bus` | typed Zenoh (feature `bus`) |
 
 #[cfg(feature = "bus")]
 pub mod bus;
 pub mod codec;
+pub mod config_text;
 pub mod energy;
 pub mod gains;
 pub mod geometry;
@@ -39,7 +40,6 @@ mod robot_check;
 pub mod time;
 pub mod topics;
 pub mod wall_following;
-pub mod written;
 
 /// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
 pub const SCHEMA_VERSION: u32 = 1;

@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
-use nalgebra::Point2;
 use crate::grid::{GridSpec, Occupancy, OccupancyGrid};
 use crate::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use crate::time::Stamp;
+use nalgebra::Point2;
 
-use crate::padding::{Beyond, Outlook, tiles_before};
 use crate::grid::MAX_CELLS;
+use crate::padding::{Extent, Padding, tiles_before};
 
 /// What became of a patch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
-pub enum Mirrored {
+pub enum PatchResult {
     /// The copy is at the patch's revision now.
     Applied,
     /// The copy already held it.
@@ -25,24 +25,24 @@ pub enum Mirrored {
 /// A copy of a map. It may reach farther than the map, over cells that nobody has seen. A copy of the copy costs nothing until one of
 /// them changes.
 #[derive(Clone, Debug)]
-pub struct MapMirror {
+pub struct MapReplica {
     map: MapRef,
     stamp: Stamp,
     /// The map's own grid.
     spec: GridSpec,
-    beyond: Beyond,
+    beyond: Padding,
     grid: Arc<OccupancyGrid>,
     /// The revision in which each tile was last written, row by row.
     written: Arc<Vec<u64>>,
 }
 
-impl Default for MapMirror {
+impl Default for MapReplica {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl MapMirror {
+impl MapReplica {
     /// A copy of nothing: no map, no cells.
     #[must_use]
     pub fn new() -> Self {
@@ -56,25 +56,25 @@ impl MapMirror {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
             spec: nothing,
-            beyond: Beyond::default(),
+            beyond: Padding::default(),
             grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
             written: Arc::default(),
         }
     }
 
     /// Brings the copy to a patch's revision.
-    pub fn apply(&mut self, patch: &MapPatch) -> Mirrored {
+    pub fn apply(&mut self, patch: &MapPatch) -> PatchResult {
         let same = patch.map.id == self.map.id;
         if same && patch.map.revision <= self.map.revision && self.map.revision > 0 {
-            return Mirrored::Old;
+            return PatchResult::Old;
         }
         let from_unknown = patch.base_revision == 0 && (!same || self.map.revision == 0);
         if !(from_unknown || same && patch.base_revision == self.map.revision) || !makes_sense(patch) {
-            return Mirrored::Gap;
+            return PatchResult::Gap;
         }
         if from_unknown {
             // Another map: places of the one before mean nothing here.
-            self.beyond = Beyond::default();
+            self.beyond = Padding::default();
         }
         let reached = self.beyond.around(patch.spec);
         let begun = if from_unknown {
@@ -84,7 +84,7 @@ impl MapMirror {
         } else if let Some(grown) = self.regridded(reached) {
             Some(grown)
         } else {
-            return Mirrored::Gap;
+            return PatchResult::Gap;
         };
         if let Some(grid) = begun {
             self.begin(grid, patch.map.revision);
@@ -96,7 +96,7 @@ impl MapMirror {
         }
         self.map = patch.map.clone();
         self.stamp = patch.stamp;
-        Mirrored::Applied
+        PatchResult::Applied
     }
 
     /// Takes over a whole map; `false`, and nothing changed, when it makes no sense.
@@ -105,7 +105,7 @@ impl MapMirror {
             return false;
         };
         if self.map.id != reply.info.map.id {
-            self.beyond = Beyond::default();
+            self.beyond = Padding::default();
         }
         self.spec = *grid.spec();
         self.begin(grid, reply.info.map.revision);
@@ -116,7 +116,7 @@ impl MapMirror {
     }
 
     /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
-    pub fn reach(&mut self, outlook: &Outlook) {
+    pub fn reach(&mut self, outlook: &Extent) {
         self.beyond.include(outlook);
         self.reach_out();
     }

@@ -1,23 +1,23 @@
 //! How far does a copy of a map reach beyond the map? Ways may lead through what nobody has seen, and that does not end where the map does:
 //! whole tiles of unknown cells lie around it, out to every place that was asked for.
 
-use nalgebra::{Point2, Vector2};
 use crate::grid::GridSpec;
 use crate::messages::TILE;
 use crate::robot::Footprint;
+use nalgebra::{Point2, Vector2};
 
 use crate::grid::MAX_CELLS;
 
 /// Where somebody may go, seen or not.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outlook {
+pub struct Extent {
     /// Places that belong to the copy, map frame, m.
     pub places: Vec<Point2<f64>>,
     /// Width of the unknown around them and around the map, m.
     pub ring: f64,
 }
 
-impl Outlook {
+impl Extent {
     /// Room for a robot to go around everything.
     #[must_use]
     pub fn of(footprint: &Footprint, places: Vec<Point2<f64>>) -> Self {
@@ -33,17 +33,17 @@ const MORE: f64 = 0.5;
 
 /// Which places beyond a map belong to its copy.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Beyond {
+pub struct Padding {
     /// Lower left and upper right corner of all places asked for, m.
     bounds: Option<[Point2<f64>; 2]>,
     /// Width of the unknown around all that, m.
     ring: f64,
 }
 
-impl Beyond {
+impl Padding {
     /// From now on these places lie in the copy, as the map does, at least the ring's width from its border. What is not finite is not
     /// asked for.
-    pub fn include(&mut self, Outlook { places, ring }: &Outlook) {
+    pub fn include(&mut self, Extent { places, ring }: &Extent) {
         for place in places.iter().filter(|place| place.coords.iter().all(|c| c.is_finite())) {
             let [low, high] = self.bounds.unwrap_or([*place; 2]);
             self.bounds = Some([low.inf(place), high.sup(place)]);
@@ -108,8 +108,8 @@ mod tests {
         #[test]
         fn every_place_lies_inside_the_ring(width in 1_u32..300, height in 1_u32..300, x in -60.0..60.0_f64, y in -60.0..60.0_f64, ring in 0.0..4.0_f64) {
             let (map, place) = (spec(width, height), Point2::new(x, y));
-            let mut beyond = Beyond::default();
-            beyond.include(&Outlook { places: vec![place], ring });
+            let mut beyond = Padding::default();
+            beyond.include(&Extent { places: vec![place], ring });
             let copy = beyond.around(map);
             for corner in [place, map.origin, map.from_cells(Point2::new(f64::from(width), f64::from(height)))] {
                 let p = copy.to_cells(corner) * copy.resolution;
@@ -125,11 +125,11 @@ mod tests {
 
     #[test]
     fn what_nobody_asked_for_or_nobody_could_hold_changes_nothing() {
-        let to = |x| Outlook {
+        let to = |x| Extent {
             places: vec![Point2::new(x, 0.0)],
             ring: 1.0,
         };
-        let mut beyond = Beyond::default();
+        let mut beyond = Padding::default();
         assert_eq!(beyond.around(spec(10, 10)), spec(10, 10));
         beyond.include(&to(f64::NAN));
         assert_eq!(beyond.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");

@@ -7,12 +7,12 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
+use crate::config_text::{Pair, pair};
 use crate::energy::MotorModel;
 pub use crate::gains::{ControllerGains, TrackerKind};
 use crate::geometry::Pose2;
 pub use crate::robot_check::RobotError;
 use crate::wall_following::WallFollowing;
-use crate::written::{Pair, pair};
 
 /// A robot: what its file says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

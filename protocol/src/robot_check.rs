@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 use nalgebra::Point2;
 use thiserror::Error;
 
+use crate::config_text::{OutOfBounds, line_of};
 use crate::robot::{Footprint, RobotModel};
-use crate::written::{Misfit, line_of};
 
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
@@ -51,7 +51,7 @@ impl Wrong {
 }
 
 fn wrong(key: &'static str, value: f64, expected: &str) -> Result<(), Wrong> {
-    let Misfit { problem, .. } = Misfit::unlike(key, value, expected);
+    let OutOfBounds { problem, .. } = OutOfBounds::unlike(key, value, expected);
     Err(Wrong {
         key: key.to_owned(),
         problem,
@@ -188,7 +188,7 @@ impl RobotModel {
             ("controller", self.controller.check()),
             ("wall_following", self.wall_following.check(reach)),
         ] {
-            check.map_err(|Misfit { name, problem }| Wrong {
+            check.map_err(|OutOfBounds { name, problem }| Wrong {
                 key: format!("{table}.{name}"),
                 problem,
             })?;

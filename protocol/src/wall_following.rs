@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::written::Misfit;
+use crate::config_text::OutOfBounds;
 
 /// Settings of the wall follower. Distances are from the base's origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -121,17 +121,22 @@ impl WallFollowing {
     ///
     /// # Errors
     /// What was expected: a value within bounds, and settings that fit one another.
-    pub fn with(&self, name: &str, value: f64, reach: f64) -> Option<Result<Self, Misfit>> {
+    pub fn with(&self, name: &str, value: f64, reach: f64) -> Option<Result<Self, OutOfBounds>> {
         let setting = SETTINGS.iter().find(|setting| setting.name == name)?;
         // `2.5 as usize` would hide what was asked for.
         if name == "wall_min_points" && value.fract() != 0.0 {
-            return Some(Err(Misfit::unlike(setting.name, value, "a whole number")));
+            return Some(Err(OutOfBounds::unlike(setting.name, value, "a whole number")));
         }
         let mut changed = self.clone();
         if (setting.least..=setting.most).contains(&value) {
             (setting.set)(&mut changed, value);
         } else {
-            return Some(Err(Misfit::outside(setting.name, value, setting.least, setting.most)));
+            return Some(Err(OutOfBounds::outside(
+                setting.name,
+                value,
+                setting.least,
+                setting.most,
+            )));
         }
         Some(changed.check(reach).map(|()| changed))
     }
@@ -141,11 +146,11 @@ impl WallFollowing {
     ///
     /// # Errors
     /// Names the setting and what was expected.
-    pub fn check(&self, reach: f64) -> Result<(), Misfit> {
+    pub fn check(&self, reach: f64) -> Result<(), OutOfBounds> {
         for setting in &SETTINGS {
             let value = (setting.get)(self);
             if !(setting.least..=setting.most).contains(&value) {
-                return Err(Misfit::outside(setting.name, value, setting.least, setting.most));
+                return Err(OutOfBounds::outside(setting.name, value, setting.least, setting.most));
             }
         }
         let ordered = [
@@ -167,7 +172,7 @@ impl WallFollowing {
         ];
         for (name, value, than, least) in ordered {
             if value < least {
-                return Err(Misfit::unlike(name, value, format!("at least {than}, {least}")));
+                return Err(OutOfBounds::unlike(name, value, format!("at least {than}, {least}")));
             }
         }
         Ok(())

@@ -71,7 +71,7 @@ fn limited(speed: f64, wanted: f64, down: f64, up: f64) -> f64 {
     if speed == 0.0 {
         return wanted.clamp(-up, up);
     }
-    // Mirrored so that the speed is positive.
+    // PatchResult so that the speed is positive.
     let (sign, speed, wanted) = (speed.signum(), speed.abs(), wanted * speed.signum());
     let next = if wanted >= speed {
         wanted.min(speed + up)

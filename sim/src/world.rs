@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use nalgebra::Point2;
+use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::Footprint;
-use zenav_protocol::written::Number;
 
 use crate::clearance::Placed;
 use crate::movers::MoverModel;

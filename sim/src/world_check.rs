@@ -5,8 +5,8 @@ use std::ops::Range;
 use nalgebra::Point2;
 use thiserror::Error;
 use toml::Spanned;
+use zenav_protocol::config_text::{Number, Pair};
 use zenav_protocol::polygon;
-use zenav_protocol::written::{Number, Pair};
 
 /// Most polygons, circles and walls, each.
 pub const MAX_SHAPES: usize = 20_000;

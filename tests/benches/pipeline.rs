@@ -16,20 +16,23 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_cloud::behaviour_tree::samples::reactive_tree;
-use zenav_cloud::mapping::{MapMirror, Mapper, MapperConfig, Mirrored};
-use zenav_cloud::planning::{Budget, PlanOptions, PlanWorker, Planner, Query, Searcher, plan};
-use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, SmoothWorker, smooth};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
+use zenav_behaviour_tree::samples::reactive_tree;
+use zenav_cloud::planning::worker::PlanWorker;
+use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
+use zenav_mapping::{Mapper, MapperConfig};
+use zenav_planning::{Budget, PlanOptions, Planner, Query, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::Cell;
 use zenav_protocol::id::Id;
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::*;
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
+use zenav_smoothing::{SmoothQuery, SmoothSettings, smooth};
+use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
 
 const ROBOT: &str = "tiago";
 /// From the upper left of the kitchen to its lower left corner, around the table's side.
@@ -109,13 +112,13 @@ fn mapper() -> Mapper {
 }
 
 /// The kitchen as mapped from the recorded scans.
-fn kitchen(scans: &[Scan]) -> (Mapper, MapMirror) {
-    let (mut mapper, mut mirror) = (mapper(), MapMirror::new());
+fn kitchen(scans: &[Scan]) -> (Mapper, MapReplica) {
+    let (mut mapper, mut mirror) = (mapper(), MapReplica::new());
     for scan in scans {
         mapper.insert(scan);
     }
     while let Some(patch) = mapper.take_patch() {
-        assert_eq!(mirror.apply(&patch), Mirrored::Applied);
+        assert_eq!(mirror.apply(&patch), PatchResult::Applied);
     }
     (mapper, mirror)
 }
@@ -169,7 +172,7 @@ fn search(criterion: &mut Criterion) {
         cell == start || cell == goal || random.random::<f64>() > 0.1
     });
     let mut searcher = Searcher::new(&free).unwrap();
-    let sight = PointSight::new(&free);
+    let sight = PointLineOfSight::new(&free);
     let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
     let query = Query {
         start: center(start),
@@ -248,7 +251,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
             |scan| {
                 mapper.insert(&scan);
                 while let Some(patch) = mapper.take_patch() {
-                    assert_eq!(mirror.apply(&patch), Mirrored::Applied);
+                    assert_eq!(mirror.apply(&patch), PatchResult::Applied);
                 }
                 let request = PlanRequest {
                     robot: ROBOT.into(),

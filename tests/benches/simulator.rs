@@ -16,7 +16,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
-use zenav_cloud::mapping::map_file::read_map;
+use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel, shipped};

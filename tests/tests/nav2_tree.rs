@@ -7,7 +7,7 @@ use zenav_tests::observer::Observer;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// The nodes and the shape of Nav2's default tree.
-const TREE: &str = include_str!("../../cloud/src/behaviour_tree/tests/navigate.xml");
+const TREE: &str = include_str!("../../cloud/behaviour_tree/src/tests/navigate.xml");
 
 /// Plans once and fails as soon as the robot is 0.2 m beside its path, as a tree of Nav2's does. It may look anywhere: the way back begins
 /// with a turn about.

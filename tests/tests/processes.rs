@@ -10,9 +10,9 @@ use tokio::time::timeout;
 use zenav_protocol::bus::{Bus, RawSample};
 use zenav_protocol::messages::*;
 use zenav_protocol::topics;
+use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::{Observer, assert_rests, is_rest};
-use zenav_tests::proving::handover::Blow;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// Longest wait for anything, wall time: much more than it takes on a busy machine.
@@ -407,15 +407,15 @@ fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_driven_after_its_end() {
-    let findings = zenav_tests::proving::kills::run(ZENAV, 5, 1).await.unwrap();
+    let findings = zenav_tests::acceptance::kills::run(ZENAV, 5, 1).await.unwrap();
     assert!(findings.faults.is_empty(), "{findings:#?}");
     assert!(findings.goals > 0 && findings.motions > 0, "{findings:#?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn when_the_leading_orchestrator_dies_or_freezes_the_other_goes_on_and_a_woken_one_does_not() {
-    let blows = [Blow::Death, Blow::Alone(1.0), Blow::Pause(6.0)];
-    let findings = zenav_tests::proving::handover::run(ZENAV, &blows, 1).await.unwrap();
+    let blows = [Fault::Death, Fault::Alone(1.0), Fault::Pause(6.0)];
+    let findings = zenav_tests::acceptance::handover::run(ZENAV, &blows, 1).await.unwrap();
     assert!(findings.faults.is_empty(), "{findings:#?}");
     assert!(findings.goals > 0 && findings.takeovers.len() == 2, "{findings:#?}");
 }

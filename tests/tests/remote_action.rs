@@ -105,7 +105,10 @@ async fn the_python_example_does_an_action_of_a_tree_and_its_failure_has_its_rea
     let deployment = Deployment::new(ZENAV, "kitchen", 2.0);
     let _up = deployment.start_up();
     let bus = deployment.bus().await;
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../cloud/examples/remote_action.py");
+    let script = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../cloud/mission/examples/remote_action.py"
+    );
     let mut server = Process::start(&python, &[script, KEY, &deployment.router], deployment.folder());
     let grabbed = tokio::task::block_in_place(|| grab(&deployment, "cup"));
     assert_eq!(grabbed.status.code(), Some(0), "{grabbed:?}\n{}", server.log());

@@ -57,8 +57,8 @@ mod xml;
 
 pub use blackboard::{Blackboard, TypeError};
 pub use leaf::{Gate, Leaf, LeafIo, Pass};
-pub(crate) use literals::{Pose, nav2_list, pose, pose_of_json};
-pub(crate) use nav2_conditions::beside_path;
+pub use literals::{Pose, nav2_list, pose, pose_of_json};
+pub use nav2_conditions::beside_path;
 pub use nav2_conditions::nav2_condition;
 pub use nav2_gates::{Measure, Travel, nav2_decorator};
 pub use nav2_nodes::nav2_nodes;

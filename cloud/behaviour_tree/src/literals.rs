@@ -9,12 +9,12 @@ use super::value::Value;
 
 /// A pose as a tree has it: m, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-pub(crate) struct Pose {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
+pub struct Pose {
+    pub x: f64,
+    pub y: f64,
     /// Where one is wanted.
     #[serde(default)]
-    pub(crate) yaw: Option<f64>,
+    pub yaw: Option<f64>,
 }
 
 /// Numbers and words of one of Nav2's poses.
@@ -38,7 +38,7 @@ fn numbers(text: &str) -> Option<Vec<f64>> {
 }
 
 /// A pose that is written out; `None` for a name and for what is neither.
-pub(crate) fn pose(text: &str) -> Option<Pose> {
+pub fn pose(text: &str) -> Option<Pose> {
     if let Some(json) = json_of(text) {
         return pose_of_json(&serde_json::from_str(json).ok()?);
     }
@@ -64,7 +64,7 @@ pub(crate) fn pose_of(value: &Value) -> Option<Pose> {
 }
 
 /// `{"x": .., "y": .., "yaw": ..}`, or Nav2's, in which `position` and `orientation` stand below `pose`.
-pub(crate) fn pose_of_json(json: &Json) -> Option<Pose> {
+pub fn pose_of_json(json: &Json) -> Option<Pose> {
     let pose = json.get("pose").unwrap_or(json);
     let found = match pose.get("position") {
         Some(position) => {
@@ -107,7 +107,7 @@ fn nav2_pose(fields: &[&str]) -> Option<Pose> {
 }
 
 /// A list as Nav2 writes it: poses one after the other, perhaps with a stamp and a frame before the first.
-pub(crate) fn nav2_list(text: &str) -> Option<Vec<Pose>> {
+pub fn nav2_list(text: &str) -> Option<Vec<Pose>> {
     let fields: Vec<&str> = text.split(';').collect();
     let poses = match fields.as_slice() {
         [stamp, _, poses @ ..] if poses.len() >= FIELDS && poses.len() % FIELDS == 0 => {

@@ -168,7 +168,7 @@ struct Feedback {
 ///
 /// # Errors
 /// A port, or the feedback, is of another type.
-pub(crate) fn beside_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
+pub fn beside_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
     if io.value("tracking_feedback").is_err() {
         return Ok(None);
     }

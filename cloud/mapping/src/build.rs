@@ -7,8 +7,8 @@ use zenav_protocol::grid::{MAX_SIDE, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 
 use super::beams::{BeamOptions, BeamReader, CellFrame};
-use super::evidence::SensorModel;
 use super::occupancy::{InsertMode, LogOddsGrid};
+use super::sensor_model::SensorModel;
 use zenav_protocol::grid::MAX_CELLS;
 
 /// Why no map was built.

@@ -8,8 +8,8 @@ use zenav_protocol::grid::Occupancy;
 use zenav_protocol::robot::Footprint;
 
 use super::beams::BeamOptions;
-use super::evidence::SensorModel;
 use super::occupancy::{InsertMode, LogOddsGrid};
+use super::sensor_model::SensorModel;
 
 /// What a mapper needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -14,11 +14,11 @@ use zenav_protocol::messages::{Scan, Tile};
 use zenav_protocol::robot::Footprint;
 
 use super::beams::{Beam, BeamOptions, BeamReader, CellFrame};
-use super::evidence::{Evidence, SensorModel};
-use super::fading::Fading;
+use super::decay::Decay;
+use super::scan_bitmap::ScanBitmap;
+use super::sensor_model::{Evidence, SensorModel};
 use super::tile::EvidenceTile;
 use super::tiles::{Bounds, TILE_SIDE, Tiles};
-use super::window::Window;
 
 /// How scans are drawn into the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -73,10 +73,10 @@ pub struct Drawn {
 pub struct LogOddsGrid {
     evidence: Evidence,
     map: Tiles,
-    fading: Option<Fading>,
+    fading: Option<Decay>,
     reader: BeamReader,
     beams: Vec<Beam>,
-    window: Window,
+    window: ScanBitmap,
 }
 
 impl LogOddsGrid {
@@ -99,7 +99,7 @@ impl LogOddsGrid {
             fading: None,
             reader: BeamReader::default(),
             beams: Vec::new(),
-            window: Window::default(),
+            window: ScanBitmap::default(),
         }
     }
 
@@ -140,7 +140,7 @@ impl LogOddsGrid {
     /// The same map; from now on what goes away unseen fades after so long (see the module `fading`), by the scans' stamps.
     #[must_use]
     pub fn with_fading(mut self, after: Duration) -> Self {
-        self.fading = Some(Fading::new(after));
+        self.fading = Some(Decay::new(after));
         self
     }
 
@@ -333,7 +333,7 @@ mod tests {
     use zenav_protocol::messages::TILE;
     use zenav_protocol::time::Stamp;
 
-    use super::super::evidence::UNSEEN;
+    use super::super::sensor_model::UNSEEN;
     use super::*;
 
     const OPTIONS: BeamOptions = BeamOptions {

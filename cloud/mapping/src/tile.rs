@@ -5,7 +5,7 @@
 
 use zenav_protocol::grid::Occupancy;
 
-use super::evidence::{Evidence, UNSEEN};
+use super::sensor_model::{Evidence, UNSEEN};
 use super::tiles::TILE_SIDE;
 
 /// Bits of a tile's cells, a word a row, the lowest row first and the lowest bit left.

@@ -6,7 +6,7 @@ use zenav_protocol::grid::{GridSpec, MAX_CELLS, MAX_SIDE};
 use zenav_protocol::messages::TILE;
 
 use super::beams::CellFrame;
-use super::evidence::UNSEEN;
+use super::sensor_model::UNSEEN;
 use super::tile::EvidenceTile;
 
 /// Side of a tile, cells; also the bits of a word, so that a word of a scan's bitmap lies in one tile.

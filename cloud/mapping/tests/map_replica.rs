@@ -8,9 +8,9 @@ use zenav_protocol::messages::Scan;
 use nalgebra::Point2;
 use zenav_mapping::{Mapper, MapperConfig};
 use zenav_protocol::grid::Occupancy;
-use zenav_protocol::map_replica::{MapMirror, Mirrored};
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapPatch, MapRef};
-use zenav_protocol::padding::Outlook;
+use zenav_protocol::padding::Extent;
 use zenav_protocol::time::Stamp;
 
 fn scan(stamp: u64, x: f64, y: f64) -> Scan {
@@ -31,7 +31,7 @@ proptest! {
     #[test]
     fn a_copy_that_loses_patches_heals_by_asking_for_the_whole(steps in proptest::collection::vec((-20.0..20.0, -20.0..20.0, any::<bool>(), 1_usize..4), 1..15)) {
         let mut mapper = Mapper::new(MapperConfig { patch_tiles: 7, ..MapperConfig::default() }, "m");
-        let mut mirror = MapMirror::new();
+        let mut mirror = MapReplica::new();
         for (step, (x, y, lost, patches)) in steps.iter().enumerate() {
             mapper.insert(&scan(step as u64 + 1, *x, *y));
             for _ in 0..*patches {
@@ -39,14 +39,14 @@ proptest! {
                 if *lost {
                     continue;
                 }
-                if mirror.apply(&patch) == Mirrored::Gap {
+                if mirror.apply(&patch) == PatchResult::Gap {
                     prop_assert!(mirror.replace(&mapper.reply()));
                 }
                 prop_assert_eq!(mirror.map(), mapper.map());
             }
         }
         while let Some(patch) = mapper.take_patch() {
-            if mirror.apply(&patch) == Mirrored::Gap {
+            if mirror.apply(&patch) == PatchResult::Gap {
                 prop_assert!(mirror.replace(&mapper.reply()));
             }
         }
@@ -62,7 +62,7 @@ fn patches_that_make_no_sense_change_nothing() {
     let mut mapper = Mapper::new(MapperConfig::default(), "m");
     mapper.insert(&scan(1, 0.0, 0.0));
     let good = mapper.take_patch().unwrap();
-    let mut mirror = MapMirror::new();
+    let mut mirror = MapReplica::new();
     let wrong: [fn(&mut MapPatch); 7] = [
         |patch| patch.spec.width = u32::MAX,
         |patch| (patch.spec.width, patch.spec.height) = (32_768, 32_768),
@@ -75,27 +75,27 @@ fn patches_that_make_no_sense_change_nothing() {
     for spoil in wrong {
         let mut patch = good.clone();
         spoil(&mut patch);
-        assert_eq!(mirror.apply(&patch), Mirrored::Gap);
+        assert_eq!(mirror.apply(&patch), PatchResult::Gap);
         assert!(!mirror.has_map());
     }
-    assert_eq!(mirror.apply(&good), Mirrored::Applied);
-    assert_eq!(mirror.apply(&good), Mirrored::Old);
+    assert_eq!(mirror.apply(&good), PatchResult::Applied);
+    assert_eq!(mirror.apply(&good), PatchResult::Old);
     // The grid may not slip by part of a cell.
     let mut slipped = good.clone();
     slipped.base_revision = 1;
     slipped.map.revision = 2;
     slipped.spec.origin.x += 0.02;
-    assert_eq!(mirror.apply(&slipped), Mirrored::Gap);
+    assert_eq!(mirror.apply(&slipped), PatchResult::Gap);
     assert_eq!(mirror.grid(), &mapper.grid());
 }
 
 #[test]
 fn a_new_map_takes_the_place_of_the_old_one() {
-    let mut mirror = MapMirror::new();
+    let mut mirror = MapReplica::new();
     for id in ["first", "second"] {
         let mut mapper = Mapper::new(MapperConfig::default(), id);
         mapper.insert(&scan(1, 3.0, 4.0));
-        assert_eq!(mirror.apply(&mapper.take_patch().unwrap()), Mirrored::Applied);
+        assert_eq!(mirror.apply(&mapper.take_patch().unwrap()), PatchResult::Applied);
         assert_eq!(mirror.grid(), &mapper.grid());
         assert!(
             mirror.holds(mapper.map())
@@ -110,15 +110,15 @@ fn a_new_map_takes_the_place_of_the_old_one() {
 #[test]
 fn a_copy_that_reaches_farther_holds_the_same_map_and_nothing_else() {
     let mut mapper = Mapper::new(MapperConfig::default(), "m");
-    let (mut far, mut exact) = (MapMirror::new(), MapMirror::new());
+    let (mut far, mut exact) = (MapReplica::new(), MapReplica::new());
     for (step, x) in [0.0, 4.0, -9.0, 12.0, 12.5].into_iter().enumerate() {
         mapper.insert(&scan(step as u64 + 1, x, 0.5 * x));
         while let Some(patch) = mapper.take_patch() {
-            assert_eq!(far.apply(&patch), Mirrored::Applied);
-            assert_eq!(exact.apply(&patch), Mirrored::Applied);
+            assert_eq!(far.apply(&patch), PatchResult::Applied);
+            assert_eq!(exact.apply(&patch), PatchResult::Applied);
         }
         if step == 1 {
-            far.reach(&Outlook {
+            far.reach(&Extent {
                 places: vec![Point2::new(-30.0, 21.0)],
                 ring: 1.0,
             });

@@ -7,9 +7,9 @@ use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
-use super::exchange::{Answer, Ask, NoAnswer, Ticket};
-use super::lease::{LeaseKeeper, newer};
-use super::map::MapBook;
+use super::io::{Answer, Ask, NoAnswer, Ticket};
+use super::lease::{LeaseClient, newer};
+use super::map::RobotMap;
 use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
@@ -114,9 +114,9 @@ pub struct Context {
     /// The robot.
     pub robot: RobotView,
     /// Its map.
-    pub map: MapBook,
+    pub map: RobotMap,
     /// The right to command it.
-    pub lease: LeaseKeeper,
+    pub lease: LeaseClient,
     /// The plan in force.
     pub motion: MotionKeeper,
     /// Questions to others.
@@ -152,9 +152,9 @@ impl Context {
     #[must_use]
     pub fn new(config: MissionConfig, restored: &Restored) -> Self {
         let incarnation = restored.incarnation;
-        let map = MapBook::new(Arc::clone(&config.zones));
+        let map = RobotMap::new(Arc::clone(&config.zones));
         Self {
-            lease: LeaseKeeper::new(&config.holder, incarnation, restored.store.clone(), restored.standing),
+            lease: LeaseClient::new(&config.holder, incarnation, restored.store.clone(), restored.standing),
             motion: MotionKeeper::new(incarnation),
             asks: Asks::new(incarnation),
             config: Arc::new(config),
@@ -215,7 +215,7 @@ impl Context {
     }
 
     /// Publishes a new motion for the goal in hand.
-    pub fn drive(&mut self, course: super::motion::Course) {
+    pub fn drive(&mut self, course: super::motion::ActivePlan) {
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
             return;
         };

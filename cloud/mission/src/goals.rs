@@ -21,7 +21,7 @@ const DEFAULT_LIMIT: usize = 100;
 
 /// All goals of one robot.
 #[derive(Clone, Debug, Default)]
-pub struct GoalBook {
+pub struct GoalTable {
     goals: BTreeMap<u64, StoredGoal>,
     by_id: BTreeMap<String, u64>,
     /// Goals that have not ended.
@@ -31,7 +31,7 @@ pub struct GoalBook {
     changed: BTreeSet<u64>,
 }
 
-impl GoalBook {
+impl GoalTable {
     /// As they were stored.
     #[must_use]
     pub fn new(goals: Vec<StoredGoal>, answers: Vec<(String, GoalReply)>) -> Self {
@@ -276,8 +276,8 @@ pub fn reply(goal: &GoalState) -> GoalReply {
 mod tests {
     use super::*;
 
-    fn book(ids: &[&str]) -> GoalBook {
-        let mut book = GoalBook::default();
+    fn book(ids: &[&str]) -> GoalTable {
+        let mut book = GoalTable::default();
         for id in ids {
             let request = GoalRequest {
                 x: Some(1.0),

@@ -8,8 +8,8 @@ use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, Le
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
-use super::exchange::{Answer, Ask, NoAnswer, Ticket};
-use super::records::Standing;
+use super::io::{Answer, Ask, NoAnswer, Ticket};
+use super::records::Leadership;
 
 /// Time between two signs of life, s.
 const BEAT: f64 = 0.1;
@@ -27,7 +27,7 @@ struct Grant {
 
 /// Gets and keeps the lease.
 #[derive(Debug)]
-pub struct LeaseKeeper {
+pub struct LeaseClient {
     holder: String,
     incarnation: u64,
     grant: Option<Grant>,
@@ -55,10 +55,10 @@ pub struct LeaseKeeper {
     heard_out: bool,
 }
 
-impl LeaseKeeper {
+impl LeaseClient {
     /// Nothing granted yet. `incarnation` makes requests and signs of life newer than those of every life before.
     #[must_use]
-    pub fn new(holder: &str, incarnation: u64, store: Option<String>, standing: Standing) -> Self {
+    pub fn new(holder: &str, incarnation: u64, store: Option<String>, standing: Leadership) -> Self {
         Self {
             holder: holder.to_owned(),
             term: standing.epoch,
@@ -255,9 +255,9 @@ mod tests {
     use super::*;
     use zenav_protocol::messages::Leader;
 
-    fn granted(now: f64) -> (LeaseKeeper, Asks) {
+    fn granted(now: f64) -> (LeaseClient, Asks) {
         let (mut keeper, mut asks) = (
-            LeaseKeeper::new("me", 3, Some("mine".into()), Standing::default()),
+            LeaseClient::new("me", 3, Some("mine".into()), Leadership::default()),
             Asks::new(3),
         );
         assert_eq!(keeper.step(Stamp::from_secs(now), &mut asks), None);
@@ -328,8 +328,8 @@ mod tests {
 
     #[test]
     fn a_mission_whose_goals_another_store_may_have_newer_leads_only_once_it_was_granted() {
-        let standing = Standing { epoch: 5, shared: true };
-        let mut keeper = LeaseKeeper::new("me", 3, Some("mine".into()), standing);
+        let standing = Leadership { epoch: 5, shared: true };
+        let mut keeper = LeaseClient::new("me", 3, Some("mine".into()), standing);
         let mut asks = Asks::new(3);
         keeper.step(Stamp::from_secs(1.0), &mut asks);
         assert!(!keeper.leads() && !keeper.is_deposed());

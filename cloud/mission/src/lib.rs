@@ -5,9 +5,9 @@
 //! | file | answers |
 //! |---|---|
 //! | [`config`] | what can be set? |
-//! | [`exchange`] | what goes into a step, and what comes out? |
+//! | [`io`] | what goes into a step, and what comes out? |
 //! | [`orchestrator`] | what happens in a step? |
-//! | `desk`, [`intake`], [`goals`] | what are clients told, which goals are taken, which are there? |
+//! | `requests`, [`goal_validation`], [`goals`] | what are clients told, which goals are taken, which are there? |
 //! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
 //! | [`robot`], [`map`] | what is known of the robot and its map? |
@@ -56,16 +56,16 @@
 
 pub mod config;
 pub mod context;
-mod desk;
-pub mod exchange;
+pub mod goal_validation;
 pub mod goals;
-pub mod intake;
+pub mod io;
 pub mod lease;
 pub mod leaves;
 pub mod map;
 pub mod motion;
 pub mod orchestrator;
 pub mod records;
+mod requests;
 pub mod robot;
 pub mod route;
 pub mod store;
@@ -74,6 +74,6 @@ mod tests;
 pub mod trees;
 
 pub use config::MissionConfig;
-pub use exchange::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
+pub use io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
 pub use orchestrator::Mission;
 pub use records::{Record, Restored};

@@ -9,9 +9,9 @@ use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
-use super::exchange::{Answer, Ask, Ticket};
-use zenav_protocol::map_replica::{MapMirror, Mirrored};
-use zenav_protocol::padding::Outlook;
+use super::io::{Answer, Ask, Ticket};
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
+use zenav_protocol::padding::Extent;
 use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two asks for the whole map, s.
@@ -21,9 +21,9 @@ const PATIENCE: f64 = 0.5;
 
 /// The robot's map as the mission knows it.
 #[derive(Debug, Default)]
-pub struct MapBook {
+pub struct RobotMap {
     info: Option<MapInfo>,
-    mirror: MapMirror,
+    mirror: MapReplica,
     /// Since when the copy has been behind.
     behind: Option<Stamp>,
     asking: Option<Ticket>,
@@ -31,7 +31,7 @@ pub struct MapBook {
     spaces: SpaceCache,
 }
 
-impl MapBook {
+impl RobotMap {
     /// Nothing is known yet of a map with these zones.
     #[must_use]
     pub fn new(zones: Arc<Zones>) -> Self {
@@ -47,9 +47,9 @@ impl MapBook {
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.mirror.apply(patch) {
-                Mirrored::Applied => false,
-                Mirrored::Old => gap,
-                Mirrored::Gap => true,
+                PatchResult::Applied => false,
+                PatchResult::Old => gap,
+                PatchResult::Gap => true,
             };
         }
         if info.is_some() {
@@ -102,8 +102,8 @@ impl MapBook {
     pub fn space_reaching(
         &mut self,
         footprint: &Footprint,
-        outlook: &Outlook,
-    ) -> Option<(Arc<ConfigurationSpace>, MapMirror)> {
+        outlook: &Extent,
+    ) -> Option<(Arc<ConfigurationSpace>, MapReplica)> {
         if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
             return None;
         }
@@ -153,7 +153,7 @@ mod tests {
     #[test]
     fn a_space_kept_by_patches_is_that_of_the_map() {
         let mut mapper = Mapper::new(MapperConfig::default(), "m");
-        let mut book = MapBook::default();
+        let mut book = RobotMap::default();
         let footprint = Footprint::Radius(0.3);
         for step in 1..30 {
             mapper.insert(&scan(step, 0.4 * step as f64));
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn a_copy_with_a_gap_asks_for_the_whole() {
         let mut mapper = Mapper::new(MapperConfig::default(), "m");
-        let (mut book, mut asks) = (MapBook::default(), Asks::new(1));
+        let (mut book, mut asks) = (RobotMap::default(), Asks::new(1));
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}
         book.observe(Stamp::from_secs(1.0), Some(mapper.info()), &[]);

@@ -24,7 +24,7 @@ const DROPPED: f64 = 0.6;
 
 /// What a new motion consists of.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Course {
+pub struct ActivePlan {
     /// The map that it was made on.
     pub map: MapRef,
     /// Corner points.
@@ -39,7 +39,7 @@ pub struct Course {
 
 /// What the robot says of the motion in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum PlanStatus {
     /// Nothing yet.
     Sent,
     /// It drives it, or will go on once renewed.
@@ -64,7 +64,7 @@ pub enum Recheck {
 #[derive(Clone, Debug)]
 struct InForce {
     plan: Plan,
-    standing: Standing,
+    standing: PlanStatus,
     /// When it was published, renewed or held last.
     published: Stamp,
     /// When the robot was last heard to have it.
@@ -107,7 +107,7 @@ impl MotionKeeper {
         let long_ago = Stamp::ZERO;
         self.current = Some(InForce {
             plan,
-            standing: Standing::Taken,
+            standing: PlanStatus::Taken,
             published: long_ago,
             confirmed: long_ago,
             held: false,
@@ -122,7 +122,7 @@ impl MotionKeeper {
 
     /// What the robot says of it; `None` when nothing is in force.
     #[must_use]
-    pub fn standing(&self) -> Option<&Standing> {
+    pub fn standing(&self) -> Option<&PlanStatus> {
         self.current.as_ref().map(|current| &current.standing)
     }
 
@@ -154,7 +154,7 @@ impl MotionKeeper {
     /// A new motion comes into force.
     pub fn begin(
         &mut self,
-        course: Course,
+        course: ActivePlan,
         goal_id: &str,
         epoch: u64,
         based_on: BasedOn,
@@ -179,10 +179,10 @@ impl MotionKeeper {
         self.previous = self
             .current
             .take()
-            .filter(|current| current.standing == Standing::Taken);
+            .filter(|current| current.standing == PlanStatus::Taken);
         self.current = Some(InForce {
             plan: plan.clone(),
-            standing: Standing::Sent,
+            standing: PlanStatus::Sent,
             published: now,
             confirmed: now,
             held: false,
@@ -211,7 +211,7 @@ impl MotionKeeper {
         let current = self
             .current
             .as_mut()
-            .filter(|current| matches!(current.standing, Standing::Sent | Standing::Taken))?;
+            .filter(|current| matches!(current.standing, PlanStatus::Sent | PlanStatus::Taken))?;
         current.plan = Plan {
             epoch,
             revision,
@@ -255,22 +255,22 @@ impl MotionKeeper {
         }
         let Some(state) = state else { return };
         if state.boot_id != current.plan.based_on.boot_id {
-            current.standing = Standing::Void("the robot has started anew".to_owned());
+            current.standing = PlanStatus::Void("the robot has started anew".to_owned());
             return;
         }
         match &state.plan {
             Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
                 current.confirmed = now;
-                if matches!(current.standing, Standing::Sent | Standing::Taken) {
+                if matches!(current.standing, PlanStatus::Sent | PlanStatus::Taken) {
                     current.standing = if progress.finished {
-                        Standing::Finished
+                        PlanStatus::Finished
                     } else {
-                        Standing::Taken
+                        PlanStatus::Taken
                     };
                 }
             }
-            _ if current.standing == Standing::Taken && now.secs_since(current.confirmed) > DROPPED => {
-                current.standing = Standing::Void("the robot has dropped the plan".to_owned());
+            _ if current.standing == PlanStatus::Taken && now.secs_since(current.confirmed) > DROPPED => {
+                current.standing = PlanStatus::Void("the robot has dropped the plan".to_owned());
             }
             _ => {}
         }
@@ -306,8 +306,8 @@ impl InForce {
         match &event.kind {
             EventKind::PlanAccepted { trajectory_id, .. } if *trajectory_id == ours => {
                 self.confirmed = now;
-                if self.standing == Standing::Sent {
-                    self.standing = Standing::Taken;
+                if self.standing == PlanStatus::Sent {
+                    self.standing = PlanStatus::Taken;
                 }
             }
             EventKind::PlanRejected {
@@ -315,17 +315,17 @@ impl InForce {
                 revision,
                 reason,
                 ..
-            } if *trajectory_id == ours && *revision == self.plan.revision && self.standing != Standing::Finished => {
-                self.standing = Standing::Refused(reason.clone());
+            } if *trajectory_id == ours && *revision == self.plan.revision && self.standing != PlanStatus::Finished => {
+                self.standing = PlanStatus::Refused(reason.clone());
             }
             EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {
-                self.standing = Standing::Finished
+                self.standing = PlanStatus::Finished
             }
             // Before the motion was taken this is about the one before it.
             EventKind::PlanDiscarded { goal_id, reason }
-                if *goal_id == self.plan.goal_id && self.standing == Standing::Taken =>
+                if *goal_id == self.plan.goal_id && self.standing == PlanStatus::Taken =>
             {
-                self.standing = Standing::Void(reason.clone());
+                self.standing = PlanStatus::Void(reason.clone());
             }
             _ => {}
         }
@@ -377,9 +377,9 @@ pub fn recheck(trajectory: &[TrajectoryPoint], space: &ConfigurationSpace, from:
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_space::UnknownPolicy;
     use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
+    use zenav_space::UnknownPolicy;
 
     fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {
         let spec = GridSpec {

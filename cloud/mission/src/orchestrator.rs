@@ -7,9 +7,9 @@ use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
 use super::context::{Context, GoalInHand};
-use super::exchange::{Client, Effect, Inputs, Request, Response};
-use super::goals::GoalBook;
-use super::intake::{self, Target};
+use super::goal_validation::{self, Target};
+use super::goals::GoalTable;
+use super::io::{Client, Effect, Inputs, Request, Response};
 use super::leaves::{goal_text, goals_value};
 use super::records::{Record, Restored, RunningTree, StoredGoal};
 use super::trees;
@@ -21,7 +21,7 @@ const STATUS_PERIOD: f64 = 0.5;
 /// One robot's mission: pure, so that it runs in a service and in lockstep alike.
 pub struct Mission {
     pub(super) ctx: Context,
-    pub(super) goals: GoalBook,
+    pub(super) goals: GoalTable,
     pub(super) incarnation: u64,
     /// The name of the store, where one keeps the goals.
     pub(super) store: Option<String>,
@@ -70,7 +70,7 @@ impl Mission {
         }
         Self {
             ctx,
-            goals: GoalBook::new(restored.goals, restored.answers),
+            goals: GoalTable::new(restored.goals, restored.answers),
             incarnation: restored.incarnation,
             store: restored.store,
             written: restored.now,
@@ -222,7 +222,7 @@ impl Mission {
     fn attach(&mut self, goal: &StoredGoal) -> Result<Running, String> {
         let id = &goal.state.id;
         let request = &goal.state.request;
-        let target = intake::target(request, &self.ctx).map_err(|refusal| refusal.to_string())?;
+        let target = goal_validation::target(request, &self.ctx).map_err(|refusal| refusal.to_string())?;
         let name = match (&request.tree, &target) {
             (Some(tree), _) => tree,
             (None, Target::Waypoints(_)) => trees::NAVIGATE_THROUGH,

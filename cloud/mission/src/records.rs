@@ -54,7 +54,7 @@ pub enum Record {
 
 /// How a mission's store stands to those of other missions for the same robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Standing {
+pub struct Leadership {
     /// Epoch of the newest grant, its own or one that it followed; zero before any mission of the robot led.
     pub epoch: u64,
     /// Whether another store may hold newer goals than this one: then it leads on the robot's word alone.
@@ -67,7 +67,7 @@ pub struct Restored {
     /// Name of the store; none where nothing is kept.
     pub store: Option<String>,
     /// How it stands to other missions' stores.
-    pub standing: Standing,
+    pub standing: Leadership,
     /// Number of this life, greater than that of every life before.
     pub incarnation: u64,
     /// All goals.

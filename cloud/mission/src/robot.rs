@@ -7,7 +7,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
-use super::exchange::{Answer, Ask, Ticket};
+use super::io::{Answer, Ask, Ticket};
 
 /// A robot that has said nothing for this long is not heard, s.
 const SILENCE: f64 = 1.0;

@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 use zenav_protocol::messages::JournalWrite;
 
-use super::records::{Record, Restored, Standing, StoredGoal};
+use super::records::{Leadership, Record, Restored, StoredGoal};
 
 type Definition = TableDefinition<'static, &'static str, &'static [u8]>;
 
@@ -166,7 +166,12 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`], also for a table that there is not; then nothing is written.
-    pub fn apply(&self, writes: &[JournalWrite], instead: bool, standing: Option<Standing>) -> Result<(), StoreError> {
+    pub fn apply(
+        &self,
+        writes: &[JournalWrite],
+        instead: bool,
+        standing: Option<Leadership>,
+    ) -> Result<(), StoreError> {
         let write = self.database.begin_write().map_err(|error| self.io(error))?;
         for definition in SHARED {
             if instead {
@@ -223,7 +228,7 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub fn standing(&self) -> Result<Standing, StoreError> {
+    pub fn standing(&self) -> Result<Leadership, StoreError> {
         let read = self.database.begin_read().map_err(|error| self.io(error))?;
         let own = read.open_table(OWN).map_err(|error| self.io(error))?;
         Ok(self.single(&own, STANDING)?.unwrap_or_default())
@@ -416,7 +421,7 @@ mod tests {
         standby.write(&[goal("stale", 1)]).unwrap();
         leader.begin_life().unwrap();
         leader.write(&[goal("a", 1), goal("b", 2)]).unwrap();
-        let standing = Standing { epoch: 7, shared: true };
+        let standing = Leadership { epoch: 7, shared: true };
         standby
             .apply(&leader.everything().unwrap(), true, Some(standing))
             .unwrap();
@@ -425,7 +430,7 @@ mod tests {
         assert_eq!(standby.everything().unwrap(), leader.everything().unwrap());
         assert_eq!(
             (standby.standing().unwrap(), leader.standing().unwrap()),
-            (standing, Standing::default())
+            (standing, Leadership::default())
         );
         assert_ne!(standby.name(), leader.name());
         assert_eq!(

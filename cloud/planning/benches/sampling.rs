@@ -25,8 +25,8 @@ use rand::Rng as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::{map_file, moving_ai};
 use zenav_planning::{Budget, Planner, Query, Searcher};
-use zenav_space::{BitGrid, PointSight, Sight as _};
 use zenav_protocol::grid::{Cell, Occupancy};
+use zenav_space::{BitGrid, LineOfSight as _, PointLineOfSight};
 
 /// Queries a map.
 const QUERIES: usize = 10;
@@ -92,7 +92,7 @@ fn limit(planner: &str) -> f64 {
 struct Terrain {
     name: String,
     grid: BitGrid,
-    sight: PointSight,
+    sight: PointLineOfSight,
     /// Start, goal, length of the shortest way on the grid.
     queries: Vec<(Cell, Cell, f64)>,
 }
@@ -122,7 +122,7 @@ impl Terrain {
     }
 
     fn new(name: String, free: BitGrid, queries: Option<Vec<(Cell, Cell, f64)>>) -> Self {
-        let sight = PointSight::new(&free);
+        let sight = PointLineOfSight::new(&free);
         let queries = queries.unwrap_or_else(|| longest(&free));
         Self {
             name,
@@ -227,7 +227,7 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
         .flat_map(|y| free.set_in_row(y, 0, i64::MAX).map(move |x| Cell::new(x, y)))
         .collect();
     let mut searcher = Searcher::new(free).unwrap();
-    let sight = PointSight::new(free);
+    let sight = PointLineOfSight::new(free);
     let mut found: Vec<(Cell, Cell, f64)> = (0..DRAWN)
         .filter_map(|_| {
             let [start, goal] = [(); 2].map(|()| cells[rng.next_u64() as usize % cells.len()]);

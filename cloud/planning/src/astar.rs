@@ -7,9 +7,9 @@
 use zenav_protocol::grid::Cell;
 
 use super::budget::Budget;
-use super::lattice::{GridPath, Lattice, STEPS, UNREACHED, octile};
-use super::open::{Open, OpenList, is_past};
-use super::records::{Records, Written};
+use super::grid_graph::{GridGraph, GridPath, STEPS, UNREACHED, octile};
+use super::node_table::{NodeTable, Written};
+use super::open_list::{Open, OpenList, is_past};
 use super::searcher::Searched;
 use zenav_space::DistanceCost;
 
@@ -64,7 +64,7 @@ pub enum NotFound {
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
     /// Cost of the best way known to each node, turned over: 0 stands for none.
-    costs: Records<u32>,
+    costs: NodeTable<u32>,
     open: OpenList,
 }
 
@@ -87,7 +87,7 @@ impl Memory {
 
 /// The cheapest way from one cell to another. Deterministic.
 pub fn search(
-    lattice: &Lattice,
+    lattice: &GridGraph,
     costs: &impl CellCost,
     start: Cell,
     goal: Cell,
@@ -100,7 +100,7 @@ pub fn search(
 }
 
 fn expand(
-    lattice: &Lattice,
+    lattice: &GridGraph,
     costs: &impl CellCost,
     start: Cell,
     goal: Cell,
@@ -171,7 +171,7 @@ const fn named(name: u32) -> Cell {
 }
 
 /// The nodes of free ends.
-pub(super) fn ends(lattice: &Lattice, start: Cell, goal: Cell) -> Result<(u32, u32), NotFound> {
+pub(super) fn ends(lattice: &GridGraph, start: Cell, goal: Cell) -> Result<(u32, u32), NotFound> {
     let start = lattice.node(start).ok_or(NotFound::OutOfMap)?;
     let goal = lattice.node(goal).ok_or(NotFound::OutOfMap)?;
     if !lattice.is_free(start) {
@@ -189,7 +189,7 @@ fn weighted(step: u32, here: u32, there: u8) -> u32 {
 }
 
 /// Costs from the first of some neighbouring cells to each of them; `None` where one is not free, or a step would cut a corner.
-pub(super) fn costs_along(lattice: &Lattice, costs: &impl CellCost, cells: &[Cell]) -> Option<Vec<u32>> {
+pub(super) fn costs_along(lattice: &GridGraph, costs: &impl CellCost, cells: &[Cell]) -> Option<Vec<u32>> {
     let first = lattice.node(*cells.first()?)?;
     let mut total = vec![0];
     let mut sum = 0_u32;
@@ -206,7 +206,7 @@ pub(super) fn costs_along(lattice: &Lattice, costs: &impl CellCost, cells: &[Cel
 }
 
 /// The cells of the cheapest way, start first: from the goal back, always to the neighbour that makes up its cost.
-fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
+fn trace(lattice: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
     let mut cells = vec![lattice.cell(goal)];
     let mut node = goal;
     let mut last_step = usize::MAX;
@@ -245,8 +245,8 @@ fn trace(lattice: &Lattice, costs: &impl CellCost, start: u32, goal: u32, memory
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_space::BitGrid;
     use proptest::prelude::*;
+    use zenav_space::BitGrid;
 
     /// Dijkstra over all cells, in floating point, by repeated sweeps.
     fn reference(free: &BitGrid, extra: &impl CellCost, start: Cell, goal: Cell) -> Option<f64> {
@@ -320,7 +320,7 @@ mod tests {
 
         #[test]
         fn the_way_is_as_short_as_dijkstra_s((free, start, goal) in random_map()) {
-            let lattice = Lattice::new(&free).unwrap();
+            let lattice = GridGraph::new(&free).unwrap();
             let mut memory = Memory::default();
             // Twice with one memory: nothing of the first search is left for the second.
             for _ in 0..2 {
@@ -334,7 +334,7 @@ mod tests {
 
         #[test]
         fn the_way_is_as_cheap_as_dijkstra_s_with_extra_costs((free, start, goal) in random_map()) {
-            let lattice = Lattice::new(&free).unwrap();
+            let lattice = GridGraph::new(&free).unwrap();
             let mut memory = Memory::default();
             let found = search(&lattice, &Bumpy, start, goal, &mut memory, Budget::UNLIMITED).result;
             match reference(&free, &Bumpy, start, goal) {
@@ -350,7 +350,7 @@ mod tests {
 
         #[test]
         fn every_step_of_the_way_is_allowed((free, start, goal) in random_map()) {
-            let lattice = Lattice::new(&free).unwrap();
+            let lattice = GridGraph::new(&free).unwrap();
             if let Ok(path) = search(&lattice, &Uniform, start, goal, &mut Memory::default(), Budget::UNLIMITED).result {
                 prop_assert_eq!((path.corners[0], path.corners[path.corners.len() - 1]), (start, goal));
                 for pair in path.corners.windows(2) {
@@ -372,7 +372,7 @@ mod tests {
         let (a, b, c) = (Cell::new(0, 0), Cell::new(1, 0), Cell::new(2, 0));
         let run = |free: &BitGrid, start, goal, budget| {
             search(
-                &Lattice::new(free).unwrap(),
+                &GridGraph::new(free).unwrap(),
                 &Uniform,
                 start,
                 goal,

@@ -12,16 +12,16 @@ use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
 use super::budget::Budget;
+use super::grid_graph::{DIAGONAL, GridGraph, GridPath, STEPS, STRAIGHT, UNREACHED, octile};
 use super::jump_grid::JumpGrid;
-use super::lattice::{DIAGONAL, GridPath, Lattice, STEPS, STRAIGHT, UNREACHED, octile};
-use super::open::{Open, OpenList, is_past};
-use super::records::Records;
+use super::node_table::NodeTable;
+use super::open_list::{Open, OpenList, is_past};
 use super::searcher::Searched;
 
 /// Working memory, kept from one search to the next. All cells in it count from the lattice's border.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
-    states: Records<u64>,
+    states: NodeTable<u64>,
     open: OpenList,
     /// The cells expanded, in order.
     expanded: Vec<Cell>,
@@ -120,7 +120,7 @@ const fn step_of(x: i32, y: i32) -> usize {
 
 /// The shortest way from one cell to another. Deterministic.
 pub fn search(
-    lattice: &Lattice,
+    lattice: &GridGraph,
     grid: &JumpGrid,
     start: Cell,
     goal: Cell,
@@ -157,7 +157,7 @@ pub fn search(
 }
 
 /// The column or row of the first obstacle in a direction.
-fn obstacle(lattice: &Lattice, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
+fn obstacle(lattice: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
     let ray = grid.ray(direction);
     let mut at = from;
     loop {
@@ -170,7 +170,7 @@ fn obstacle(lattice: &Lattice, grid: &JumpGrid, direction: usize, from: Cell) ->
 
 /// One search.
 struct Run<'a> {
-    lattice: &'a Lattice,
+    lattice: &'a GridGraph,
     grid: &'a JumpGrid,
     goal: Cell,
     /// The first obstacles to the east, west, north and south of the goal.
@@ -378,8 +378,8 @@ impl Run<'_> {
 mod tests {
     use super::super::astar::{self, Uniform};
     use super::*;
-    use zenav_space::BitGrid;
     use proptest::prelude::*;
+    use zenav_space::BitGrid;
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
@@ -392,7 +392,7 @@ mod tests {
             let (w, h) = size;
             let mut free = BitGrid::from_fn(w, h, |cell| !walls.iter().any(|(x, y, dx, dy)| cell.x >= *x && cell.x < x + dx && cell.y >= *y && cell.y < y + dy));
             dots.iter().for_each(|(x, y)| free.set(Cell::new(*x, *y), false));
-            let lattice = Lattice::new(&free).unwrap();
+            let lattice = GridGraph::new(&free).unwrap();
             let grid = JumpGrid::new(&lattice);
             let (mut ours, mut theirs) = (Memory::default(), astar::Memory::default());
             for (a, b, c, d) in queries {

@@ -10,7 +10,7 @@
 
 use zenav_protocol::grid::Cell;
 
-use super::lattice::{Lattice, STEPS, Step};
+use super::grid_graph::{GridGraph, STEPS, Step};
 use super::lines::Lines;
 
 /// The stops of a lattice. Its cells count from the lattice's border here.
@@ -89,7 +89,7 @@ impl Ray {
 impl JumpGrid {
     /// Prepares a lattice: linear in its words.
     #[must_use]
-    pub fn new(lattice: &Lattice) -> Self {
+    pub fn new(lattice: &GridGraph) -> Self {
         let rows = lattice.rows();
         let columns = rows.transposed();
         let [east, west] = stops(&rows);
@@ -238,7 +238,7 @@ mod tests {
             let free = BitGrid::from_fn(width, height, |cell| {
                 !blocks.iter().any(|(x, y, w, h)| cell.x >= *x && cell.x < x + w && cell.y >= *y && cell.y < y + h)
             });
-            let lattice = Lattice::new(&free).unwrap();
+            let lattice = GridGraph::new(&free).unwrap();
             let grid = JumpGrid::new(&lattice);
             let is_free = |cell: Cell| free.get(Cell::new(cell.x.wrapping_sub(1), cell.y.wrapping_sub(1)));
             let is_jump = |cell: Cell, step: Step| {

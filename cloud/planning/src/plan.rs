@@ -8,11 +8,11 @@ use zenav_protocol::robot::Footprint;
 
 use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
-use super::oriented;
+use super::circumscribed_search;
 use super::planner::PlanOptions;
-use super::roomy;
+use super::se2_search;
 use super::searcher::{Query, Searched, Searcher};
-use zenav_space::{ConfigurationSpace, DistanceCost, Sight as _};
+use zenav_space::{ConfigurationSpace, DistanceCost, LineOfSight as _};
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,7 +60,7 @@ pub(super) fn answer(
     let mut planned = for_disc(space, from, to, find);
     if matches!(space.footprint(), Footprint::Polygon(_)) {
         let heading = (!options.any_heading).then_some(start.yaw);
-        let query = oriented::Query {
+        let query = se2_search::Query {
             start: from,
             heading,
             goal: to,
@@ -73,26 +73,26 @@ pub(super) fn answer(
 /// Puts a way that the true footprint can drive, if there is one, in place of one that only the inscribed disc can.
 fn fit_footprint(
     space: &ConfigurationSpace,
-    query: &oriented::Query,
+    query: &se2_search::Query,
     options: &PlanOptions,
     budget: Budget<'_>,
     planned: &mut Planned,
 ) {
     let is_fine = match &planned.outcome {
-        PlanOutcome::Found { path, .. } => oriented::is_drivable(space, path, query.heading),
+        PlanOutcome::Found { path, .. } => se2_search::is_drivable(space, path, query.heading),
         PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
         _ => true,
     };
     // A robot that stands where it does not fit by the map leaves by the disc's way, as far as it gets.
     if is_fine
-        || !oriented::can_stand(space, query.start, query.heading)
-        || !oriented::can_stand(space, query.goal, None)
+        || !se2_search::can_stand(space, query.start, query.heading)
+        || !se2_search::can_stand(space, query.goal, None)
     {
         return;
     }
     let costs = comfort(space, options);
     if let PlanOutcome::Found { length, .. } = planned.outcome {
-        let roomy = roomy::search(space, &costs, query, budget);
+        let roomy = circumscribed_search::search(space, &costs, query, budget);
         planned.expansions += roomy.expansions;
         if let Ok(path) = roomy.result
             && let outcome @ PlanOutcome::Found { length: longer, .. } = found(path)
@@ -102,7 +102,7 @@ fn fit_footprint(
             return;
         }
     }
-    let searched = oriented::search(space, &costs, query, budget);
+    let searched = se2_search::search(space, &costs, query, budget);
     planned.expansions += searched.expansions;
     planned.origin = PlanOrigin::Searched;
     match (searched.result, &planned.outcome) {
@@ -287,9 +287,9 @@ pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) 
 mod tests {
     use super::*;
     use crate::Planner;
-    use zenav_space::UnknownPolicy;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
+    use zenav_space::UnknownPolicy;
 
     const RADIUS: f64 = 0.26;
 

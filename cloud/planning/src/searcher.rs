@@ -5,19 +5,19 @@ use zenav_protocol::grid::Cell;
 
 use super::astar::{self, CellCost, Memory, NotFound, Uniform};
 use super::budget::Budget;
+use super::grid_graph::{GridGraph, GridPath, TooManyCells};
 use super::jps;
 use super::jump_grid::JumpGrid;
-use super::lattice::{GridPath, Lattice, TooManyCells};
+use super::node_table::Written;
+use super::path::Path;
 use super::planner::Planner;
-use super::records::Written;
 use super::sampling;
 use super::theta;
-use super::way::Way;
-use zenav_space::{BitGrid, Sight};
+use zenav_space::{BitGrid, LineOfSight};
 
 /// What a search found, and what it took.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Searched<W = Way> {
+pub struct Searched<W = Path> {
     /// The way, or why there is none.
     pub result: Result<W, NotFound>,
     /// Nodes expanded, or samples drawn.
@@ -27,7 +27,7 @@ pub struct Searched<W = Way> {
 impl From<Searched<GridPath>> for Searched {
     fn from(searched: Searched<GridPath>) -> Self {
         Self {
-            result: searched.result.map(Way::from),
+            result: searched.result.map(Path::from),
             expansions: searched.expansions,
         }
     }
@@ -54,7 +54,7 @@ impl Query {
 /// One bitmap's lattice, and memory for searches on it, one after the other.
 #[derive(Clone, Debug)]
 pub struct Searcher {
-    lattice: Lattice,
+    lattice: GridGraph,
     memory: Memory,
     /// Prepared when it is first asked for.
     jumps: Option<JumpGrid>,
@@ -72,7 +72,7 @@ impl Searcher {
     /// [`TooManyCells`].
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
         Ok(Self {
-            lattice: Lattice::new(free)?,
+            lattice: GridGraph::new(free)?,
             memory: Memory::default(),
             jumps: None,
             jump_memory: jps::Memory::default(),
@@ -93,7 +93,7 @@ impl Searcher {
         }
     }
 
-    pub(super) fn lattice(&self) -> &Lattice {
+    pub(super) fn lattice(&self) -> &GridGraph {
         &self.lattice
     }
 
@@ -104,7 +104,13 @@ impl Searcher {
 
     /// A way between two points. Grids go from cell centre to cell centre without cutting corners; the others ask `sight`, the space
     /// that the searcher's free cells belong to, and start and end exactly where they are asked to.
-    pub fn search(&mut self, planner: Planner, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+    pub fn search(
+        &mut self,
+        planner: Planner,
+        sight: &impl LineOfSight,
+        query: &Query,
+        budget: Budget<'_>,
+    ) -> Searched {
         let Some((start, goal)) = query.cells() else {
             return Searched {
                 result: Err(NotFound::OutOfMap),
@@ -129,7 +135,13 @@ impl Searcher {
         self.trees.edges().take(limit)
     }
 
-    fn grow(&mut self, growth: sampling::Growth, sight: &impl Sight, query: &Query, budget: Budget<'_>) -> Searched {
+    fn grow(
+        &mut self,
+        growth: sampling::Growth,
+        sight: &impl LineOfSight,
+        query: &Query,
+        budget: Budget<'_>,
+    ) -> Searched {
         sampling::search(
             growth,
             &self.lattice,

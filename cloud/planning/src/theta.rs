@@ -12,18 +12,18 @@ use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
 use super::budget::Budget;
-use super::lattice::{Lattice, STEPS, STRAIGHT};
-use super::open::{Open, OpenList, is_past};
-use super::records::Records;
+use super::grid_graph::{GridGraph, STEPS, STRAIGHT};
+use super::node_table::NodeTable;
+use super::open_list::{Open, OpenList, is_past};
+use super::path::Path;
 use super::searcher::{Query, Searched};
-use super::taut::tighten;
-use super::way::Way;
-use zenav_space::Sight;
+use super::string_pulling::tighten;
+use zenav_space::LineOfSight;
 
 /// Working memory, kept from one search to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
-    reached: Records<Reached>,
+    reached: NodeTable<Reached>,
     open: OpenList,
 }
 
@@ -62,8 +62,8 @@ impl Reached {
 
 /// A short way between two points; `sight` is the space that the lattice's free cells belong to. Deterministic.
 pub fn search(
-    lattice: &Lattice,
-    sight: &impl Sight,
+    lattice: &GridGraph,
+    sight: &impl LineOfSight,
     query: &Query,
     memory: &mut Memory,
     budget: Budget<'_>,
@@ -74,13 +74,13 @@ pub fn search(
 }
 
 fn expand(
-    lattice: &Lattice,
-    sight: &impl Sight,
+    lattice: &GridGraph,
+    sight: &impl LineOfSight,
     query: &Query,
     memory: &mut Memory,
     budget: Budget<'_>,
     expansions: &mut u64,
-) -> Result<Way, NotFound> {
+) -> Result<Path, NotFound> {
     let (start, goal) = query.cells().ok_or(NotFound::OutOfMap)?;
     let (start_node, goal_node) = ends(lattice, start, goal)?;
     if !sight.sees(query.start, center(start)) {
@@ -90,7 +90,7 @@ fn expand(
         return Err(NotFound::GoalBlocked);
     }
     if sight.sees(query.start, query.goal) {
-        return Ok(Way::through(vec![query.start, query.goal]));
+        return Ok(Path::through(vec![query.start, query.goal]));
     }
     memory.reached.clear(lattice.len());
     memory.open.clear(distance(start, goal));
@@ -152,7 +152,7 @@ fn expand(
 }
 
 /// The best way to a cell over one of its neighbours that had their turn; the cell's own parent is not seen.
-fn beside(lattice: &Lattice, memory: &Memory, node: u32) -> Reached {
+fn beside(lattice: &GridGraph, memory: &Memory, node: u32) -> Reached {
     let mut best = Reached::default();
     let mut steps = lattice.steps(node);
     while steps != 0 {
@@ -167,7 +167,7 @@ fn beside(lattice: &Lattice, memory: &Memory, node: u32) -> Reached {
     best
 }
 
-fn way(lattice: &Lattice, memory: &Memory, sight: &impl Sight, query: &Query, goal_node: u32) -> Way {
+fn way(lattice: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Query, goal_node: u32) -> Path {
     let mut corners = vec![query.goal];
     let mut node = goal_node;
     loop {
@@ -182,7 +182,7 @@ fn way(lattice: &Lattice, memory: &Memory, sight: &impl Sight, query: &Query, go
     corners.reverse();
     corners.dedup();
     tighten(sight, &mut corners, 1.0);
-    Way::through(corners)
+    Path::through(corners)
 }
 
 fn center(cell: Cell) -> Point2<f64> {
@@ -206,7 +206,7 @@ mod tests {
 
     use super::super::astar::{self, Uniform};
     use super::*;
-    use zenav_space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy};
+    use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
 
     const SIDE: u32 = 48;
 
@@ -244,8 +244,8 @@ mod tests {
     }
 
     /// Found where A* finds one, all of it in sight, and never longer than the lattice's shortest.
-    fn check(free: &BitGrid, sight: &impl Sight, world: &World) -> Result<(), TestCaseError> {
-        let lattice = Lattice::new(free).unwrap();
+    fn check(free: &BitGrid, sight: &impl LineOfSight, world: &World) -> Result<(), TestCaseError> {
+        let lattice = GridGraph::new(free).unwrap();
         let mut memory = Memory::default();
         let question = query(world.start, world.goal);
         let shortest = astar::search(
@@ -290,7 +290,7 @@ mod tests {
         #[test]
         fn a_point_s_way_is_in_sight_and_at_most_as_long_as_the_lattice_s(world in world()) {
             let free = world.blocked.complement();
-            check(&free, &PointSight::new(&free), &world)?;
+            check(&free, &PointLineOfSight::new(&free), &world)?;
         }
 
         #[test]
@@ -307,13 +307,13 @@ mod tests {
         #[test]
         fn a_way_goes_from_exactly_where_it_is_asked_to_where_it_is_asked(world in world(), within in (0.01..0.99, 0.01..0.99, 0.01..0.99, 0.01..0.99)) {
             let free = world.blocked.complement();
-            let sight = PointSight::new(&free);
+            let sight = PointLineOfSight::new(&free);
             let ask = Query {
                 start: Point2::new(f64::from(world.start.x) + within.0, f64::from(world.start.y) + within.1),
                 goal: Point2::new(f64::from(world.goal.x) + within.2, f64::from(world.goal.y) + within.3),
                 seed: 1,
             };
-            if let Ok(way) = search(&Lattice::new(&free).unwrap(), &sight, &ask, &mut Memory::default(), Budget::UNLIMITED).result {
+            if let Ok(way) = search(&GridGraph::new(&free).unwrap(), &sight, &ask, &mut Memory::default(), Budget::UNLIMITED).result {
                 prop_assert_eq!((way.corners[0], way.corners[way.corners.len() - 1]), (ask.start, ask.goal));
                 prop_assert!(way.corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
             }
@@ -326,8 +326,8 @@ mod tests {
         (0..8).for_each(|y| free.set(Cell::new(4, y), false));
         let run = |free: &BitGrid, start, goal, budget: Budget<'_>| {
             search(
-                &Lattice::new(free).unwrap(),
-                &PointSight::new(free),
+                &GridGraph::new(free).unwrap(),
+                &PointLineOfSight::new(free),
                 &query(start, goal),
                 &mut Memory::default(),
                 budget,

@@ -27,14 +27,14 @@ use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};
 use zenav_mapping::map_file;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
-use zenav_smoothing::timing::legs::safe_motion;
-use zenav_smoothing::timing::{Limits, UNRESTRICTED};
-use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth};
-use zenav_space::{ConfigurationSpace, UnknownPolicy};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::PlanOutcome;
 use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_smoothing::timing::legs::safe_motion;
+use zenav_smoothing::timing::{Limits, UNRESTRICTED};
+use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 /// Robots, and what is close to each of them.
 const ROBOTS: [&str; 4] = ["tiago", "neato", "turtlebot3_waffle", "jackal"];
@@ -99,10 +99,10 @@ fn house() -> OccupancyGrid {
 }
 
 /// A way, and where a robot at rest starts on it: along its first leg.
-type Way = (Vec<Point2<f64>>, Pose2);
+type Path = (Vec<Point2<f64>>, Pose2);
 
 /// Ways between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
-fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Way> {
+fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Path> {
     let spec = *space.spec();
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
     let mut searcher = Searcher::new(space.free()).unwrap();
@@ -136,7 +136,7 @@ fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Way> {
 }
 
 /// A way of `length` (m), from one drawn place to the next.
-fn tour(space: &ConfigurationSpace, length: f64) -> Option<Way> {
+fn tour(space: &ConfigurationSpace, length: f64) -> Option<Path> {
     let ways = drawn(space, 20, true);
     let start = ways.first()?.1;
     let points = ways.iter().flat_map(|(way, _)| way.iter().copied());

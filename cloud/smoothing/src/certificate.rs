@@ -5,7 +5,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
 use zenav_protocol::robot::{Drive, Footprint};
 
-use super::corridor::Room;
+use super::corridor::FreePolygon;
 use super::shortcut::is_permitted_along;
 use super::timing::{JerkFigures, Limits, Motion};
 use zenav_space::ConfigurationSpace;
@@ -108,7 +108,7 @@ pub struct Evidence {
 
 impl Evidence {
     /// Adds a curve through rooms.
-    pub fn add(&mut self, rooms: &[Room], solver: SolverFigures) {
+    pub fn add(&mut self, rooms: &[FreePolygon], solver: SolverFigures) {
         let width = rooms.iter().map(width).fold(f64::INFINITY, f64::min);
         let corridor = self.corridor.get_or_insert(CorridorFigures {
             rooms: 0,
@@ -137,7 +137,7 @@ impl Evidence {
 }
 
 /// Width of a room across the middle of its piece, m.
-fn width(room: &Room) -> f64 {
+fn width(room: &FreePolygon) -> f64 {
     let along = room.to - room.from;
     let across = nalgebra::Vector2::new(-along.y, along.x);
     let Some(across) = across.try_normalize(1e-9) else {
@@ -301,7 +301,7 @@ mod tests {
             normal: nalgebra::Vector2::new(x, y),
             offset,
         };
-        let room = |width: f64| Room {
+        let room = |width: f64| FreePolygon {
             sides: vec![
                 side(0.0, 1.0, 0.5 * width),
                 side(0.0, -1.0, 0.5 * width),

@@ -41,7 +41,7 @@ impl HalfPlane {
 
 /// A convex free polygon, and the piece of the way that runs through it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Room {
+pub struct FreePolygon {
     /// Its sides.
     pub sides: Vec<HalfPlane>,
     /// Where the way enters, m.
@@ -52,7 +52,7 @@ pub struct Room {
     pub length: f64,
 }
 
-impl Room {
+impl FreePolygon {
     /// Whether a point lies inside, to within `tolerance` metres.
     #[must_use]
     pub fn holds(&self, point: Point2<f64>, tolerance: f64) -> bool {
@@ -72,7 +72,7 @@ const SHARE: f64 = 0.5;
 
 /// How large a room may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RoomSize {
+pub struct FreePolygonSize {
     /// Longest piece of the way in one room at the ends of a leg, m; in the middle of a leg twice as long.
     pub length: f64,
     /// How far a room may reach beyond its piece, m.
@@ -86,7 +86,7 @@ pub const SPREAD: f64 = 0.1;
 
 /// The rooms along a way (corner points, map frame), in order; neighbours share the point where the way goes from one to the next.
 #[must_use]
-pub fn corridor(space: &ConfigurationSpace, way: &[Point2<f64>], size: &RoomSize) -> Vec<Room> {
+pub fn corridor(space: &ConfigurationSpace, way: &[Point2<f64>], size: &FreePolygonSize) -> Vec<FreePolygon> {
     let points = split(way, size.length);
     let is_round = matches!(space.footprint(), Footprint::Radius(_));
     let mut rooms = Vec::new();
@@ -208,7 +208,13 @@ struct Connection {
 
 /// The room around a straight piece of a way. A polygon's heading may differ by `spread` (rad) from the piece's.
 #[must_use]
-pub fn room(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, size: &RoomSize, spread: f64) -> Room {
+pub fn room(
+    space: &ConfigurationSpace,
+    from: Point2<f64>,
+    to: Point2<f64>,
+    size: &FreePolygonSize,
+    spread: f64,
+) -> FreePolygon {
     let piece = (from, to);
     let shape = Shape::new(space, to - from, spread);
     let comfort = size.comfort.max(0.0);
@@ -268,7 +274,7 @@ pub fn room(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, size
         });
         sides.push(side);
     }
-    Room {
+    FreePolygon {
         sides: needed(&sides, &frame_corners(from, to, size.reach)),
         from,
         to,
@@ -407,7 +413,7 @@ mod tests {
     use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
-    const SIZE: RoomSize = RoomSize {
+    const SIZE: FreePolygonSize = FreePolygonSize {
         length: 2.0,
         reach: 1.0,
         comfort: 0.2,

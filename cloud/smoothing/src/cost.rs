@@ -3,7 +3,7 @@
 use clarabel::algebra::CscMatrix;
 use nalgebra::{Matrix6, Vector6};
 
-use super::corridor::Room;
+use super::corridor::FreePolygon;
 
 /// Variables a joint: `px py vx vy ax ay`.
 pub(super) const JOINT: usize = 6;
@@ -23,10 +23,10 @@ pub(super) fn controls(length: f64) -> [[(usize, usize, f64); 3]; 6] {
 }
 
 /// The cost's matrix (upper triangle).
-pub(super) fn cost(rooms: &[Room], turning_length: f64) -> CscMatrix<f64> {
+pub(super) fn cost(rooms: &[FreePolygon], turning_length: f64) -> CscMatrix<f64> {
     let units = unit_costs();
     let weights = [1.0, turning_length.powi(2), turning_length.powi(4)];
-    let block = |room: &Room| {
+    let block = |room: &FreePolygon| {
         // Derivatives by the share of the piece, not by its length: each order has the length once more.
         let length = room.length;
         let scale = Vector6::new(1.0, length, length * length, 1.0, length, length * length);

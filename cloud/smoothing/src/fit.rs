@@ -19,7 +19,7 @@ use clarabel::solver::{
 };
 use nalgebra::{Point2, Vector2};
 
-use super::corridor::Room;
+use super::corridor::FreePolygon;
 use super::cost::{JOINT, controls, cost};
 use super::curve::{Curve, CurveError};
 
@@ -52,7 +52,7 @@ const ROUNDS: usize = 4;
 ///
 /// # Errors
 /// [`CurveError::Solver`]: the rooms do not admit the ends' tangents, or the solver failed.
-pub fn fit(rooms: &[Room], ends: &Ends, turning_length: f64, max_iterations: u32) -> Result<Curve, CurveError> {
+pub fn fit(rooms: &[FreePolygon], ends: &Ends, turning_length: f64, max_iterations: u32) -> Result<Curve, CurveError> {
     let program = Program::new(rooms, ends, turning_length)?;
     let mut asked = program.near(NEAR * turning_length);
     let mut iterations = 0;
@@ -103,7 +103,7 @@ impl Row {
 
 /// The quadratic program. Places are relative to the first one.
 struct Program<'a> {
-    rooms: &'a [Room],
+    rooms: &'a [FreePolygon],
     origin: Point2<f64>,
     cost: CscMatrix<f64>,
     /// What holds exactly: both ends.
@@ -126,7 +126,7 @@ impl Solved {
 }
 
 impl<'a> Program<'a> {
-    fn new(rooms: &'a [Room], ends: &Ends, turning_length: f64) -> Result<Self, CurveError> {
+    fn new(rooms: &'a [FreePolygon], ends: &Ends, turning_length: f64) -> Result<Self, CurveError> {
         let (Some(first), Some(last)) = (rooms.first(), rooms.last()) else {
             return Err(CurveError::Solver("no rooms".to_owned()));
         };
@@ -237,7 +237,7 @@ impl<'a> Program<'a> {
         }
 
         let vector = |variable: usize| Vector2::new(solved.x[variable], solved.x[variable + 1]);
-        let piece = |(i, room): (usize, &Room)| {
+        let piece = |(i, room): (usize, &FreePolygon)| {
             controls(room.length).map(|control| {
                 control.iter().fold(self.origin, |sum, (joint, order, factor)| {
                     sum + vector(JOINT * (i + joint) + 2 * order) * *factor
@@ -305,13 +305,13 @@ mod tests {
     use super::super::corridor::HalfPlane;
     use super::*;
 
-    fn boxed(from: (f64, f64), to: (f64, f64), low: (f64, f64), high: (f64, f64)) -> Room {
+    fn boxed(from: (f64, f64), to: (f64, f64), low: (f64, f64), high: (f64, f64)) -> FreePolygon {
         let side = |x: f64, y: f64, offset: f64| HalfPlane {
             normal: Vector2::new(x, y),
             offset,
         };
         let (from, to) = (Point2::new(from.0, from.1), Point2::new(to.0, to.1));
-        Room {
+        FreePolygon {
             sides: vec![
                 side(1.0, 0.0, high.0),
                 side(0.0, 1.0, high.1),
@@ -325,7 +325,7 @@ mod tests {
     }
 
     /// A corner to the left: east along a hall, then north along another.
-    fn corner() -> Vec<Room> {
+    fn corner() -> Vec<FreePolygon> {
         vec![
             boxed((0.0, 0.0), (3.0, 0.0), (-0.5, -0.4), (3.4, 0.4)),
             boxed((3.0, 0.0), (3.0, 3.0), (2.6, -0.4), (3.4, 3.5)),

@@ -7,8 +7,8 @@
 //! | [`fit`] | which curve through that room bends least? |
 //! | `cost` | what does a curve cost? |
 //! | [`curve`] | where does a curve run? |
-//! | `part` | which curve leads from one stop to the next, for the true footprint? |
-//! | `course` | where does the robot brake, stop and turn, and on which curves does it go between? |
+//! | `segment` | which curve leads from one stop to the next, for the true footprint? |
+//! | `trajectory_builder` | where does the robot brake, stop and turn, and on which curves does it go between? |
 //! | [`certificate`] | is the motion free? |
 //! | [`smoother`] | which trajectory does a way become? |
 //! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
@@ -17,13 +17,13 @@
 pub mod certificate;
 pub mod corridor;
 mod cost;
-mod course;
 pub mod curve;
 pub mod fit;
-mod part;
+mod segment;
 pub mod shortcut;
 pub mod smoother;
 pub mod timing;
+mod trajectory_builder;
 pub mod unsmoothed;
 
 #[cfg(test)]

@@ -125,8 +125,8 @@ fn spaced(space: &ConfigurationSpace, way: &[Point2<f64>], wanted: f64) -> (Vec<
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_space::UnknownPolicy;
     use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    use zenav_space::UnknownPolicy;
 
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
         let mut grid = Grid::filled(

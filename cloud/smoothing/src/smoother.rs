@@ -9,12 +9,12 @@ use zenav_protocol::messages::{DrivingProfile, PlanStatistics, TrajectoryPoint};
 use zenav_protocol::robot::RobotModel;
 
 use super::certificate::certify;
-use super::corridor::RoomSize;
-use super::course::{Checked, Course};
+use super::corridor::FreePolygonSize;
 use super::shortcut::{is_clear, shortcut};
 use super::timing::economy::economical;
 use super::timing::legs::corners_from;
 use super::timing::{Limits, Motion, UNRESTRICTED};
+use super::trajectory_builder::{Checked, TrajectoryBuilder};
 use zenav_space::ConfigurationSpace;
 
 /// Time between two points of a trajectory that goes out, s.
@@ -37,7 +37,7 @@ pub struct SmoothQuery<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothSettings {
     /// Size of the corridor's rooms.
-    pub rooms: RoomSize,
+    pub rooms: FreePolygonSize,
     /// Length over which the robot likes to turn, m.
     pub turning_length: f64,
     /// Distance between samples of the curve, m.
@@ -51,7 +51,7 @@ pub struct SmoothSettings {
 impl Default for SmoothSettings {
     fn default() -> Self {
         Self {
-            rooms: RoomSize {
+            rooms: FreePolygonSize {
                 length: 1.5,
                 reach: 1.0,
                 comfort: 0.3,
@@ -176,7 +176,7 @@ fn smoothed_or_safe(
     };
     let zones = space.zones();
     let in_zones = |point: Point2<f64>| zones.speed_limit(point);
-    let course = Course {
+    let course = TrajectoryBuilder {
         space,
         query,
         limits,

@@ -400,7 +400,7 @@ proptest! {
         let model = robot(if oblong { "turtlebot3_waffle" } else { "tiago" });
         let space = space(&cluttered(&boxes), &model);
         let [start, goal] = ends.map(|(x, y)| Pose2::new(x, y, yaw));
-        // Room to turn at both ends: a robot that stands wedged in is another matter.
+        // FreePolygon to turn at both ends: a robot that stands wedged in is another matter.
         let room = model.footprint.circumscribed_radius() + 0.02;
         prop_assume!(space.clearance(start.position()) > room && space.clearance(goal.position()) > room);
         let options = if shortest { PlanOptions::shortest(Planner::AStar) } else { PlanOptions::default() };

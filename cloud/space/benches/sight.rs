@@ -11,9 +11,9 @@ use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::map_file;
-use zenav_space::{BitGrid, ConfigurationSpace, PointSight, Sight, UnknownPolicy};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
+use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight, PointLineOfSight, UnknownPolicy};
 
 /// Segments of each length.
 const SEGMENTS: usize = 1000;
@@ -54,7 +54,7 @@ fn map() -> OccupancyGrid {
 }
 
 /// Segments of a length that start where one may be and end inside the grid.
-fn segments(sight: &impl Sight, length: f64) -> Vec<[Point2<f64>; 2]> {
+fn segments(sight: &impl LineOfSight, length: f64) -> Vec<[Point2<f64>; 2]> {
     let [width, height] = sight.size().map(f64::from);
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let mut segments = Vec::new();
@@ -116,9 +116,9 @@ fn points(criterion: &mut Criterion) {
         .map(|value| Occupancy::of(*value) == Occupancy::Free)
         .collect();
     criterion.bench_function("PointSight::new", |bencher| {
-        bencher.iter(|| PointSight::new(&free));
+        bencher.iter(|| PointLineOfSight::new(&free));
     });
-    let sight = PointSight::new(&free);
+    let sight = PointLineOfSight::new(&free);
     for only_seen in [false, true] {
         let mut group = criterion.benchmark_group(if only_seen { "point, in sight" } else { "point" });
         group.throughput(Throughput::Elements(SEGMENTS as u64));

@@ -19,13 +19,13 @@ use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_ma
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_protocol::map_replica::{MapMirror, Mirrored};
-use zenav_space::exact::squared_distances;
-use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
+use zenav_space::distance::exact::squared_distances;
+use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy};
 
 /// Time that this thread has had a processor for.
 struct ThreadTime;
@@ -98,8 +98,8 @@ fn maps(side: u32) -> [(&'static str, BitGrid); 4] {
 
 /// The textbook's transform: squared distances from centre to centre, cells.
 mod textbook {
-    use zenav_space::BitGrid;
     use zenav_protocol::grid::Cell;
+    use zenav_space::BitGrid;
 
     const FAR: f32 = 1e12;
 
@@ -196,7 +196,7 @@ fn largest(c: &mut Criterion<ThreadTime>) {
 }
 
 /// A map of offices, its copy at revision 1, and patches of one tile to and fro.
-fn mirrored(side: u32) -> (MapMirror, [MapPatch; 2]) {
+fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
     let spec = spec(side);
     let office = office(side);
     let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
@@ -209,7 +209,7 @@ fn mirrored(side: u32) -> (MapMirror, [MapPatch; 2]) {
         id: "bench".to_owned(),
         revision,
     };
-    let mut mirror = MapMirror::new();
+    let mut mirror = MapReplica::new();
     assert!(mirror.replace(&MapReply {
         info: MapInfo {
             stamp: Stamp::ZERO,
@@ -258,7 +258,7 @@ fn update(c: &mut Criterion<ThreadTime>) {
                 || {
                     let (mut cache, mut mirror) = (SpaceCache::default(), mirror.clone());
                     let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
-                    assert_eq!(mirror.apply(&patches[0]), Mirrored::Applied);
+                    assert_eq!(mirror.apply(&patches[0]), PatchResult::Applied);
                     (cache, mirror, held.then(|| Arc::clone(&first)))
                 },
                 |(mut cache, mirror, held)| {
@@ -272,7 +272,7 @@ fn update(c: &mut Criterion<ThreadTime>) {
     let mut there = mirror.clone();
     let _ = there.apply(&patches[0]);
     let mut back = there.clone();
-    assert_eq!(back.apply(&patches[1]), Mirrored::Applied);
+    assert_eq!(back.apply(&patches[1]), PatchResult::Applied);
     assert_eq!(back.grid(), mirror.grid(), "the second patch undoes the first");
 }
 

@@ -147,20 +147,20 @@ impl ConfigurationSpace {
 
     /// Calls with the centre of every obstacle, or of every forbidden cell, that a convex outline (m) touches; those that are surrounded
     /// by others are left out.
-    pub(crate) fn outer_cells(&self, outline: &[Point2<f64>], forbidden: bool, mut visit: impl FnMut(Point2<f64>)) {
+    pub fn outer_cells(&self, outline: &[Point2<f64>], forbidden: bool, mut visit: impl FnMut(Point2<f64>)) {
         let bits = if forbidden { self.forbidden() } else { self.obstacles() };
         let outline: Vec<_> = outline.iter().map(|p| self.spec.to_cells(*p)).collect();
         outer_squares(bits, &outline, |x, y| visit(self.spec.center(Cell::new(x, y))));
     }
 
     /// Whether a convex outline, in cells of the grid, touches no obstacle.
-    pub(crate) fn is_clear_of(&self, outline: &[Point2<f64>]) -> bool {
+    pub fn is_clear_of(&self, outline: &[Point2<f64>]) -> bool {
         !polygon_touches(self.obstacles(), outline)
     }
 }
 
 /// Corners of the footprint at a pose and, with the same heading, at another place.
-pub(crate) fn swept(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
+pub fn swept(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
     let there = Pose2::new(to.x, to.y, from.yaw);
     [from, there]
         .iter()
@@ -169,7 +169,7 @@ pub(crate) fn swept(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Ve
 }
 
 /// Convex hull, counter-clockwise (Andrew, "Another Efficient Algorithm for Convex Hulls in Two Dimensions", 1979).
-pub(crate) fn hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
+pub fn hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     sorted.dedup();

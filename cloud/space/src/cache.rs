@@ -7,7 +7,7 @@ use zenav_protocol::messages::MapRef;
 use zenav_protocol::robot::Footprint;
 
 use super::{ConfigurationSpace, UnknownPolicy, Zones};
-use zenav_protocol::map_replica::MapMirror;
+use zenav_protocol::map_replica::MapReplica;
 
 /// Spaces that are kept.
 const KEPT: usize = 8;
@@ -33,7 +33,7 @@ impl SpaceCache {
     /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
     ///
     /// Whoever still holds an older one keeps it as it was; otherwise it is changed in place.
-    pub fn get(&mut self, map: &MapMirror, footprint: &Footprint, unknown: UnknownPolicy) -> Arc<ConfigurationSpace> {
+    pub fn get(&mut self, map: &MapReplica, footprint: &Footprint, unknown: UnknownPolicy) -> Arc<ConfigurationSpace> {
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
             of.id == map.map().id && space.unknown_policy() == unknown && space.footprint() == footprint
         };
@@ -53,7 +53,7 @@ impl SpaceCache {
     fn brought_up(
         mut space: Arc<ConfigurationSpace>,
         revision: u64,
-        map: &MapMirror,
+        map: &MapReplica,
     ) -> Option<Arc<ConfigurationSpace>> {
         let differences = space.differences(map.grid(), &map.changed_since(revision)).ok()?;
         if !differences.is_empty() {
@@ -73,7 +73,7 @@ mod tests {
     use zenav_protocol::time::Stamp;
 
     use super::*;
-    use zenav_protocol::map_replica::Mirrored;
+    use zenav_protocol::map_replica::PatchResult;
 
     /// A patch of a map of so many tiles, with one occupied cell in each tile given.
     fn patch(base_revision: u64, columns: u32, tiles: &[(u32, u32, usize)]) -> MapPatch {
@@ -104,12 +104,12 @@ mod tests {
 
         #[test]
         fn a_kept_space_equals_one_that_is_built_anew(steps in prop::collection::vec((prop::collection::vec((0_u32..3, 0_u32..2, 0_usize..4096), 0..3), any::<bool>(), any::<bool>(), any::<bool>()), 1..8)) {
-            let (mut mirror, mut cache) = (MapMirror::new(), SpaceCache::default());
+            let (mut mirror, mut cache) = (MapReplica::new(), SpaceCache::default());
             let (mut columns, mut held) = (3, None);
             let footprint = Footprint::Radius(0.3);
             for (revision, (tiles, grow, hold, ask)) in (0..).zip(steps) {
                 columns += u32::from(grow);
-                prop_assert_eq!(mirror.apply(&patch(revision, columns, &tiles)), Mirrored::Applied);
+                prop_assert_eq!(mirror.apply(&patch(revision, columns, &tiles)), PatchResult::Applied);
                 if !ask {
                     continue;
                 }
@@ -132,16 +132,16 @@ mod tests {
 
     #[test]
     fn a_revision_in_which_no_cell_means_anything_else_has_the_same_space() {
-        let (mut mirror, mut cache) = (MapMirror::new(), SpaceCache::default());
+        let (mut mirror, mut cache) = (MapReplica::new(), SpaceCache::default());
         let footprint = Footprint::Radius(0.3);
         let _ = mirror.apply(&patch(0, 2, &[(0, 0, 5)]));
         let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
-        assert_eq!(mirror.apply(&patch(1, 2, &[(0, 0, 5)])), Mirrored::Applied);
+        assert_eq!(mirror.apply(&patch(1, 2, &[(0, 0, 5)])), PatchResult::Applied);
         assert!(Arc::ptr_eq(
             &first,
             &cache.get(&mirror, &footprint, UnknownPolicy::Free)
         ));
-        assert_eq!(mirror.apply(&patch(2, 2, &[(0, 0, 6)])), Mirrored::Applied);
+        assert_eq!(mirror.apply(&patch(2, 2, &[(0, 0, 6)])), PatchResult::Applied);
         assert!(!Arc::ptr_eq(
             &first,
             &cache.get(&mirror, &footprint, UnknownPolicy::Free)

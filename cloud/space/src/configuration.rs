@@ -8,8 +8,8 @@ use zenav_protocol::grid::{Cell, GridSpec, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 
 use super::bits::BitGrid;
+use super::distance::exact::for_each_row;
 use super::distance::{DistanceField, MAX_REACH};
-use super::exact::for_each_row;
 use super::raster::CellMask;
 use super::sweep::Banded;
 use super::update::Marks;

@@ -13,9 +13,9 @@ use nalgebra::Point2;
 use serde::Deserialize;
 use thiserror::Error;
 use toml::Spanned;
+use zenav_protocol::config_text::{Number, Pair};
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::polygon::{contains, simple};
-use zenav_protocol::written::{Number, Pair};
 
 use super::raster::CellMask;
 

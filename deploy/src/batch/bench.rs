@@ -11,7 +11,7 @@ use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
-use crate::served_world::{self, ServeArgs};
+use crate::world_server::{self, ServeArgs};
 
 /// Most robots in one world here.
 const MAX_ROBOTS: usize = zenav_sim::simulation::MAX_ROBOTS;
@@ -66,7 +66,7 @@ pub fn sim(args: &SimArgs) -> Outcome {
     match &args.command {
         SimCommand::Bench(args) => bench_simulator(args),
         SimCommand::Show(args) => show::show(args),
-        SimCommand::Serve(args) => served_world::serve(args),
+        SimCommand::Serve(args) => world_server::serve(args),
     }
 }
 

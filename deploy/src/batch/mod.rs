@@ -25,8 +25,8 @@ use std::io::{BufWriter, IsTerminal as _, Write};
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use zenav_cloud::mapping::map_file;
-use zenav_cloud::planning::Planner;
+use zenav_mapping::map_file;
+use zenav_planning::Planner;
 use zenav_protocol::grid::OccupancyGrid;
 
 use crate::failure::Failure;
@@ -57,7 +57,7 @@ fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failu
 /// A planner by name; the error names those that there are.
 fn planner(name: &str) -> Result<Planner, String> {
     name.parse()
-        .map_err(|error: zenav_cloud::planning::planner::UnknownPlanner| error.to_string())
+        .map_err(|error: zenav_planning::planner::UnknownPlanner| error.to_string())
 }
 
 /// A file of results: written line by line, complete once [`Results::finish`] was called. `-` is stdout.

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
-use zenav_cloud::planning::{Budget, Planner, Query as Question, Searched, Searcher, Way};
-use zenav_cloud::space::{BitGrid, ConfigurationSpace, PointSight, UnknownPolicy, Zones};
+use zenav_planning::{Budget, Planner, Query as Question, Searched, Searcher};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
+use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy, Zones};
 
 use super::queries::{self, Query};
 use super::watchdog::Watchdog;
@@ -104,7 +104,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
 
 /// Where a point, or a robot, may be.
 enum Ground {
-    Point { free: BitGrid, sight: PointSight },
+    Point { free: BitGrid, sight: PointLineOfSight },
     Robot(Box<ConfigurationSpace>),
 }
 
@@ -139,7 +139,7 @@ impl Ground {
             Occupancy::Occupied => false,
         });
         Ok(Self::Point {
-            sight: PointSight::new(&free),
+            sight: PointLineOfSight::new(&free),
             free,
         })
     }
@@ -163,7 +163,7 @@ impl Ground {
 struct Answer {
     /// Time around the search alone, µs.
     micros: f64,
-    way: Option<Way>,
+    way: Option<zenav_planning::Path>,
     expansions: u64,
     outside: bool,
 }
@@ -213,7 +213,7 @@ fn answer(
 
 /// The way in the map file's cells, rows from the top, whole numbers at centres: every cell that a straight or diagonal leg passes,
 /// the ends of any other leg. No line for a way that was not found.
-fn write_path(path: &Path, spec: &GridSpec, way: Option<&Way>) -> Result<(), Failure> {
+fn write_path(path: &Path, spec: &GridSpec, way: Option<&zenav_planning::Path>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
     for point in way.map(points).unwrap_or_default() {
         let [x, y] = [point.x - 0.5, f64::from(spec.height) - 0.5 - point.y];
@@ -222,7 +222,7 @@ fn write_path(path: &Path, spec: &GridSpec, way: Option<&Way>) -> Result<(), Fai
     file.finish()
 }
 
-fn points(way: &Way) -> Vec<Point2<f64>> {
+fn points(way: &zenav_planning::Path) -> Vec<Point2<f64>> {
     let mut points: Vec<Point2<f64>> = way.corners.iter().take(1).copied().collect();
     for leg in way.corners.windows(2) {
         let step = leg[1] - leg[0];

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use zenav_cloud::mapping::moving_ai;
+use zenav_mapping::moving_ai;
 use zenav_protocol::grid::{Cell, GridSpec};
 
 use crate::failure::Failure;

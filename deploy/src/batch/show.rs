@@ -284,7 +284,7 @@ fn hit(lidar: &LidarModel, laser: Pose2, beam: usize, range: f64) -> Option<Poin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenav_cloud::mapping::image;
+    use zenav_mapping::image;
 
     fn gray(world: &World, at: &[(f64, f64)]) -> Vec<u8> {
         let simulation = Simulation::new(world, Vec::new(), 1).unwrap();

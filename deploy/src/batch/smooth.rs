@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use zenav_cloud::planning::{Budget, PlanOptions, Planner, Searcher, plan};
-use zenav_cloud::smoothing::shortcut::shortcut;
-use zenav_cloud::smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_way};
-use zenav_cloud::space::{ConfigurationSpace, UnknownPolicy};
+use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome, exit_code};
 use zenav_protocol::robot::RobotModel;
+use zenav_smoothing::shortcut::shortcut;
+use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_way};
+use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
 use super::watchdog::Watchdog;

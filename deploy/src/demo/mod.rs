@@ -25,18 +25,18 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
-use zenav_cloud::planning::Planner;
+use zenav_planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy, exit_code};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
+use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::launch::{interrupted, runtime};
 use crate::output::{Format, value};
-use crate::parts::{CloudPart, Parts};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
 use refusals::Impossible;

@@ -63,7 +63,7 @@ pub(super) fn draw(scene: &Scene<'_>) -> Result<Vec<u8>, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenav_cloud::mapping::image;
+    use zenav_mapping::image;
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy};
 
     fn map() -> OccupancyGrid {

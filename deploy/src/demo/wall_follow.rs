@@ -16,11 +16,11 @@ use zenav_sim::World;
 use super::{DemoArgs, Script, progress_bar};
 use crate::batch::backdrop;
 use crate::canvas::Color;
+use crate::components::Parts;
 use crate::config::Deployment;
 use crate::failure::Failure;
 use crate::files;
 use crate::launch::interrupted;
-use crate::parts::Parts;
 use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport, per_metre};
 use crate::wall_following::score::Errors;
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::ValueEnum;
-use zenav_cloud::behaviour_tree::inline;
+use zenav_behaviour_tree::inline;
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
@@ -285,7 +285,7 @@ mod tests {
         file("part.xml", "<BehaviorTree ID=\"P\"><AlwaysSuccess/></BehaviorTree>");
         let main = "<include path=\"part.xml\"/><BehaviorTree ID=\"M\"><SubTree ID=\"P\"/></BehaviorTree>";
         let tree = request(&["--tree", &file("main.xml", main)]).unwrap().tree.unwrap();
-        assert!(zenav_cloud::mission::trees::build(&tree).is_ok(), "{tree}");
+        assert!(zenav_mission::trees::build(&tree).is_ok(), "{tree}");
         let error = request(&["--tree", &file("lost.xml", "<include path=\"none.xml\"/>")]).unwrap_err();
         assert!(error.contains("none.xml") && error.contains("lost.xml"), "{error}");
         let error = request(&["--tree", &file("device.xml", "<include path=\"/dev/zero\"/>")]).unwrap_err();

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
-use zenav_cloud::behaviour_tree::{self as trees, Limits, Summary, TreeErrors, simulate};
-use zenav_cloud::mission::trees as missions;
+use zenav_behaviour_tree::{self as trees, Limits, Summary, TreeErrors, simulate};
+use zenav_mission::trees as missions;
 use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
 use zenav_protocol::topics;
 

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use zenav_cloud::mapping::carmen::{self, LOG_BEAMS};
-use zenav_cloud::mapping::{InsertMode, build as maps, map_file};
+use zenav_mapping::carmen::{self, LOG_BEAMS};
+use zenav_mapping::{InsertMode, build as maps, map_file};
 use zenav_protocol::messages::{Scan, exit_code};
 
 use crate::connect::positive;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use zenav_cloud::mapping::map_yaml::MapMode;
-use zenav_cloud::mapping::{atomic, image, map_file, map_image};
+use zenav_mapping::map_yaml::MapMode;
+use zenav_mapping::{atomic, image, map_file, map_image};
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
-use zenav_cloud::mapping::{CellCounts, map_file};
+use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::messages::{MapRequest, exit_code};

@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use zenav_cloud::behaviour_tree::NodeReport;
+use zenav_behaviour_tree::NodeReport;
 
 use super::glyphs;
 use crate::failure::Failure;
@@ -307,7 +307,7 @@ impl Canvas {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_cloud::mission::trees;
+    use zenav_mission::trees;
 
     #[test]
     fn every_node_has_a_box_of_its_own_inside_the_picture() {

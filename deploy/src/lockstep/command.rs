@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
-use zenav_cloud::mission::MissionConfig;
 use zenav_edge::EdgeConfig;
+use zenav_mission::MissionConfig;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
@@ -15,11 +15,11 @@ use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::{RobotSpec, Simulation, World};
 
-use super::stage::{Stage, StageConfig};
+use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
+use crate::components::places;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, value};
-use crate::parts::places;
 use crate::report::per_metre;
 
 /// The robot's name in a run.
@@ -155,7 +155,7 @@ pub fn run(args: &RunArgs) -> Outcome {
     })
 }
 
-fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Failure> {
+fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<ClosedLoop, Failure> {
     let id = Id::robot(ROBOT).map_err(|error| Failure::failed(error.to_string()))?;
     let spec = RobotSpec {
         id: id.clone(),
@@ -169,7 +169,7 @@ fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Fai
     mission.zones = files::zones(args.zones.as_deref())?;
     mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
     let known_map = args.known_map.then(|| true_map(world)).transpose()?;
-    let config = StageConfig {
+    let config = ClosedLoopConfig {
         edge: EdgeConfig::new(id, model.clone(), world.start()),
         mission,
         resolution: known_map.as_ref().map_or(RESOLUTION, |map| map.spec().resolution),
@@ -177,7 +177,7 @@ fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<Stage, Fai
         cloud_delay: 1e-3 * args.cloud_delay_ms,
         seed: args.seed,
     };
-    Ok(Stage::new(simulation, config))
+    Ok(ClosedLoop::new(simulation, config))
 }
 
 /// The world as a map: its own, or every cell that something solid touches.
@@ -216,7 +216,7 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     Ok(map)
 }
 
-fn drive(args: &RunArgs, stage: &mut Stage, rows: &mut String) -> RunReport {
+fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport {
     let goal = Point2::new(args.goal[0], args.goal[1]);
     stage.submit(GoalRequest {
         id: Some("run".to_owned()),

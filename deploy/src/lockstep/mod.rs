@@ -2,13 +2,13 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `stage` | how do body, pilot, mapper, workers and mission take turns? |
+//! | `closed_loop` | how do body, pilot, mapper, workers and mission take turns? |
 //! | `delay` | when does a message arrive? |
 //! | `command` | what does `zenav run` do and print? |
 
+mod closed_loop;
 mod command;
 mod delay;
-mod stage;
 
+pub use closed_loop::{ClosedLoop, ClosedLoopConfig};
 pub use command::{RunArgs, run};
-pub use stage::{Stage, StageConfig};

@@ -7,8 +7,8 @@ use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link, exit_code};
 use zenav_protocol::topics;
 
-use super::hold::{self, Held};
 use super::holder;
+use super::lease_session::{self, LeaseSession};
 use crate::connect::{self, RobotArgs, positive};
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -83,7 +83,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             Ok(exit_code::OK)
         }
         Some(LeaseCommand::Acquire { secs }) => {
-            let held = Held::acquire(&bus, &robot, &name, patience).await?;
+            let held = LeaseSession::acquire(&bus, &robot, &name, patience).await?;
             let grant = Granted {
                 robot,
                 holder: name,
@@ -110,7 +110,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
         Some(LeaseCommand::Release) => {
             let before = state(&bus, &robot, patience).await?;
             let held = before.lease.holder.as_deref() == Some(&name);
-            hold::ask(&bus, &robot, &name, LeaseAction::Release, patience).await?;
+            lease_session::ask(&bus, &robot, &name, LeaseAction::Release, patience).await?;
             if !held {
                 return Err(Failure::not_found(format!(
                     "{name} did not hold the lease of {robot}; {}",
@@ -129,7 +129,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             let Some(leader) = before.lease.leader else {
                 return Err(Failure::not_found(format!("no orchestrator keeps goals of {robot}")));
             };
-            hold::ask(&bus, &robot, &name, LeaseAction::Forget, patience).await?;
+            lease_session::ask(&bus, &robot, &name, LeaseAction::Forget, patience).await?;
             output::value(
                 args.output,
                 &serde_json::json!({ "robot": robot, "forgotten": leader }),

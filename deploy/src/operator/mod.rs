@@ -4,14 +4,14 @@
 //! |---|---|
 //! | `stop` | stop, resume |
 //! | `lease` | who may command: show, acquire, release |
-//! | `hold` | keeping the operator's lease while it is needed |
-//! | `hand` | which key means which motion, and for how long (pure) |
+//! | `lease_session` | keeping the operator's lease while it is needed |
+//! | `keyboard` | which key means which motion, and for how long (pure) |
 //! | `status` | who commands now, and what is shown of it (pure) |
 //! | `teleop` | driving in the terminal |
 
-mod hand;
-mod hold;
+mod keyboard;
 mod lease;
+mod lease_session;
 mod status;
 mod stop;
 mod teleop;

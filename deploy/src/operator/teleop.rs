@@ -19,8 +19,8 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::hand::{Hand, Wish, wish};
-use super::hold::Held;
+use super::keyboard::{Command, Keyboard, wish};
+use super::lease_session::LeaseSession;
 use super::status::{self, OLD, View};
 use super::{holder, stop};
 use crate::connect::{self, LinkArgs, RobotArgs, positive};
@@ -127,7 +127,7 @@ impl Drop for RawTerminal {
 }
 
 /// Wishes as they are typed; ends when the terminal does.
-fn keys() -> mpsc::UnboundedReceiver<Wish> {
+fn keys() -> mpsc::UnboundedReceiver<Command> {
     let (sender, receiver) = mpsc::unbounded_channel();
     std::thread::spawn(move || {
         while let Ok(event) = event::read() {
@@ -158,12 +158,12 @@ struct Session {
     bus: Bus,
     robot: String,
     holder: String,
-    hand: Hand,
+    hand: Keyboard,
     states: Latest<EdgeState>,
     /// For its stamps: they come every tick of the robot, five times as often as its state.
     odometry: Latest<Odometry>,
     teleop: Publisher<Teleop>,
-    held: Option<Held>,
+    held: Option<LeaseSession>,
     seen: Option<(Instant, EdgeState)>,
     echo: Option<Stamp>,
     /// What the robot does when it hears from nobody.
@@ -179,7 +179,7 @@ impl Session {
             bus: bus.clone(),
             robot: robot.to_owned(),
             holder: holder(),
-            hand: Hand::new(top),
+            hand: Keyboard::new(top),
             states: bus.latest(&topics::STATE, &[robot])?,
             odometry: bus.latest(&topics::ODOMETRY, &[robot])?,
             teleop: bus.publisher(&topics::TELEOP, &[robot])?,
@@ -193,7 +193,7 @@ impl Session {
     }
 
     /// Until somebody wants to leave, by key, by signal, or because the terminal is gone.
-    async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Wish>) -> Result<(), Failure> {
+    async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Command>) -> Result<(), Failure> {
         eprint!("{}\r\n", HELP.join("\r\n"));
         let mut pace = tokio::time::interval(PERIOD);
         pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -204,7 +204,7 @@ impl Session {
                 biased;
                 () = &mut ended => return Ok(()),
                 key = keys.recv() => match key {
-                    None | Some(Wish::Quit) => return Ok(()),
+                    None | Some(Command::Quit) => return Ok(()),
                     Some(wish) => self.act(wish).await,
                 },
                 _ = pace.tick() => {
@@ -216,14 +216,14 @@ impl Session {
         }
     }
 
-    async fn act(&mut self, wish: Wish) {
-        if !matches!(wish, Wish::Move { .. }) {
+    async fn act(&mut self, wish: Command) {
+        if !matches!(wish, Command::Move { .. }) {
             // Asked again, told again; a key that is held is told once.
             self.note.clear();
         }
         match wish {
-            Wish::Take => self.take().await,
-            Wish::Give => {
+            Command::Take => self.take().await,
+            Command::Give => {
                 self.hand.rest();
                 self.drive();
                 if let Some(held) = self.held.take()
@@ -232,11 +232,11 @@ impl Session {
                     self.tell(format!("not given back, it lapses by itself: {error}"));
                 }
             }
-            Wish::Move { .. } if self.held.is_none() => self.tell("Space takes control first".to_owned()),
-            Wish::Move { forward, left } => self.hand.press(self.start.elapsed(), forward, left),
-            Wish::Faster => self.hand.scale(true),
-            Wish::Slower => self.hand.scale(false),
-            Wish::Resume => {
+            Command::Move { .. } if self.held.is_none() => self.tell("Space takes control first".to_owned()),
+            Command::Move { forward, left } => self.hand.press(self.start.elapsed(), forward, left),
+            Command::Faster => self.hand.scale(true),
+            Command::Slower => self.hand.scale(false),
+            Command::Resume => {
                 let by = Some(self.holder.clone());
                 let (robot, request) = ([self.robot.as_str()], ResumeRequest { by });
                 let asked = self.bus.ask(&topics::RESUME, &robot, &request, ASK_WITHIN).await;
@@ -244,7 +244,7 @@ impl Session {
                     self.tell(format!("not resumed: {error}"));
                 }
             }
-            Wish::Quit => {}
+            Command::Quit => {}
         }
     }
 
@@ -257,7 +257,7 @@ impl Session {
             return;
         }
         self.held = None;
-        match Held::acquire(&self.bus, &self.robot, &self.holder, ASK_WITHIN).await {
+        match LeaseSession::acquire(&self.bus, &self.robot, &self.holder, ASK_WITHIN).await {
             Ok(held) => {
                 // What waits here was sent before.
                 self.hear();

@@ -133,7 +133,7 @@ fn place(
 mod tests {
     use super::*;
     use crate::files;
-    use crate::wall_following::alone;
+    use crate::wall_following::lockstep;
 
     #[test]
     fn a_seed_gives_the_same_room_again_and_another_seed_another() {
@@ -146,7 +146,7 @@ mod tests {
     fn a_neato_finds_its_way_along_the_walls_of_any_room_and_touches_nothing() {
         let model = files::robot("neato").unwrap();
         for seed in 0..4 {
-            let run = alone::run(&room(seed, 1.2).unwrap(), &model, seed, 60.0).unwrap();
+            let run = lockstep::run(&room(seed, 1.2).unwrap(), &model, seed, 60.0).unwrap();
             assert_eq!(run.truth.collisions, 0, "room {seed}");
             assert!(run.following > 0.6 && run.truth.length > 8.0, "room {seed}: {run:?}");
         }

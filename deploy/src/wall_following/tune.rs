@@ -16,9 +16,9 @@ use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::World;
 
-use super::alone;
 use super::chart;
 use super::evolution::Evolution;
+use super::lockstep;
 use super::rooms::room;
 use crate::batch::progress;
 use crate::connect::positive;
@@ -276,7 +276,7 @@ impl<'a> Bench<'a> {
     }
 
     fn drive(&self, gains: Gains, room: &World, index: usize) -> Result<Judged, Failure> {
-        let run = alone::run(
+        let run = lockstep::run(
             room,
             &gains.on(self.model),
             self.seed.wrapping_add(index as u64),
@@ -361,7 +361,7 @@ impl<'a> Bench<'a> {
         let target = self.model.wall_following.target_distance;
         let mut trace = Vec::new();
         let mut count = 0_u32;
-        alone::watch(room, &gains.on(self.model), self.seed, self.secs, |truth, _| {
+        lockstep::watch(room, &gains.on(self.model), self.seed, self.secs, |truth, _| {
             count += 1;
             if count.is_multiple_of(10) {
                 let error = super::score::distance(room, truth.map_from_base.position()) - target;

@@ -8,7 +8,7 @@ use tokio::task::JoinHandle;
 use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Clock, Publisher, Router, RouterConfig};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy};
-use zenav_protocol::lease::LeaseBook;
+use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -41,7 +41,7 @@ struct Memory {
     bus: Bus,
     name: String,
     goals: BTreeMap<String, (GoalState, Publisher<GoalState>)>,
-    lease: LeaseBook,
+    lease: LeaseArbiter,
     clock: Clock,
 }
 
@@ -57,7 +57,7 @@ impl Fake {
             bus: bus.clone(),
             name: name.to_owned(),
             goals: BTreeMap::new(),
-            lease: LeaseBook::new(Duration::from_secs(1), 0, None),
+            lease: LeaseArbiter::new(Duration::from_secs(1), 0, None),
             clock: Clock::wall(),
         };
         let (ready, began) = tokio::sync::oneshot::channel();

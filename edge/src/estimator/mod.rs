@@ -4,10 +4,10 @@
 //! however late and in whatever order it comes, because what came after it is applied again (`timeline`): the pose in the map is a function
 //! of the set of inputs. Odometry only ever goes on from where it is: neither a correction nor a late reading makes it jump.
 
-mod belief;
+mod ekf;
+mod measurement_buffer;
 #[cfg(test)]
 mod tests;
-mod timeline;
 
 use nalgebra::{Matrix3, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -17,8 +17,8 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::history::PoseHistory;
-use belief::{Belief, Input, Reckoned};
-use timeline::{Admission, Timeline};
+use ekf::{Ekf, Input, Reckoned};
+use measurement_buffer::{Admission, MeasurementBuffer};
 
 /// After so many readings in a row that are too late, the body's clock has begun anew.
 const ANOTHER_CLOCK_AFTER: u32 = 25;
@@ -46,8 +46,8 @@ pub struct Tally {
 #[derive(Clone, Debug)]
 pub struct Estimator {
     model: RobotModel,
-    start: Belief,
-    timeline: Option<Timeline>,
+    start: Ekf,
+    timeline: Option<MeasurementBuffer>,
     odom_from_base: Pose2,
     /// As far as odometry has taken it up.
     reckoned: Reckoned,
@@ -64,7 +64,7 @@ impl Estimator {
     pub fn new(model: &RobotModel, start: Pose2, std: f64, yaw_std: f64) -> Self {
         Self {
             model: model.clone(),
-            start: Belief::new(model, start, std, yaw_std),
+            start: Ekf::new(model, start, std, yaw_std),
             timeline: None,
             odom_from_base: Pose2::IDENTITY,
             reckoned: Reckoned::default(),
@@ -142,26 +142,35 @@ impl Estimator {
         std::array::from_fn(|i| covariance[(i / 3, i % 3)])
     }
 
-    fn belief(&self) -> &Belief {
-        self.timeline.as_ref().map_or(&self.start, Timeline::belief)
+    fn belief(&self) -> &Ekf {
+        self.timeline.as_ref().map_or(&self.start, MeasurementBuffer::belief)
     }
 
     /// The wheels' angles. Without them everything waits for the next ones, which make up for it, but not for long.
     fn wheels(&mut self, readings: &Readings) {
         if !readings.wheels.iter().all(|angle| angle.is_finite()) {
             self.tally.broken += 1;
-            let patient = |timeline: &Timeline| readings.stamp.secs_since(timeline.newest()) <= WHEELS_PATIENCE;
+            let patient =
+                |timeline: &MeasurementBuffer| readings.stamp.secs_since(timeline.newest()) <= WHEELS_PATIENCE;
             if self.timeline.as_ref().is_none_or(patient) {
                 return;
             }
         }
         if self.timeline.is_none() {
-            self.timeline = Some(Timeline::new(self.start.clone(), readings.stamp, readings.wheels));
+            self.timeline = Some(MeasurementBuffer::new(
+                self.start.clone(),
+                readings.stamp,
+                readings.wheels,
+            ));
             self.history.push(readings.stamp, self.odom_from_base);
         } else if self.admit(readings.stamp, Input::Wheels(readings.wheels)) == Some(Admission::TooLate) {
             self.late_in_a_row += 1;
             if self.late_in_a_row >= ANOTHER_CLOCK_AFTER {
-                self.timeline = Some(Timeline::new(self.belief().clone(), readings.stamp, readings.wheels));
+                self.timeline = Some(MeasurementBuffer::new(
+                    self.belief().clone(),
+                    readings.stamp,
+                    readings.wheels,
+                ));
                 self.history = PoseHistory::default();
                 self.history.push(readings.stamp, self.odom_from_base);
                 self.late_in_a_row = 0;

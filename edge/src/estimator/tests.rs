@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use zenav_protocol::messages::{Battery, Bump};
 use zenav_protocol::robot::shipped;
 
-use super::timeline::WINDOW;
+use super::measurement_buffer::WINDOW;
 use super::*;
 
 /// Ticks of a drive: longer than the window.

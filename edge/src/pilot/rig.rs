@@ -11,7 +11,7 @@ use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
 
 use crate::config::EdgeConfig;
-use crate::mailbox::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+use crate::control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
 use crate::pilot::Pilot;
 
 const TICK: f64 = 0.02;

@@ -7,7 +7,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::*;
 
 use super::rig::{ROOM, Rig};
-use crate::mailbox::{Answer, Persisted, Question};
+use crate::control_io::{Answer, Persisted, Question};
 
 fn fresh() -> Rig {
     Rig::new(Persisted::default())
@@ -370,7 +370,7 @@ fn a_behaviour_runs_once_for_its_id() {
     let mut rig = fresh();
     let epoch = rig.mission();
     let spin = |id: &str| {
-        Question::Behaviour(BehaviourRequest {
+        Question::Maneuver(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::Spin { angle: 1.0 },
             epoch: Some(epoch),
@@ -379,7 +379,7 @@ fn a_behaviour_runs_once_for_its_id() {
     rig.ask(spin("s1")).unwrap();
     rig.run(4.0);
     assert!((rig.pose.yaw - 1.0).abs() < 0.05, "{:?}", rig.pose);
-    let Ok(Answer::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
+    let Ok(Answer::Maneuver(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
         panic!()
     };
     assert_eq!(report.state, BehaviourState::Succeeded);
@@ -399,7 +399,7 @@ fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
     rig.run(0.3);
     let epoch = rig.mission();
     let to_free = |id: &str, within| {
-        Question::Behaviour(BehaviourRequest {
+        Question::Maneuver(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::ToFree { clearance: 0.2, within },
             epoch: Some(epoch),

@@ -7,7 +7,7 @@ use zenav_protocol::messages::*;
 use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::rig::{ROOM, Rig};
-use crate::mailbox::{Answer, Persisted, Question};
+use crate::control_io::{Answer, Persisted, Question};
 
 /// Nobody commands, and the policy is to follow walls.
 fn left_alone() -> (Rig, u64) {

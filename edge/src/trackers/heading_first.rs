@@ -7,7 +7,7 @@ use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
 use super::waypoints::WaypointLaw;
-use super::{View, bearing, capped};
+use super::{TrackerInput, bearing, capped};
 use crate::limiter::within_speed;
 
 /// Bearing within which the robot drives, rad.
@@ -29,7 +29,7 @@ impl WaypointLaw for HeadingFirst {
         drive: &Drive,
         target: Point2<f64>,
         _: &[Point2<f64>],
-        view: &View,
+        view: &TrackerInput,
         gains: &ControllerGains,
     ) -> Twist2 {
         let alpha = bearing(&view.map_from_base, target);

@@ -14,20 +14,20 @@
 
 mod heading_first;
 mod on_path;
+mod path_projection;
 mod pid;
 mod pure_pursuit;
-mod rail;
-mod timeline;
+mod reference_trajectory;
 mod trajectory;
 mod waypoints;
 mod wheel_law;
 
 pub use heading_first::HeadingFirst;
 pub use on_path::{OnPath, PathLaw, Wanted};
+pub use path_projection::PathProjection;
 pub use pid::Pid;
 pub use pure_pursuit::PurePursuit;
-pub use rail::Rail;
-pub use timeline::Timeline;
+pub use reference_trajectory::ReferenceTrajectory;
 pub use trajectory::TrajectoryTracker;
 pub use waypoints::{ThroughWaypoints, WaypointLaw};
 pub use wheel_law::WheelLaw;
@@ -39,7 +39,7 @@ use zenav_protocol::robot::{ControllerGains, Drive, TrackerKind};
 /// A law that follows a plan.
 pub trait Tracker: std::fmt::Debug + Send + Sync {
     /// One tick: the wanted twist.
-    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2;
+    fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2;
 
     /// How far it is, for a robot at `map_from_base`.
     fn progress(&self, map_from_base: &Pose2) -> Progress;
@@ -48,7 +48,7 @@ pub trait Tracker: std::fmt::Debug + Send + Sync {
     fn target(&self) -> Option<(&'static str, Point2<f64>)>;
 
     /// The motion and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
-    fn motion(&self) -> Option<(&Timeline, f64)>;
+    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)>;
 
     /// Distance from where the plan has the robot, m, at the last tick.
     fn off_track(&self) -> f64;
@@ -68,7 +68,7 @@ impl Clone for Box<dyn Tracker> {
 pub fn along_trajectory(
     kind: TrackerKind,
     drive: &Drive,
-    timeline: Timeline,
+    timeline: ReferenceTrajectory,
     time: f64,
     waypoints: &[Point2<f64>],
 ) -> Box<dyn Tracker> {
@@ -88,7 +88,7 @@ pub fn along_trajectory(
                 WheelLaw,
                 drive,
                 corners,
-                Some(Rail::new(timeline, time)),
+                Some(PathProjection::new(timeline, time)),
             ))
         }
         TrackerKind::HeadingFirst => {
@@ -97,11 +97,15 @@ pub fn along_trajectory(
                 HeadingFirst,
                 drive,
                 corners,
-                Some(Rail::new(timeline, time)),
+                Some(PathProjection::new(timeline, time)),
             ))
         }
-        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, Rail::new(timeline, time))),
-        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, Rail::new(timeline, time))),
+        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, PathProjection::new(timeline, time))),
+        TrackerKind::PurePursuit => Box::new(OnPath::new(
+            PurePursuit::default(),
+            drive,
+            PathProjection::new(timeline, time),
+        )),
     }
 }
 
@@ -113,7 +117,7 @@ pub fn through_waypoints(
     map_from_base: Pose2,
     waypoints: Vec<Point2<f64>>,
 ) -> Box<dyn Tracker> {
-    let rail = || Rail::new(Timeline::through(drive, map_from_base, &waypoints), 0.0);
+    let rail = || PathProjection::new(ReferenceTrajectory::through(drive, map_from_base, &waypoints), 0.0);
     match kind {
         TrackerKind::TimeLaw | TrackerKind::WheelLaw => {
             Box::new(ThroughWaypoints::new(WheelLaw, drive, waypoints, None))
@@ -126,7 +130,7 @@ pub fn through_waypoints(
 
 /// What a tracker sees in one tick.
 #[derive(Clone, Copy, Debug)]
-pub struct View {
+pub struct TrackerInput {
     /// Since the last tick, s.
     pub dt: f64,
     /// The estimate.

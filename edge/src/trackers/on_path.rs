@@ -5,7 +5,7 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{AT_REST, Progress, Rail, Timeline, Tracker, View, capped};
+use super::{AT_REST, PathProjection, Progress, ReferenceTrajectory, Tracker, TrackerInput, capped};
 use crate::limiter::{wheel_surface_speed, within_speed};
 
 /// The end is reached within this, m.
@@ -25,10 +25,10 @@ pub enum Wanted {
 /// A law of feedback from a path.
 pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
     /// One tick, on the way.
-    fn step(&mut self, rail: &Rail, drive: &Drive, view: &View, gains: &ControllerGains) -> Wanted;
+    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted;
 
     /// What it drives at, map frame.
-    fn target(&self, rail: &Rail) -> Point2<f64>;
+    fn target(&self, rail: &PathProjection) -> Point2<f64>;
 }
 
 /// Follows a path by a law.
@@ -36,7 +36,7 @@ pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
 pub struct OnPath<L> {
     law: L,
     drive: Drive,
-    rail: Rail,
+    rail: PathProjection,
     arrived: bool,
     finished: bool,
 }
@@ -44,7 +44,7 @@ pub struct OnPath<L> {
 impl<L: PathLaw> OnPath<L> {
     /// Along a path.
     #[must_use]
-    pub fn new(law: L, drive: &Drive, rail: Rail) -> Self {
+    pub fn new(law: L, drive: &Drive, rail: PathProjection) -> Self {
         Self {
             law,
             drive: drive.clone(),
@@ -56,7 +56,7 @@ impl<L: PathLaw> OnPath<L> {
 }
 
 impl<L: PathLaw> Tracker for OnPath<L> {
-    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+    fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
         self.rail.advance(&view.map_from_base);
         let left = self.rail.left();
         let to_end = (self.rail.end().pose().position() - view.map_from_base.position()).norm();
@@ -80,7 +80,7 @@ impl<L: PathLaw> Tracker for OnPath<L> {
         Some(("reference", self.law.target(&self.rail)))
     }
 
-    fn motion(&self) -> Option<(&Timeline, f64)> {
+    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
         Some(self.rail.motion())
     }
 

@@ -6,7 +6,7 @@ use zenav_protocol::geometry::{Twist2, wrap_angle};
 use zenav_protocol::robot::{ControllerGains, Drive};
 
 use super::on_path::{PathLaw, Wanted};
-use super::{Rail, View};
+use super::{PathProjection, TrackerInput};
 
 /// The integral is held within this, m s.
 const WINDUP: f64 = 0.3;
@@ -24,7 +24,7 @@ pub struct Pid {
 }
 
 impl PathLaw for Pid {
-    fn step(&mut self, rail: &Rail, drive: &Drive, view: &View, gains: &ControllerGains) -> Wanted {
+    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted {
         let path = rail.here();
         // The direction of the path, not of a turn on the spot that it begins with.
         let ahead = rail.ahead(&view.map_from_base, 0.1) - path.pose().position();
@@ -47,7 +47,7 @@ impl PathLaw for Pid {
         Wanted::Drive(Twist2::new(v, w))
     }
 
-    fn target(&self, rail: &Rail) -> Point2<f64> {
+    fn target(&self, rail: &PathProjection) -> Point2<f64> {
         rail.here().pose().position()
     }
 }

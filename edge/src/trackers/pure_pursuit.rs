@@ -7,7 +7,7 @@ use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
 use super::on_path::{PathLaw, Wanted};
-use super::{Rail, View, bearing};
+use super::{PathProjection, TrackerInput, bearing};
 
 /// The point ahead is at least and at most this far, m.
 const LOOKAHEAD: (f64, f64) = (0.3, 0.9);
@@ -27,7 +27,7 @@ pub struct PurePursuit {
 }
 
 impl PathLaw for PurePursuit {
-    fn step(&mut self, rail: &Rail, drive: &Drive, view: &View, gains: &ControllerGains) -> Wanted {
+    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted {
         let distance = (view.velocity.v.abs() * gains.lookahead_secs).clamp(LOOKAHEAD.0, LOOKAHEAD.1);
         let target = rail.ahead(&view.map_from_base, distance);
         self.target = Some(target);
@@ -43,7 +43,7 @@ impl PathLaw for PurePursuit {
         Wanted::Drive(Twist2::new(v, v * curvature))
     }
 
-    fn target(&self, rail: &Rail) -> Point2<f64> {
+    fn target(&self, rail: &PathProjection) -> Point2<f64> {
         self.target.unwrap_or_else(|| rail.here().pose().position())
     }
 }

@@ -10,9 +10,9 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::TrajectoryPoint;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{AT_REST, Progress, Timeline, Tracker, View, capped};
+use super::{AT_REST, Progress, ReferenceTrajectory, Tracker, TrackerInput, capped};
 use crate::limiter::wheel_surface_speed;
-use crate::stopping::GENTLE;
+use crate::passive_safety::GENTLE;
 
 /// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
 const LAG: (f64, f64) = (0.05, 0.20);
@@ -35,7 +35,7 @@ const SETTLE_TIME: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub struct TrajectoryTracker {
     drive: Drive,
-    timeline: Timeline,
+    timeline: ReferenceTrajectory,
     time: f64,
     settling: f64,
     finished: bool,
@@ -45,7 +45,7 @@ pub struct TrajectoryTracker {
 impl TrajectoryTracker {
     /// From plan time `time` on.
     #[must_use]
-    pub fn new(drive: &Drive, timeline: Timeline, time: f64) -> Self {
+    pub fn new(drive: &Drive, timeline: ReferenceTrajectory, time: f64) -> Self {
         let time = time.clamp(timeline.start(), timeline.end().max(timeline.start()));
         Self {
             drive: drive.clone(),
@@ -65,7 +65,7 @@ impl TrajectoryTracker {
 
     /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
     /// drives back.
-    fn run_ahead(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
+    fn run_ahead(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
         let lead = -goal.v.signum() * error.x - LEAD;
         if lead > 0.0 && goal.v.abs() > 0.05 {
             (lead / goal.v.abs()).min(4.0 * view.dt)
@@ -75,7 +75,7 @@ impl TrajectoryTracker {
     }
 
     /// How fast plan time runs, 0 to 1.
-    fn rate(&self, view: &View, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
+    fn rate(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
         let falling = |value: f64, (full, none): (f64, f64)| ((none - value) / (none - full)).clamp(0.0, 1.0);
         let direction = if goal.v < 0.0 { -1.0 } else { 1.0 };
         let turn_lag = if goal.v.abs() < 0.05 {
@@ -98,7 +98,7 @@ impl TrajectoryTracker {
     }
 
     /// At the end: closes what is left along and in heading; a differential drive cannot close what is left sideways.
-    fn settle(&mut self, view: &View, error: &Pose2, gains: &ControllerGains) -> Twist2 {
+    fn settle(&mut self, view: &TrackerInput, error: &Pose2, gains: &ControllerGains) -> Twist2 {
         self.settling += view.dt;
         let near = error.x.abs() < SETTLED.0 && error.yaw.abs() < SETTLED.1;
         let at_rest = wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
@@ -115,7 +115,7 @@ impl TrajectoryTracker {
 }
 
 impl Tracker for TrajectoryTracker {
-    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+    fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
         let goal = self.timeline.sample(self.time);
         let error = view.map_from_base.inverse() * goal.pose();
         self.off = error.x.hypot(error.y);
@@ -160,7 +160,7 @@ impl Tracker for TrajectoryTracker {
         Some(("reference", self.reference().pose().position()))
     }
 
-    fn motion(&self) -> Option<(&Timeline, f64)> {
+    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
         Some((&self.timeline, self.time))
     }
 
@@ -191,7 +191,7 @@ mod tests {
     }
 
     /// Rest, 0.5 m/s on a circle of 1 m radius, rest; 20 ms apart.
-    fn curve() -> Timeline {
+    fn curve() -> ReferenceTrajectory {
         let mut points = Vec::new();
         let mut pose = Pose2::IDENTITY;
         for i in 0..=400 {
@@ -207,7 +207,7 @@ mod tests {
             });
             pose = pose.advance(Twist2::new(v, v), 0.02);
         }
-        Timeline::new(points)
+        ReferenceTrajectory::new(points)
     }
 
     /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
@@ -222,7 +222,7 @@ mod tests {
         let mut velocity = Twist2::ZERO;
         let mut worst: f64 = 0.0;
         for tick in 0..ticks {
-            let view = View {
+            let view = TrackerInput {
                 dt: 0.02,
                 map_from_base: pose,
                 velocity,
@@ -292,7 +292,7 @@ mod tests {
                 }
             })
             .collect();
-        let timeline = Timeline::new(points);
+        let timeline = ReferenceTrajectory::new(points);
         let end = timeline.sample(2.0).yaw;
         let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
         let (_, pose) = drive(&mut tracker, Pose2::IDENTITY, 300, |_| f64::INFINITY);

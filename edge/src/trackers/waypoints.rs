@@ -5,7 +5,7 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
 
-use super::{AT_REST, Progress, Rail, Timeline, Tracker, View};
+use super::{AT_REST, PathProjection, Progress, ReferenceTrajectory, Tracker, TrackerInput};
 use crate::limiter::wheel_surface_speed;
 
 /// Where the last waypoint counts as reached at most, m: it is a place to be at, the others are passed.
@@ -22,7 +22,7 @@ pub trait WaypointLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
         drive: &Drive,
         target: Point2<f64>,
         left: &[Point2<f64>],
-        view: &View,
+        view: &TrackerInput,
         gains: &ControllerGains,
     ) -> Twist2;
 }
@@ -35,13 +35,13 @@ pub struct ThroughWaypoints<L> {
     waypoints: Vec<Point2<f64>>,
     next: usize,
     finished: bool,
-    rail: Option<Rail>,
+    rail: Option<PathProjection>,
 }
 
 impl<L: WaypointLaw> ThroughWaypoints<L> {
     /// From the first waypoint on; `rail` where the plan has a trajectory.
     #[must_use]
-    pub fn new(law: L, drive: &Drive, waypoints: Vec<Point2<f64>>, rail: Option<Rail>) -> Self {
+    pub fn new(law: L, drive: &Drive, waypoints: Vec<Point2<f64>>, rail: Option<PathProjection>) -> Self {
         Self {
             law,
             drive: drive.clone(),
@@ -54,7 +54,7 @@ impl<L: WaypointLaw> ThroughWaypoints<L> {
 }
 
 impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
-    fn step(&mut self, view: &View, gains: &ControllerGains) -> Twist2 {
+    fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
         if let Some(rail) = &mut self.rail {
             rail.advance(&view.map_from_base);
         }
@@ -83,7 +83,7 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
             (sum + (to - from).norm(), *to)
         });
         Progress {
-            time: self.rail.as_ref().map_or(0.0, Rail::time),
+            time: self.rail.as_ref().map_or(0.0, PathProjection::time),
             waypoint: self.next,
             distance_left,
             time_left: distance_left / self.drive.top_speed(),
@@ -95,12 +95,12 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
         self.waypoints.get(self.next).map(|place| ("waypoint", *place))
     }
 
-    fn motion(&self) -> Option<(&Timeline, f64)> {
-        self.rail.as_ref().map(Rail::motion)
+    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
+        self.rail.as_ref().map(PathProjection::motion)
     }
 
     fn off_track(&self) -> f64 {
-        self.rail.as_ref().map_or(0.0, Rail::off_track)
+        self.rail.as_ref().map_or(0.0, PathProjection::off_track)
     }
 
     fn boxed(&self) -> Box<dyn Tracker> {
@@ -119,7 +119,7 @@ mod tests {
     fn the_wheels_get_what_the_law_says() {
         let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
         let mut tracker = ThroughWaypoints::new(WheelLaw, &model.drive, vec![Point2::new(1.0, 0.0)], None);
-        let view = View {
+        let view = TrackerInput {
             dt: 0.02,
             map_from_base: Pose2::IDENTITY,
             velocity: Twist2::ZERO,
@@ -130,7 +130,7 @@ mod tests {
             (wheels[0] - 2.0).abs() < 1e-9 && (wheels[1] - 2.0).abs() < 1e-9,
             "2 rad/s for a metre ahead: {wheels:?}"
         );
-        let aside = View {
+        let aside = TrackerInput {
             map_from_base: Pose2::new(0.0, 0.0, -1.2),
             ..view
         };
@@ -153,7 +153,7 @@ mod tests {
         let mut pose = Pose2::IDENTITY;
         let mut limiter = crate::limiter::Limiter::new(&model.drive);
         for _ in 0..3000 {
-            let view = View {
+            let view = TrackerInput {
                 dt: 0.02,
                 map_from_base: pose,
                 velocity: limiter.twist(),

@@ -11,7 +11,7 @@ use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::{ControllerGains, Drive};
 
 use super::waypoints::WaypointLaw;
-use super::{View, bearing};
+use super::{TrackerInput, bearing};
 
 /// Bearing beyond which the robot turns on the spot, rad.
 const TURN_FIRST: f64 = 1.0;
@@ -34,7 +34,7 @@ impl WaypointLaw for WheelLaw {
         drive: &Drive,
         target: Point2<f64>,
         rest: &[Point2<f64>],
-        view: &View,
+        view: &TrackerInput,
         gains: &ControllerGains,
     ) -> Twist2 {
         let limit = drive.max_wheel_speed.min(view.speed_cap / drive.wheel_radius);

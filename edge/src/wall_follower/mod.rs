@@ -20,8 +20,8 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::wall_following::WallFollowing;
 
-use crate::journal::Journal;
-use crate::surroundings::Surroundings;
+use crate::event_log::EventLog;
+use crate::local_obstacles::LocalObstacles;
 use beside::{Beside, DistanceKeeper};
 use line::Wall;
 
@@ -64,7 +64,7 @@ pub struct Sight<'a> {
     /// The settings in force.
     pub settings: &'a WallFollowing,
     /// What the lidar sees.
-    pub around: &'a Surroundings,
+    pub around: &'a LocalObstacles,
     /// Odometry.
     pub odom_from_base: Pose2,
     /// The bumper.
@@ -144,7 +144,7 @@ impl WallFollower {
     }
 
     /// One tick in which somebody else commands, or nobody may: begins anew afterwards. A bump is left by an operator only.
-    pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, journal: &mut Journal) {
+    pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, journal: &mut EventLog) {
         if bump.pressed {
             self.touch(now, bump, odom_from_base, journal);
         } else if let Some((place, bearing)) = self.touched {
@@ -159,7 +159,7 @@ impl WallFollower {
     }
 
     /// One tick in which it moves the robot: the wanted twist.
-    pub fn step(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+    pub fn step(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
         let Sight {
             now, odom_from_base, ..
         } = *sight;
@@ -214,7 +214,7 @@ impl WallFollower {
         ]
     }
 
-    fn enter(&mut self, now: Stamp, to: State, reason: &str, journal: &mut Journal) {
+    fn enter(&mut self, now: Stamp, to: State, reason: &str, journal: &mut EventLog) {
         if to == self.state {
             return;
         }
@@ -232,7 +232,7 @@ impl WallFollower {
         self.followed = None;
     }
 
-    fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, journal: &mut Journal) {
+    fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, journal: &mut EventLog) {
         // Without a bearing the contact is taken to lie ahead.
         self.touched = Some((odom_from_base, bump.bearing.unwrap_or(0.0)));
         self.enter(now, State::Bump, "contact", journal);
@@ -284,7 +284,7 @@ impl WallFollower {
         Some(odom_from_base.inverse().transform_point(chosen.1))
     }
 
-    fn search(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+    fn search(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
         let settings = sight.settings;
         let Some(wall) = self.nearest(sight.odom_from_base) else {
             // Nothing to be seen: farther on there may be something.
@@ -300,7 +300,7 @@ impl WallFollower {
         Twist2::new(0.0, turning(bearing, settings))
     }
 
-    fn approach(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+    fn approach(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
         let settings = sight.settings;
         let Some(wall) = self.nearest(sight.odom_from_base) else {
             self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
@@ -322,7 +322,7 @@ impl WallFollower {
     }
 
     /// Begins to turn: away from the wall beside, or to the side that is clear after the lesser turn.
-    fn begin_turn(&mut self, sight: &Sight<'_>, wall_on: Option<f64>, reason: &str, journal: &mut Journal) {
+    fn begin_turn(&mut self, sight: &Sight<'_>, wall_on: Option<f64>, reason: &str, journal: &mut EventLog) {
         self.side = wall_on.unwrap_or_else(|| {
             let step = std::f64::consts::PI / f64::from(LOOKS);
             let needed = |sign: f64| {
@@ -344,7 +344,7 @@ impl WallFollower {
         self.enter(sight.now, State::Turn, reason, journal);
     }
 
-    fn turn(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+    fn turn(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
         let settings = sight.settings;
         if self
             .ahead(sight, 0.0)
@@ -362,7 +362,7 @@ impl WallFollower {
         Twist2::new(0.0, -self.side * settings.turn_rate)
     }
 
-    fn follow(&mut self, sight: &Sight<'_>, journal: &mut Journal) -> Twist2 {
+    fn follow(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
         let settings = sight.settings;
         let side = self.side;
         let base_from_odom = sight.odom_from_base;

@@ -259,7 +259,7 @@ impl Bus {
             .priority(Priority::InteractiveHigh)
             .timeout(timeout.max(Duration::from_millis(1)))
             .callback(move |reply| {
-                // Beyond what waits there a flood of replies is dropped.
+                // Padding what waits there a flood of replies is dropped.
                 let _ = replies.0.try_send(Some(reply));
             })
             .wait()

@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use nalgebra::Point2;
 use thiserror::Error;
+use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{RobotError, RobotModel};
-use zenav_protocol::written::Number;
 
 /// Most robots in one world.
 pub const MAX_ROBOTS: usize = 10_000;

@@ -7,10 +7,10 @@ mod tests;
 
 use nalgebra::Point2;
 use toml::Spanned;
+use zenav_protocol::config_text::Pair;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
-use zenav_protocol::written::Pair;
 
 use crate::shape::Disc;
 use crate::world::{Parts, Place, within};

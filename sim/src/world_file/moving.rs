@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 use toml::Spanned;
-use zenav_protocol::written::{Number, Pair};
+use zenav_protocol::config_text::{Number, Pair};
 
 use super::tables::{DoorTable, MoverTable};
 use crate::movers::{MoverModel, Route};

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 use toml::Spanned;
-use zenav_protocol::written::Pair;
+use zenav_protocol::config_text::Pair;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -48,10 +48,7 @@ fn async_sequence_yields_after_each_child_that_succeeds_at_once() {
         .tree
         .tick_exactly_once(std::time::Duration::ZERO, &mut rig.world)
         .unwrap();
-    assert_eq!(
-        (once, rig.log().as_str()),
-        (crate::Status::Running, "a")
-    );
+    assert_eq!((once, rig.log().as_str()), (crate::Status::Running, "a"));
 }
 
 #[test]

@@ -8,13 +8,13 @@ use crate::{
 };
 
 /// How far the robot has come, m.
-type Way = f64;
+type Path = f64;
 
 /// Ticks its child on activation and after every metre.
 struct EveryMetre;
 
-impl Gate<Way> for EveryMetre {
-    fn enter(&mut self, io: &mut LeafIo<'_>, way: &mut Way, child: Status) -> Pass {
+impl Gate<Path> for EveryMetre {
+    fn enter(&mut self, io: &mut LeafIo<'_>, way: &mut Path, child: Status) -> Pass {
         let due = io.recall::<f64>().is_none_or(|last| *way - last >= 1.0);
         if due || child == Status::Running {
             Pass::Tick
@@ -22,7 +22,7 @@ impl Gate<Way> for EveryMetre {
             Pass::Answer(Status::Running)
         }
     }
-    fn leave(&mut self, io: &mut LeafIo<'_>, way: &mut Way, child: Status) -> Status {
+    fn leave(&mut self, io: &mut LeafIo<'_>, way: &mut Path, child: Status) -> Status {
         if child == Status::Success {
             io.remember(way).unwrap();
         }
@@ -30,7 +30,7 @@ impl Gate<Way> for EveryMetre {
     }
 }
 
-fn make(registry: &Registry<Way>, body: &str) -> Tree<Way> {
+fn make(registry: &Registry<Path>, body: &str) -> Tree<Path> {
     let text = format!("<root><BehaviorTree ID=\"M\">{body}</BehaviorTree></root>");
     build("m.xml", text.as_bytes(), registry, None, &mut |_, _| Err("none".into())).unwrap()
 }
@@ -43,7 +43,7 @@ fn a_decorator_from_outside_decides_when_its_child_is_ticked() {
         .unwrap();
     let body = "<PipelineSequence><EveryMetre><AlwaysSuccess name=\"plan\"/></EveryMetre><KeepRunningUntilFailure><AlwaysSuccess/></KeepRunningUntilFailure></PipelineSequence>";
     let mut tree = make(&registry, body);
-    let planned = |tree: &Tree<Way>| tree.iter().find(|node| node.name == "plan").unwrap().starts;
+    let planned = |tree: &Tree<Path>| tree.iter().find(|node| node.name == "plan").unwrap().starts;
     for (way, plans) in [(0.0, 1), (0.5, 1), (1.0, 2), (1.9, 2), (2.1, 3)] {
         tree.tick(Duration::ZERO, &mut way.clone()).unwrap();
         assert_eq!(planned(&tree), plans, "{way}");
@@ -57,14 +57,14 @@ fn a_decorator_from_outside_decides_when_its_child_is_ticked() {
 
 struct Abort;
 
-impl Leaf<Way> for Abort {
-    fn start(&mut self, _: &mut LeafIo<'_>, _: &mut Way) -> Status {
+impl Leaf<Path> for Abort {
+    fn start(&mut self, _: &mut LeafIo<'_>, _: &mut Path) -> Status {
         Status::Running
     }
-    fn tick(&mut self, io: &mut LeafIo<'_>, _: &mut Way) -> Status {
+    fn tick(&mut self, io: &mut LeafIo<'_>, _: &mut Path) -> Status {
         io.abort("the map is gone")
     }
-    fn halt(&mut self, _: &mut LeafIo<'_>, way: &mut Way) {
+    fn halt(&mut self, _: &mut LeafIo<'_>, way: &mut Path) {
         *way += 1.0;
     }
 }
@@ -85,7 +85,7 @@ fn a_leaf_can_end_the_whole_tree_and_is_not_halted_for_it() {
 
 #[test]
 fn ports_are_read_and_written_by_type() {
-    let mut registry = Registry::<Way>::new();
+    let mut registry = Registry::<Path>::new();
     let spec = NodeSpec::action("Ports", "")
         .input("literal", PortType::Double, "")
         .input_or("given", PortType::Int, "7", "")
@@ -120,7 +120,7 @@ fn ports_are_read_and_written_by_type() {
 
 #[test]
 fn an_id_is_registered_once_and_a_declaration_gives_way() {
-    let mut registry = Registry::<Way>::new();
+    let mut registry = Registry::<Path>::new();
     registry.declare(NodeSpec::action("Grab", "declared"));
     registry
         .function(NodeSpec::action("Grab", "done"), |_, _| Status::Success)
@@ -137,5 +137,5 @@ fn an_id_is_registered_once_and_a_declaration_gives_way() {
 #[test]
 fn a_tree_moves_between_threads() {
     fn sent<T: Send>() {}
-    sent::<Tree<Way>>();
+    sent::<Tree<Path>>();
 }

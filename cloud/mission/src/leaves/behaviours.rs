@@ -6,9 +6,9 @@ use zenav_protocol::time::Stamp;
 
 use super::ports::number;
 use super::{fail, no_error, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::exchange::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// For so long a robot that does not answer is asked again, s.
 const PATIENCE: f64 = 10.0;

@@ -7,9 +7,9 @@ use zenav_protocol::messages::GoalPoint;
 use super::ports::{goal_on, goals_on, pose_of};
 use super::selectors::Choice;
 use super::{fail, no_error, path, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::route::{Quest, Route, RouteData, Search, Searching, error_code};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's codes of the same reasons are so much higher for a way through poses.
 const THROUGH_POSES: i64 = 100;
@@ -21,7 +21,7 @@ const NO_VIAPOINTS_GIVEN: i64 = 309;
 /// Plans; `path` gets the way, `error_code_id` and `error_msg` why there is none.
 #[derive(Default)]
 pub struct ComputePath {
-    search: Option<(Search, Quest)>,
+    search: Option<(Search, RouteRequest)>,
     /// Where to, and how often in a row it has been tried without a way.
     tried: Option<(GoalPoint, u32)>,
 }
@@ -36,7 +36,7 @@ fn is_through(io: &LeafIo<'_>) -> bool {
 }
 
 /// What the ports ask for; the code and the reason if that is nothing.
-fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<Quest, (i64, String)> {
+fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, String)> {
     let unknown = |why: String| (code(io, error_code::UNKNOWN), why);
     let mut stops = if is_through(io) {
         goals_on(io, ctx, "goals").map_err(unknown)?
@@ -64,10 +64,10 @@ fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<Quest, (i64, String)> {
     } else {
         None
     };
-    Ok(Quest {
+    Ok(RouteRequest {
         via: stops,
         from,
-        ..Quest::to(goal)
+        ..RouteRequest::to(goal)
     })
 }
 

@@ -15,10 +15,10 @@ use super::progress::Progress;
 use super::selectors::Choice;
 use super::tracking::Tracking;
 use super::{fail, no_error, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::motion::{Recheck, Standing, recheck};
-use crate::route::{Quest, Route, RouteData, Search, Searching};
+use crate::motion::{PlanStatus, Recheck, recheck};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use zenav_smoothing::timing::Limits;
 
 /// Nav2's codes of why a path is not followed.
@@ -171,7 +171,7 @@ impl Leaf<Context> for FollowPath {
         {
             return self.drive(io, ctx, memory, &route);
         }
-        if let Some(Standing::Refused(why)) = ctx.motion.standing().cloned() {
+        if let Some(PlanStatus::Refused(why)) = ctx.motion.standing().cloned() {
             self.refusals += 1;
             tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
             if self.refusals > MAX_REFUSALS {
@@ -186,11 +186,11 @@ impl Leaf<Context> for FollowPath {
         if self.search.is_none() {
             match ctx.motion.standing().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
-                Some(Standing::Void(why)) => {
+                Some(PlanStatus::Void(why)) => {
                     tracing::info!(goal = ctx.goal.id, why, "plans anew");
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
-                Some(Standing::Finished) => {
+                Some(PlanStatus::Finished) => {
                     let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| {
                         (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y)
                     });
@@ -212,7 +212,7 @@ impl Leaf<Context> for FollowPath {
                     self.blocked_at = None;
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
-                Some(Standing::Sent | Standing::Taken | Standing::Refused(_)) => {
+                Some(PlanStatus::Sent | PlanStatus::Taken | PlanStatus::Refused(_)) => {
                     return self.supervise(io, ctx, memory);
                 }
             }
@@ -251,9 +251,9 @@ impl FollowPath {
     /// Makes a motion of a path that came without one.
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
         self.stop_search(ctx);
-        let quest = Quest {
+        let quest = RouteRequest {
             given: data.points.clone(),
-            ..Quest::to(data.goal)
+            ..RouteRequest::to(data.goal)
         };
         self.search = Some(Search::new(ctx, quest, None, ctx.now));
     }
@@ -262,7 +262,7 @@ impl FollowPath {
     fn fits(&self, ctx: &Context, route: &Route) -> bool {
         match route.course.splice {
             Some(splice) => {
-                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&Standing::Taken)
+                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&PlanStatus::Taken)
             }
             None => {
                 ctx.robot.is_at_rest()
@@ -295,7 +295,7 @@ impl FollowPath {
 
     /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
     fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
-        let standing = ctx.motion.standing() == Some(&Standing::Taken);
+        let standing = ctx.motion.standing() == Some(&PlanStatus::Taken);
         if standing && !ctx.motion.is_held() {
             self.refusals = 0;
         }
@@ -365,7 +365,7 @@ impl FollowPath {
                 }
             }
             Searching::Failed(no_route)
-                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&Standing::Taken) =>
+                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&PlanStatus::Taken) =>
             {
                 // Perhaps only not at this speed.
                 ctx.hold();
@@ -397,9 +397,9 @@ impl FollowPath {
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
         self.stop_search(ctx);
         let from = ctx.now.plus_secs(wait);
-        let quest = Quest {
+        let quest = RouteRequest {
             via: self.tracking.goals_ahead(),
-            ..Quest::to(goal)
+            ..RouteRequest::to(goal)
         };
         self.search = Some(Search::new(ctx, quest, None, from));
     }

@@ -10,9 +10,9 @@ use zenav_protocol::messages::{GoalPhase, GoalPoint, PlanStatistics};
 use super::ports::parse_points;
 use super::progress::Progress;
 use super::{fail, no_error, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::motion::{Course, Standing};
+use crate::motion::{ActivePlan, PlanStatus};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Plans in a row that the robot may refuse.
 const MAX_REFUSALS: u32 = 5;
@@ -81,7 +81,7 @@ impl Leaf<Context> for FollowWaypoints {
             return self.end(io, ctx, FAILED_TO_MAKE_PROGRESS, why);
         }
         match ctx.motion.standing().cloned() {
-            Some(Standing::Sent | Standing::Taken) => {
+            Some(PlanStatus::Sent | PlanStatus::Taken) => {
                 let mine = ctx
                     .robot
                     .state()
@@ -106,8 +106,8 @@ impl Leaf<Context> for FollowWaypoints {
                 );
                 step(io, ctx, &what)
             }
-            Some(Standing::Finished) => self.succeed(io, ctx),
-            Some(Standing::Refused(why)) => {
+            Some(PlanStatus::Finished) => self.succeed(io, ctx),
+            Some(PlanStatus::Refused(why)) => {
                 self.refusals += 1;
                 tracing::info!(goal = ctx.goal.id, why, "the robot has refused waypoints");
                 if self.refusals > MAX_REFUSALS {
@@ -122,8 +122,8 @@ impl Leaf<Context> for FollowWaypoints {
                 self.not_before = ctx.now.plus_secs(AFTER_REFUSAL);
                 step(io, ctx, "tries again")
             }
-            Some(Standing::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "tries again"),
-            Some(Standing::Void(_)) | None => self.begin(io, ctx, memory),
+            Some(PlanStatus::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "tries again"),
+            Some(PlanStatus::Void(_)) | None => self.begin(io, ctx, memory),
         }
     }
 
@@ -152,11 +152,11 @@ impl FollowWaypoints {
             ..PlanStatistics::default()
         };
         let map = ctx.map.newest().unwrap_or_default();
-        ctx.drive(Course {
+        ctx.drive(ActivePlan {
             map,
             waypoints: rest,
             statistics,
-            ..Course::default()
+            ..ActivePlan::default()
         });
         memory.base = memory.passed;
         memory.motion = ctx.motion.id();

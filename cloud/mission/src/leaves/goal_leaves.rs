@@ -6,9 +6,9 @@ use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::GoalPoint;
 
 use super::ports::{goal_on, goal_text, goals_on, goals_value, ground, here, number, pose_of, write};
-use super::{AtOnce, step};
-use zenav_behaviour_tree::{LeafIo, Status, Value};
+use super::{SyncLeaf, step};
 use crate::context::Context;
+use zenav_behaviour_tree::{LeafIo, Status, Value};
 
 /// Nav2's states of a waypoint.
 const COMPLETED: u64 = 1;
@@ -17,7 +17,7 @@ const SKIPPED: u64 = 2;
 /// Drops leading goals within `radius` of the robot, never the last one.
 pub struct RemovePassedGoals;
 
-impl AtOnce for RemovePassedGoals {
+impl SyncLeaf for RemovePassedGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
         let (radius, pose) = (number(io, "radius", 0.5)?, here(ctx)?);
@@ -33,7 +33,7 @@ impl AtOnce for RemovePassedGoals {
 /// Drops the goals where the robot does not fit by the map.
 pub struct RemoveInCollisionGoals;
 
-impl AtOnce for RemoveInCollisionGoals {
+impl SyncLeaf for RemoveInCollisionGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
         if ground(ctx).is_none() {
@@ -55,7 +55,7 @@ impl AtOnce for RemoveInCollisionGoals {
 /// SUCCESS if the robot does not fit at `pose` by the map: it is occupied.
 pub struct CheckPoseOccupancy;
 
-impl AtOnce for CheckPoseOccupancy {
+impl SyncLeaf for CheckPoseOccupancy {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         if ground(ctx).is_none() {
             return Ok(step(io, ctx, "waits for the robot and its map"));
@@ -107,7 +107,7 @@ fn mark(io: &mut LeafIo<'_>, dropped: &[usize], status: u64) -> Result<(), Strin
 /// Adds a goal to the end of a list.
 pub struct AppendGoalPoseToGoals;
 
-impl AtOnce for AppendGoalPoseToGoals {
+impl SyncLeaf for AppendGoalPoseToGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let mut goals = match io.value("input_goals") {
             Ok(_) => goals_on(io, ctx, "input_goals")?,
@@ -121,7 +121,7 @@ impl AtOnce for AppendGoalPoseToGoals {
 /// The first `num_goals` of a list.
 pub struct GetNextFewGoals;
 
-impl AtOnce for GetNextFewGoals {
+impl SyncLeaf for GetNextFewGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
         let count: u64 = io.get("num_goals").map_err(|error| error.to_string())?;
@@ -133,7 +133,7 @@ impl AtOnce for GetNextFewGoals {
 /// Where the robot is.
 pub struct GetCurrentPose;
 
-impl AtOnce for GetCurrentPose {
+impl SyncLeaf for GetCurrentPose {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let pose = here(ctx)?;
         let goal = GoalPoint {
@@ -148,7 +148,7 @@ impl AtOnce for GetCurrentPose {
 /// SUCCESS if two poses are within `tolerance` of each other; without `ref_pose`, it is the robot's.
 pub struct ArePosesNear;
 
-impl AtOnce for ArePosesNear {
+impl SyncLeaf for ArePosesNear {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let reference = if io.is_set("ref_pose") {
             pose_of(&goal_on(io, ctx, "ref_pose")?)

@@ -5,9 +5,9 @@ use zenav_protocol::messages::{MapAction, MapRequest, Refusal};
 use zenav_protocol::time::Stamp;
 
 use super::{fail, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::exchange::{Ask, NoAnswer, Ticket};
+use crate::io::{Ask, NoAnswer, Ticket};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// For so long a mapping service that is just starting is waited for, s.
 const PATIENCE: f64 = 10.0;

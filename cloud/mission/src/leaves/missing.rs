@@ -1,8 +1,8 @@
 //! Which of Nav2's nodes ask for what nobody does here? They can stand in a tree; ticked, they fail and name what is missing.
 
 use super::fail;
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's code for a server that cannot be reached.
 const SEND_GOAL_FAILURE: i64 = 2;

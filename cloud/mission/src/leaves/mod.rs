@@ -10,7 +10,7 @@
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
-//! | `looks` | DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
+//! | `conditions` | DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
 //! | `path_leaves` | ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, … |
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
@@ -24,10 +24,10 @@
 
 mod behaviours;
 mod compute_path;
+mod conditions;
 mod follow_path;
 mod follow_waypoints;
 mod goal_leaves;
-mod looks;
 mod mapping;
 mod missing;
 mod navigate;
@@ -162,7 +162,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
 
 /// The leaf that does what one of Nav2's nodes stands for.
 fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
-    fn at_once<T: AtOnce + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
+    fn at_once<T: SyncLeaf + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
         Box::new(Prompt(leaf))
     }
     if let Some(condition) = nav2_condition(site.id) {
@@ -193,10 +193,10 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
         "GetCurrentPose" => at_once(goal_leaves::GetCurrentPose),
         "ArePosesNear" => at_once(goal_leaves::ArePosesNear),
         "CheckPoseOccupancy" => at_once(goal_leaves::CheckPoseOccupancy),
-        "DistanceTraveled" => at_once(looks::DistanceTraveled::default()),
-        "IsStuck" => at_once(looks::IsStuck),
-        "TransformAvailable" => at_once(looks::TransformAvailable),
-        "CheckStopStatus" => Box::<looks::CheckStopStatus>::default(),
+        "DistanceTraveled" => at_once(conditions::DistanceTraveled::default()),
+        "IsStuck" => at_once(conditions::IsStuck),
+        "TransformAvailable" => at_once(conditions::TransformAvailable),
+        "CheckStopStatus" => Box::<conditions::CheckStopStatus>::default(),
         "ToggleCollisionMonitor" => at_once(services::ToggleCollisionMonitor),
         "ClearEntireCostmap" | "ClearCostmapExceptRegion" | "ClearCostmapAroundRobot" | "ClearCostmapAroundPose" => {
             Box::<services::ClearCostmap>::default()
@@ -206,7 +206,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
 }
 
 /// A leaf that answers at once, or says why it cannot: that is a failure.
-trait AtOnce: Send {
+trait SyncLeaf: Send {
     /// The answer.
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String>;
 }
@@ -214,7 +214,7 @@ trait AtOnce: Send {
 /// Makes a leaf of what answers at once.
 struct Prompt<T>(T);
 
-impl<T: AtOnce> Leaf<Context> for Prompt<T> {
+impl<T: SyncLeaf> Leaf<Context> for Prompt<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match self.0.answer(io, ctx) {
             Ok(status) => status,

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::ports::{goal_on, goal_text, goals_on, goals_value};
 use super::{fail, no_error};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status, Tree, TreeSnapshot, Value};
 use crate::context::Context;
 use crate::trees;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status, Tree, TreeSnapshot, Value};
 
 /// Trees inside one another, at most: one that contains itself has no end.
 const MAX_NESTED: u32 = 4;

@@ -8,7 +8,7 @@ use nalgebra::Point2;
 /// The point of a way that is nearest to a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
-    /// Way from the start to it, m.
+    /// Path from the start to it, m.
     pub along: f64,
     /// Distance from the place, m.
     pub distance: f64,

@@ -8,11 +8,11 @@ use zenav_protocol::messages::GoalPoint;
 
 use super::path::{self, Nearest};
 use super::ports::{goal_on, goal_text, ground, here, number, path_on, pose_of, write};
-use super::{AtOnce, fail, step};
-use zenav_behaviour_tree::{LeafIo, Status, Value, beside_path};
+use super::{SyncLeaf, fail, step};
 use crate::context::Context;
 use crate::motion::{Recheck, recheck};
 use crate::route::RouteData;
+use zenav_behaviour_tree::{LeafIo, Status, Value, beside_path};
 
 /// Spacing of the places of a path that are looked at one by one, m.
 const SPACING: f64 = 0.05;
@@ -53,7 +53,7 @@ impl Pursuit {
 #[derive(Default)]
 pub struct IsGoalNearby(Pursuit);
 
-impl AtOnce for IsGoalNearby {
+impl SyncLeaf for IsGoalNearby {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "path")?;
         let (threshold, reach) = (
@@ -72,7 +72,7 @@ impl AtOnce for IsGoalNearby {
 #[derive(Default)]
 pub struct TruncatePathLocal(Pursuit);
 
-impl AtOnce for TruncatePathLocal {
+impl SyncLeaf for TruncatePathLocal {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "input_path")?;
         if data.points.is_empty() {
@@ -112,7 +112,7 @@ impl AtOnce for TruncatePathLocal {
 /// Cuts `distance` off the end of `input_path`; at least its first point is left.
 pub struct TruncatePath;
 
-impl AtOnce for TruncatePath {
+impl SyncLeaf for TruncatePath {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "input_path")?;
         let distance = number(io, "distance", 1.0)?;
@@ -129,7 +129,7 @@ impl AtOnce for TruncatePath {
 /// The pose at a corner of `path`; a negative `index` counts from the end.
 pub struct GetPoseFromPath;
 
-impl AtOnce for GetPoseFromPath {
+impl SyncLeaf for GetPoseFromPath {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "path")?;
         let index: i64 = io
@@ -161,7 +161,7 @@ impl AtOnce for GetPoseFromPath {
 /// One path after the other.
 pub struct ConcatenatePaths;
 
-impl AtOnce for ConcatenatePaths {
+impl SyncLeaf for ConcatenatePaths {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         let (first, second) = (path_on(io, "input_path1"), path_on(io, "input_path2"));
         let parts: Vec<RouteData> = [first, second]
@@ -189,7 +189,7 @@ impl AtOnce for ConcatenatePaths {
 /// fits into its body.
 pub struct ValidatePath;
 
-impl AtOnce for ValidatePath {
+impl SyncLeaf for ValidatePath {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let data = path_on(io, "path")?;
         let pose = here(ctx)?;
@@ -255,7 +255,7 @@ impl AtOnce for ValidatePath {
 /// SUCCESS while FollowPath's tracking feedback lies within bounds, or there is none.
 pub struct IsWithinPathTrackingBounds;
 
-impl AtOnce for IsWithinPathTrackingBounds {
+impl SyncLeaf for IsWithinPathTrackingBounds {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let Some(error) = beside_path(io)? else {
             return Ok(Status::Success);

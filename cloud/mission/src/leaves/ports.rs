@@ -10,9 +10,9 @@ use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::robot::RobotModel;
 
 use super::path;
-use zenav_behaviour_tree::{LeafIo, Pose, Status, Value, nav2_list, pose, pose_of_json};
 use crate::context::Context;
 use crate::route::RouteData;
+use zenav_behaviour_tree::{LeafIo, Pose, Status, Value, nav2_list, pose, pose_of_json};
 use zenav_space::ConfigurationSpace;
 
 /// Named goals.

@@ -19,9 +19,9 @@ use zenav_protocol::time::Stamp;
 
 use super::ports::number;
 use super::{fail, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status, Value};
 use crate::context::Context;
-use crate::exchange::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status, Value};
 
 /// Ports that are not the action's own.
 const SERVER: &str = "server";

@@ -4,10 +4,10 @@
 //! Nav2's selectors listen to a topic and keep the last name it carried; here that is the entry of the topic's name on the
 //! root blackboard, which a goal may bring along. Names of Nav2's own default configuration mean what this stack has.
 
-use super::AtOnce;
+use super::SyncLeaf;
 use super::ports::write;
-use zenav_behaviour_tree::{LeafIo, Status};
 use crate::context::Context;
+use zenav_behaviour_tree::{LeafIo, Status};
 use zenav_planning::Planner;
 
 /// What is chosen.
@@ -90,7 +90,7 @@ impl Choice {
 /// Puts the entry that `topic_name` names, else the default, on the output; FAILURE without either.
 pub struct Selector(pub Choice);
 
-impl AtOnce for Selector {
+impl SyncLeaf for Selector {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         let what = self.0.name();
         let topic: Option<String> = io.get_optional("topic_name").ok().flatten();

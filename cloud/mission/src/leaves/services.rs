@@ -1,10 +1,10 @@
 //! ClearEntireCostmap and its kin, Cancel*, ToggleCollisionMonitor: Nav2's services to other parts, as far as they have a
 //! meaning here.
 
-use super::AtOnce;
+use super::SyncLeaf;
 use super::mapping::OnMap;
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// A costmap is thrown away and filled anew. What this stack has of the global one is the map ([`OnMap::forget`]). A local one there
 /// is not: the robot's guard goes by the newest scan alone, so that nothing old is left to clear.
@@ -55,7 +55,7 @@ pub fn canceled_by(id: &str) -> Option<&'static str> {
     })
 }
 
-impl AtOnce for Cancel {
+impl SyncLeaf for Cancel {
     fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         ctx.cancel(self.0);
         Ok(Status::Success)
@@ -65,7 +65,7 @@ impl AtOnce for Cancel {
 /// The robot's guard is always on: SUCCESS to switch it on.
 pub struct ToggleCollisionMonitor;
 
-impl AtOnce for ToggleCollisionMonitor {
+impl SyncLeaf for ToggleCollisionMonitor {
     fn answer(&mut self, io: &mut LeafIo<'_>, _: &mut Context) -> Result<Status, String> {
         match io.get_optional("enable") {
             Ok(Some(false)) => Err("the robot's guard cannot be switched off".to_owned()),

@@ -2,8 +2,8 @@
 
 use super::ports::goal_on;
 use super::{fail, no_error, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Waits `wait_duration` seconds.
 #[derive(Default)]

@@ -9,10 +9,10 @@ use zenav_protocol::time::Stamp;
 use super::ports::{number, path_on};
 use super::selectors::Choice;
 use super::{fail, no_error, path, step};
-use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use crate::context::Context;
-use crate::exchange::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::route::RouteData;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's codes of why there is no smooth path.
 mod error_code {

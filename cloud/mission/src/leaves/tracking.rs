@@ -7,9 +7,9 @@ use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::time::Stamp;
 
 use super::path;
-use zenav_behaviour_tree::{LeafIo, Value};
 use crate::context::Context;
 use crate::route::RouteData;
+use zenav_behaviour_tree::{LeafIo, Value};
 
 /// So far ahead on the way it is looked where the robot is, m.
 const AHEAD: f64 = 2.0;
@@ -28,7 +28,7 @@ pub struct TrackingFeedback {
     /// Straight distance to the goal, m.
     #[serde(default)]
     pub distance_to_goal: f64,
-    /// Way left, m.
+    /// Path left, m.
     #[serde(default)]
     pub remaining_path_length: f64,
     /// Forward speed, m/s.

@@ -4,7 +4,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::*;
 
 use crate::context::Context;
-use crate::motion::Standing;
+use crate::motion::PlanStatus;
 
 /// Less than this left of a motion is driven to its end before the next begins, s.
 const SHORT_REST: f64 = 0.4;
@@ -34,7 +34,7 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
     let ahead = ctx
         .motion
         .time(state, ctx.robot.state_age(ctx.now))
-        .filter(|_| ctx.motion.standing() == Some(&Standing::Taken));
+        .filter(|_| ctx.motion.standing() == Some(&PlanStatus::Taken));
     // A motion that is held runs on to where the new one begins, if slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {

@@ -5,7 +5,7 @@
 //! out with a safe time law.
 
 mod begin;
-mod quest;
+mod request;
 mod room;
 
 use nalgebra::Point2;
@@ -16,17 +16,17 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Context;
-use super::exchange::{Answer, Ask, NoAnswer, Ticket};
+use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::leaves::path;
-use super::motion::Course;
-use zenav_smoothing::unsmoothed;
-use zenav_smoothing::PERIOD;
+use super::motion::ActivePlan;
 use begin::{Begin, predicted};
-use quest::Legs;
+use request::Legs;
 use room::Room;
+use zenav_smoothing::PERIOD;
+use zenav_smoothing::unsmoothed;
 
 pub use begin::sample;
-pub use quest::Quest;
+pub use request::RouteRequest;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -73,7 +73,7 @@ pub struct Route {
     /// Where it begins.
     pub begin: Pose2,
     /// What is to be published.
-    pub course: Course,
+    pub course: ActivePlan,
 }
 
 /// A route as it stands on the blackboard.
@@ -167,7 +167,7 @@ pub struct Search {
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
-    pub fn new(ctx: &Context, quest: Quest, planner: Option<String>, from: Stamp) -> Self {
+    pub fn new(ctx: &Context, quest: RouteRequest, planner: Option<String>, from: Stamp) -> Self {
         let planner = planner
             .filter(|name| !name.is_empty())
             .unwrap_or_else(|| ctx.config.planner.clone());
@@ -456,7 +456,7 @@ impl Search {
         trajectory: Vec<TrajectoryPoint>,
         statistics: PlanStatistics,
     ) -> Searching {
-        let course = Course {
+        let course = ActivePlan {
             map,
             waypoints: path.iter().skip(1).copied().collect(),
             trajectory,

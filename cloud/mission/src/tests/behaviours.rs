@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use zenav_protocol::messages::*;
 
 use super::rig::Rig;
-use crate::exchange::{Ask, Request};
+use crate::io::{Ask, Request};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <Spin spin_dist="1.0"/><BackUp backup_dist="0.3" backup_speed="0.05"/><DriveOnHeading dist_to_travel="0.4" speed="0.2"/>

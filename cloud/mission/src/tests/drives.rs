@@ -1,10 +1,10 @@
 //! Claims about drives.
 
-use zenav_protocol::lease::LeaseBook;
+use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
 
 use super::rig::{DT, Rig, to};
-use crate::exchange::{Ask, Request};
+use crate::io::{Ask, Request};
 
 #[test]
 fn a_goal_is_driven_to_and_ends_succeeded() {
@@ -151,7 +151,7 @@ fn a_lapsed_lease_is_taken_again_and_the_motion_goes_on_under_the_new_epoch() {
         rig.plans.last().unwrap().1.epoch,
     );
     // The grant is forgotten by the robot, the plan is not.
-    rig.edge.book = LeaseBook::new(std::time::Duration::from_secs(1), epoch, None);
+    rig.edge.book = LeaseArbiter::new(std::time::Duration::from_secs(1), epoch, None);
     assert!(rig.run_until(30.0, |rig| rig.state("a").is_end()));
     assert_eq!(rig.state("a"), GoalPhase::Succeeded);
     assert!(rig.plans.iter().any(|(_, plan)| plan.epoch > epoch));

@@ -3,7 +3,7 @@
 use zenav_protocol::messages::*;
 
 use super::rig::Rig;
-use crate::exchange::Ask;
+use crate::io::Ask;
 
 fn kitchen() -> GoalRequest {
     GoalRequest {

@@ -4,7 +4,7 @@
 
 mod behaviours;
 mod drives;
-mod intake;
+mod goal_validation;
 mod kitchen;
 mod nav2_trees;
 mod remote;

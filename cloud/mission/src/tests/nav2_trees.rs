@@ -4,10 +4,10 @@ use nalgebra::Point2;
 use zenav_protocol::messages::*;
 
 use super::rig::Rig;
-use zenav_behaviour_tree::{Category, Limits, Registry, check, simulate};
 use crate::context::Context;
-use crate::exchange::{Ask, Request};
+use crate::io::{Ask, Request};
 use crate::trees::registry;
+use zenav_behaviour_tree::{Category, Limits, Registry, check, simulate};
 
 const DEFAULT: &str = include_str!("../../../behaviour_tree/src/tests/navigate.xml");
 

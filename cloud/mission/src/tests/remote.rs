@@ -7,7 +7,7 @@ use std::rc::Rc;
 use zenav_protocol::messages::*;
 
 use super::rig::Rig;
-use crate::exchange::Request;
+use crate::io::Request;
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <RemoteAction name="Grab" server="kitchen/gripper" item="{item}" weight="{weight}" force="2.5"/>

@@ -8,17 +8,17 @@ use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
-use zenav_protocol::lease::LeaseBook;
+use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
 
-use crate::exchange::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
+use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
 use crate::records::{Record, Restored, StoredGoal};
 use crate::route::sample;
 use crate::{Mission, MissionConfig};
-use zenav_smoothing::unsmoothed;
 use zenav_smoothing::PERIOD;
+use zenav_smoothing::unsmoothed;
 
 pub const DT: f64 = 0.05;
 
@@ -29,7 +29,7 @@ pub fn model() -> RobotModel {
 /// A robot that drives every plan perfectly.
 pub struct Edge {
     pub boot_id: String,
-    pub book: LeaseBook,
+    pub book: LeaseArbiter,
     pub pose: Pose2,
     pub velocity: Twist2,
     pub plan: Option<Plan>,
@@ -45,7 +45,7 @@ pub struct Edge {
     newest: Revision,
     sequence: u64,
     events: Vec<Event>,
-    /// Way driven, m.
+    /// Path driven, m.
     pub driven: f64,
 }
 
@@ -53,7 +53,7 @@ impl Edge {
     fn new() -> Self {
         Self {
             boot_id: "boot-1".into(),
-            book: LeaseBook::new(Duration::from_secs(1), 0, None),
+            book: LeaseArbiter::new(Duration::from_secs(1), 0, None),
             pose: Pose2::new(0.0, 0.0, 0.0),
             velocity: Twist2::ZERO,
             plan: None,
@@ -75,7 +75,7 @@ impl Edge {
         let (epoch, leader, pose) = (self.book.epoch(), self.book.leader().cloned(), self.pose);
         *self = Self {
             boot_id: format!("{}+", self.boot_id),
-            book: LeaseBook::new(Duration::from_secs(1), epoch, leader),
+            book: LeaseArbiter::new(Duration::from_secs(1), epoch, leader),
             pose,
             ..Self::new()
         };

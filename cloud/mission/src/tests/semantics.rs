@@ -9,13 +9,13 @@ use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 
 use super::rig::{Rig, model};
-use zenav_behaviour_tree::{Status, Tree, Value};
 use crate::MissionConfig;
 use crate::context::Context;
-use crate::exchange::{Answer, Ask};
+use crate::io::{Answer, Ask};
 use crate::leaves::parse_path;
 use crate::records::Restored;
 use crate::trees::build;
+use zenav_behaviour_tree::{Status, Tree, Value};
 
 use Status::{Failure, Running, Success};
 

@@ -2,8 +2,8 @@
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_space::BitGrid;
 use zenav_protocol::grid::Cell;
+use zenav_space::BitGrid;
 
 use super::{Case, queries};
 

@@ -32,8 +32,8 @@ use criterion::Criterion;
 use rustix::time::{ClockId, clock_gettime};
 use zenav_mapping::map_file;
 use zenav_planning::{Budget, Planner, Query, Searcher};
-use zenav_space::{BitGrid, PointSight};
 use zenav_protocol::grid::Occupancy;
+use zenav_space::{BitGrid, PointLineOfSight};
 
 /// Runs of each query, of which the least time counts.
 const RUNS: [(Solver, usize); 3] = [
@@ -82,7 +82,7 @@ fn main() {
 
 /// One line of the table.
 fn compare(case: &Case) {
-    let sight = PointSight::new(&case.free);
+    let sight = PointLineOfSight::new(&case.free);
     let began = cpu();
     let mut searcher = Searcher::new(&case.free).unwrap();
     if let Some(query) = case.queries.first() {
@@ -143,7 +143,7 @@ fn compare(case: &Case) {
 /// All of a map's queries in a row, followed from run to run by criterion.
 fn follow(criterion: &mut Criterion, case: &Case) {
     let mut searcher = Searcher::new(&case.free).unwrap();
-    let sight = PointSight::new(&case.free);
+    let sight = PointLineOfSight::new(&case.free);
     for planner in [Planner::AStar, Planner::Jps] {
         criterion.bench_function(&format!("{}/{planner}", case.name), |bencher| {
             bencher.iter(|| {

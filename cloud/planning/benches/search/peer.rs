@@ -2,8 +2,8 @@
 
 use pathfinding::prelude::astar;
 use zenav_planning::Query;
-use zenav_space::BitGrid;
 use zenav_protocol::grid::Cell;
+use zenav_space::BitGrid;
 
 const STRAIGHT: u64 = 1_000_000;
 const DIAGONAL: u64 = 1_414_214;

@@ -5,8 +5,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::moving_ai;
 use zenav_planning::{Budget, Planner, Query, Searcher};
-use zenav_space::{BitGrid, PointSight};
 use zenav_protocol::grid::{Cell, GridSpec};
+use zenav_space::{BitGrid, PointLineOfSight};
 
 /// Queries a map.
 const COUNT: usize = 50;
@@ -38,7 +38,7 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
     }
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
     let mut searcher = Searcher::new(free).unwrap();
-    let sight = PointSight::new(free);
+    let sight = PointLineOfSight::new(free);
     let mut found: Vec<(f64, Query)> = Vec::new();
     for _ in 0..DRAWN {
         let mut draw = || cells[random.random_range(0..cells.len())];

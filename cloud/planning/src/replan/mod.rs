@@ -30,13 +30,13 @@ use zenav_protocol::messages::PlanOrigin;
 use self::span::Span;
 use super::astar::{NotFound, costs_along};
 use super::budget::Budget;
-use super::lattice::{GridPath, TooManyCells, UNREACHED, octile};
+use super::grid_graph::{GridPath, TooManyCells, UNREACHED, octile};
+use super::node_table::Written;
+use super::path::Path;
 use super::plan::{End, Planned, answer, between, comfort};
 use super::planner::{PlanOptions, Planner};
-use super::records::Written;
 use super::searcher::{Searched, Searcher};
-use super::way::Way;
-use zenav_space::{BitGrid, ConfigurationSpace, Sight};
+use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
 
 /// Answers that are kept.
 const KEPT: usize = 16;
@@ -81,7 +81,7 @@ enum Known {
         reached: Option<Written>,
     },
     /// By another planner.
-    Free { way: Way },
+    Free { way: Path },
 }
 
 impl Replanner {
@@ -244,7 +244,7 @@ impl Replanner {
         space: &ConfigurationSpace,
         first: Cell,
         options: &PlanOptions,
-        result: &Result<Way, NotFound>,
+        result: &Result<Path, NotFound>,
     ) -> Option<Known> {
         let reached = (options.planner == Planner::AStar).then(|| self.searcher.reached());
         let is_grid = matches!(options.planner, Planner::AStar | Planner::Jps);
@@ -274,7 +274,7 @@ impl Replanner {
         budget: Budget<'_>,
         (cells, bound): (&mut Vec<Cell>, &mut u32),
         expansions: &mut u64,
-    ) -> Option<(Result<Way, NotFound>, PlanOrigin)> {
+    ) -> Option<(Result<Path, NotFound>, PlanOrigin)> {
         if *bound == UNREACHED {
             return (cells[0] == first).then_some((Err(NotFound::NoPath), PlanOrigin::Reused));
         }
@@ -338,7 +338,7 @@ fn cut(searcher: &Searcher, cells: &[Cell]) -> Option<[usize; 2]> {
 }
 
 /// The way from a point on or close to it to its end, where nothing is in the way.
-fn rest(space: &ConfigurationSpace, way: &Way, from: Point2<f64>) -> Option<Way> {
+fn rest(space: &ConfigurationSpace, way: &Path, from: Point2<f64>) -> Option<Path> {
     let near = |leg: &[Point2<f64>]| {
         let (along, to) = (leg[1] - leg[0], from - leg[0]);
         let share = (to.dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
@@ -348,11 +348,11 @@ fn rest(space: &ConfigurationSpace, way: &Way, from: Point2<f64>) -> Option<Way>
     let mut corners = vec![from];
     corners.extend_from_slice(&way.corners[leg + 1..]);
     let is_clear = corners.windows(2).all(|leg| space.sees(leg[0], leg[1]));
-    is_clear.then(|| Way::through(corners))
+    is_clear.then(|| Path::through(corners))
 }
 
 /// Every cell of a way over the grid.
-fn cells_along(way: &Way) -> Vec<Cell> {
+fn cells_along(way: &Path) -> Vec<Cell> {
     let corners: Vec<Cell> = way.corners.iter().map(|p| Cell::new(p.x as u32, p.y as u32)).collect();
     let mut cells: Vec<Cell> = corners.first().copied().into_iter().collect();
     for leg in corners.windows(2) {

@@ -3,8 +3,8 @@
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
-use super::super::lattice::octile;
-use super::super::records::Written;
+use super::super::grid_graph::octile;
+use super::super::node_table::Written;
 
 /// Cells of a row, and all within a margin of them.
 #[derive(Clone, Copy, Debug)]

@@ -51,7 +51,7 @@ fn options() -> [PlanOptions; 4] {
     ]
 }
 
-fn cost(space: &ConfigurationSpace, options: &PlanOptions, way: &Way) -> u32 {
+fn cost(space: &ConfigurationSpace, options: &PlanOptions, way: &Path) -> u32 {
     let searcher = Searcher::new(space.free()).unwrap();
     let costs = costs_along(searcher.lattice(), &comfort(space, options), &cells_along(way));
     *costs.unwrap().last().unwrap()

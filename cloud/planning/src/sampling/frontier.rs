@@ -7,7 +7,7 @@
 //! in a projection, is KPIECE's (Sucan and Kavraki, "A Sampling-Based Tree Planner for Systems With Complex Dynamics", 2012); the
 //! decomposition is that of a sweep line.
 
-use super::super::lattice::Lattice;
+use super::super::grid_graph::GridGraph;
 
 /// A way out of what is covered.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +32,7 @@ pub struct Frontier {
 
 impl Frontier {
     /// Nothing is covered any more.
-    pub fn clear(&mut self, lattice: &Lattice) {
+    pub fn clear(&mut self, lattice: &GridGraph) {
         let len = lattice.words().len();
         if self.covered.len() == len {
             for word in self.touched.drain(..) {
@@ -53,7 +53,7 @@ impl Frontier {
     }
 
     /// Covers the run of a free cell whose centre is seen from a vertex; returns the run.
-    pub fn cover(&mut self, lattice: &Lattice, vertex: u32, via: u32) -> [u32; 2] {
+    pub fn cover(&mut self, lattice: &GridGraph, vertex: u32, via: u32) -> [u32; 2] {
         let words = lattice.words();
         let run = lattice.run(via);
         for word in run[0] >> 6..=run[1] >> 6 {

@@ -34,13 +34,13 @@ use nalgebra::Point2;
 
 use super::astar::NotFound;
 use super::budget::Budget;
-use super::lattice::Lattice;
+use super::grid_graph::GridGraph;
+use super::path::Path;
 use super::searcher::{Query, Searched};
-use super::way::Way;
-use zenav_space::Sight;
 use rewiring::CostTree;
 use sampler::Sampler;
 use tree::{Ground, Tree};
+use zenav_space::LineOfSight;
 
 /// Which trees grow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,9 +90,9 @@ impl Search<'_> {
 }
 
 /// A way between two points; always the same one for the same query, options and number of samples.
-pub fn search<S: Sight>(
+pub fn search<S: LineOfSight>(
     growth: Growth,
-    lattice: &Lattice,
+    lattice: &GridGraph,
     sight: &S,
     query: &Query,
     options: &Options,
@@ -116,12 +116,12 @@ pub fn search<S: Sight>(
     };
     let result = find(growth, &ground, query, memory, &mut search);
     Searched {
-        result: result.map(Way::through),
+        result: result.map(Path::through),
         expansions: search.samples,
     }
 }
 
-fn find<S: Sight>(
+fn find<S: LineOfSight>(
     growth: Growth,
     ground: &Ground<'_, S>,
     query: &Query,

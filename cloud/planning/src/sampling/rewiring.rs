@@ -6,7 +6,7 @@
 use nalgebra::Point2;
 
 use super::nearest::Nearest;
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// No vertex.
 const NONE: u32 = u32::MAX;
@@ -109,7 +109,7 @@ impl CostTree {
 
     /// Adds a point by the cheapest parent among the nearest vertices within a radius, or a step towards it from the nearest one; the others take
     /// it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
-    pub fn insert(&mut self, sight: &impl Sight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
+    pub fn insert(&mut self, sight: &impl LineOfSight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
         let mut point = point;
         self.nearest.within(point, radius, &mut self.near);
         if self.near.is_empty() {
@@ -158,7 +158,7 @@ impl CostTree {
     }
 
     /// Makes a way that is known to be free part of the tree; its ends are root and goal.
-    pub fn lay(&mut self, sight: &impl Sight, way: &[Point2<f64>], radius: f64) {
+    pub fn lay(&mut self, sight: &impl LineOfSight, way: &[Point2<f64>], radius: f64) {
         let mut last = 0;
         for point in way.iter().skip(1).take(way.len().saturating_sub(2)) {
             self.nearest.within(*point, radius, &mut self.near);
@@ -172,7 +172,7 @@ impl CostTree {
     }
 
     /// Offers a vertex as parent to the others nearby.
-    fn rewire(&mut self, sight: &impl Sight, vertex: u32) {
+    fn rewire(&mut self, sight: &impl LineOfSight, vertex: u32) {
         let Vertex {
             point, cost, parent, ..
         } = self.vertices[vertex as usize];

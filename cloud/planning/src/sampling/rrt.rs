@@ -8,13 +8,13 @@ use nalgebra::Point2;
 use super::super::astar::NotFound;
 use super::Search;
 use super::tree::{Explored, Extended, Ground, Tree};
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// Grows a tree that has been planted until it reaches the goal: the way from its root.
 ///
 /// # Errors
 /// [`NotFound::NoPath`] when the tree has covered all that can be reached, [`NotFound::TimedOut`].
-pub fn grow<S: Sight>(
+pub fn grow<S: LineOfSight>(
     ground: &Ground<'_, S>,
     tree: &mut Tree,
     goal: Point2<f64>,

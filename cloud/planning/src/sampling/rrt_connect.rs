@@ -8,13 +8,13 @@ use nalgebra::Point2;
 use super::super::astar::NotFound;
 use super::Search;
 use super::tree::{Explored, Ground, Tree};
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// Grows two trees that have been planted until they meet: the way from the first one's root to the other's.
 ///
 /// # Errors
 /// [`NotFound::NoPath`] when one tree has covered all that can be reached from it, [`NotFound::TimedOut`].
-pub fn meet<S: Sight>(
+pub fn meet<S: LineOfSight>(
     ground: &Ground<'_, S>,
     trees: &mut [Tree; 2],
     search: &mut Search<'_>,

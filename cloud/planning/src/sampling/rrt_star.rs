@@ -12,7 +12,7 @@ use super::rewiring::CostTree;
 use super::sampler::Ellipse;
 use super::shortcut::{length, tighten};
 use super::tree::Ground;
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// Samples between two looks at whether the tree knows a better way.
 const PERIOD: u64 = 128;
@@ -20,7 +20,7 @@ const PERIOD: u64 = 128;
 const WORTH: f64 = 1e-5;
 
 /// Improves a way until the search's budget ends; never longer than it was.
-pub fn improve<S: Sight>(
+pub fn improve<S: LineOfSight>(
     ground: &Ground<'_, S>,
     tree: &mut CostTree,
     way: Vec<Point2<f64>>,

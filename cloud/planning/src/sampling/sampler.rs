@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use rand::Rng;
 use rand_pcg::Pcg64Mcg;
 
-use super::super::lattice::Lattice;
+use super::super::grid_graph::GridGraph;
 
 /// Draws before a sampler gives up for this time.
 const TRIES: u32 = 64;
@@ -109,7 +109,7 @@ impl Sampler {
     }
 
     /// A point in a free cell; `None` where none was met by chance.
-    pub fn free(&mut self, lattice: &Lattice) -> Option<Point2<f64>> {
+    pub fn free(&mut self, lattice: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             self.tries += 1;
             let p = self.point();
@@ -124,7 +124,7 @@ impl Sampler {
     }
 
     /// A point beside the convex corner of an obstacle; `None` where none was met by chance.
-    pub fn corner(&mut self, lattice: &Lattice) -> Option<Point2<f64>> {
+    pub fn corner(&mut self, lattice: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             let p = self.point();
             let Some(node) = lattice.node_at(p) else { continue };

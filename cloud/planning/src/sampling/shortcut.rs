@@ -5,7 +5,7 @@
 
 use nalgebra::Point2;
 
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// Corners are pulled in to within this distance, cells.
 const PRECISION: f64 = 1.0 / 128.0;
@@ -22,7 +22,7 @@ pub fn length(way: &[Point2<f64>]) -> f64 {
 
 /// Leaves out corners, from the front and from the back: from each corner that is kept the way goes to the farthest one that is seen, as far as
 /// a search in doubling steps finds it. Ends soon after `stops` says so.
-pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
+pub fn prune(sight: &impl LineOfSight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     if way.len() < 3 {
         return;
     }
@@ -53,7 +53,7 @@ pub fn prune(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() ->
 }
 
 /// Pulls a way taut: afterwards no corner can be moved towards its neighbours by more than `PRECISION`, or `stops` has said so.
-pub fn tighten(sight: &impl Sight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
+pub fn tighten(sight: &impl LineOfSight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     for _ in 0..ROUNDS {
         let before = length(way);
         prune(sight, way, &stops);

@@ -8,8 +8,8 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
 use zenav_protocol::robot::Footprint;
 
 use crate::astar::NotFound;
-use crate::{Budget, Planner, Query, Searched, Searcher, Way};
-use zenav_space::{BitGrid, ConfigurationSpace, PointSight, Sight as _, UnknownPolicy};
+use crate::{Budget, Path, Planner, Query, Searched, Searcher};
+use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight as _, PointLineOfSight, UnknownPolicy};
 
 const PLANNERS: [Planner; 3] = [Planner::Rrt, Planner::RrtConnect, Planner::RrtStar];
 
@@ -36,7 +36,7 @@ fn query(start: Cell, goal: Cell) -> Query {
 }
 
 fn ask(free: &BitGrid, planner: Planner, query: &Query, budget: Budget<'_>) -> Searched {
-    let sight = PointSight::new(free);
+    let sight = PointLineOfSight::new(free);
     Searcher::new(free).unwrap().search(planner, &sight, query, budget)
 }
 
@@ -48,7 +48,7 @@ fn touches(a: Point2<f64>, b: Point2<f64>, x: f64, y: f64) -> bool {
     !(apart || sides.iter().all(|side| *side > 0.0) || sides.iter().all(|side| *side < 0.0))
 }
 
-fn is_free(free: &BitGrid, way: &Way) -> bool {
+fn is_free(free: &BitGrid, way: &Path) -> bool {
     let cells = (0..free.height()).flat_map(|y| (0..free.width()).map(move |x| Cell::new(x, y)));
     let blocked: Vec<Cell> = cells.filter(|cell| !free.get(*cell)).collect();
     let inside =
@@ -116,7 +116,7 @@ proptest! {
 
     #[test]
     fn the_same_seed_gives_the_same_way_whatever_was_searched_before((free, query) in map(), (_, before) in map()) {
-        let sight = PointSight::new(&free);
+        let sight = PointLineOfSight::new(&free);
         for planner in PLANNERS {
             let mut searcher = Searcher::new(&free).unwrap();
             let first = searcher.search(planner, &sight, &query, budget(300));
@@ -275,7 +275,7 @@ fn samples_come_from_the_domain_that_is_set() {
     searcher.sampling.patience = u64::MAX;
     searcher.sampling.corners = 0.0;
     let query = query(Cell::new(10, 45), Cell::new(90, 45));
-    let sight = PointSight::new(&free);
+    let sight = PointLineOfSight::new(&free);
     for planner in PLANNERS {
         assert!(searcher.search(planner, &sight, &query, budget(SAMPLES)).result.is_ok());
         assert!(searcher.tree(usize::MAX).flatten().all(|p| p.y >= 40.0));
@@ -285,7 +285,7 @@ fn samples_come_from_the_domain_that_is_set() {
 #[test]
 fn the_trees_of_the_last_search_can_be_looked_at() {
     let free = room(150, 120, Some(77));
-    let sight = PointSight::new(&free);
+    let sight = PointLineOfSight::new(&free);
     let query = query(Cell::new(3, 3), Cell::new(140, 100));
     let mut searcher = Searcher::new(&free).unwrap();
     for planner in PLANNERS {

@@ -6,11 +6,11 @@
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
-use super::super::lattice::Lattice;
+use super::super::grid_graph::GridGraph;
 use super::frontier::{Exit, Frontier};
 use super::nearest::Nearest;
 use super::sampler::Sampler;
-use zenav_space::Sight;
+use zenav_space::LineOfSight;
 
 /// The root's parent.
 const NONE: u32 = u32::MAX;
@@ -21,12 +21,12 @@ pub struct Ground<'a, S> {
     /// What is seen from where.
     pub sight: &'a S,
     /// Free cells.
-    pub lattice: &'a Lattice,
+    pub lattice: &'a GridGraph,
     /// Longest edge, cells.
     pub step: f64,
 }
 
-impl<S: Sight> Ground<'_, S> {
+impl<S: LineOfSight> Ground<'_, S> {
     /// The free cell that holds a point (a lattice's node).
     pub fn free_at(&self, p: Point2<f64>) -> Option<u32> {
         self.lattice.node_at(p).filter(|cell| self.lattice.is_free(*cell))
@@ -66,7 +66,7 @@ pub struct Tree {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Explored {
     /// There was an exit.
-    Left,
+    CostToGo,
     /// There is none left: the tree has a place in every run of free cells that can be reached from its root.
     Everything,
     /// There is none that it can take.
@@ -75,7 +75,7 @@ pub enum Explored {
 
 impl Tree {
     /// Begins anew from a point.
-    pub fn plant<S: Sight>(&mut self, ground: &Ground<'_, S>, root: Point2<f64>) {
+    pub fn plant<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, root: Point2<f64>) {
         self.clear();
         self.nearest.clear(ground.sight.size());
         self.add(root, NONE);
@@ -122,7 +122,7 @@ impl Tree {
     }
 
     /// Grows a step from the nearest vertex towards a point.
-    pub fn extend<S: Sight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Extended {
+    pub fn extend<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Extended {
         match self.nearest.nearest(to) {
             Some(near) => self.extend_from(ground, near, to),
             None => Extended::Trapped,
@@ -130,7 +130,7 @@ impl Tree {
     }
 
     /// Grows from the nearest vertex towards a point until it is reached or something is in the way.
-    pub fn connect<S: Sight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Option<u32> {
+    pub fn connect<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Option<u32> {
         let mut near = self.nearest.nearest(to)?;
         loop {
             match self.extend_from(ground, near, to) {
@@ -142,7 +142,7 @@ impl Tree {
     }
 
     /// Grows a step from a vertex towards a point.
-    pub fn extend_from<S: Sight>(&mut self, ground: &Ground<'_, S>, near: u32, to: Point2<f64>) -> Extended {
+    pub fn extend_from<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, near: u32, to: Point2<f64>) -> Extended {
         let from = self.point(near);
         let way = to - from;
         let length = way.norm();
@@ -161,7 +161,7 @@ impl Tree {
 
     /// Grows out of what the tree covers, by the one of some exits drawn by chance that is nearest to `target`, and straight on as far as there
     /// is something new. The cell `target` is met as soon as its run is covered.
-    pub fn explore<S: Sight>(
+    pub fn explore<S: LineOfSight>(
         &mut self,
         ground: &Ground<'_, S>,
         sampler: &mut Sampler,
@@ -193,7 +193,7 @@ impl Tree {
             let number = drawn.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
             if let Some(exit) = self.frontier.take(number) {
                 self.leave(ground, exit, target);
-                return Explored::Left;
+                return Explored::CostToGo;
             }
         }
         if self.complete {
@@ -204,7 +204,7 @@ impl Tree {
     }
 
     /// Leads the tree through an exit.
-    fn leave<S: Sight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
+    fn leave<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
         let pitch = ground.lattice.pitch();
         let up = exit.cell > exit.via;
         let corner = if up { exit.cell - pitch } else { exit.cell + pitch };
@@ -224,7 +224,7 @@ impl Tree {
         self.thread(ground, vertex, &[cell]);
     }
 
-    fn cover<S: Sight>(&mut self, ground: &Ground<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
+    fn cover<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
         let [first, last] = self.frontier.cover(ground.lattice, vertex, via);
         if let Some(target) = target.filter(|target| (first..=last).contains(target)) {
             self.thread(ground, vertex, &[via, target]);
@@ -232,7 +232,7 @@ impl Tree {
     }
 
     /// Adds a way from a vertex over the centres of cells to the last one of them, with as few of the others as are needed.
-    fn thread<S: Sight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
+    fn thread<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
         let (mut at, mut done) = (vertex, 0);
         while done < cells.len() {
             let from = self.point(at);

@@ -18,9 +18,9 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
+use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_smoothing::timing::sweep::fastest;
 use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw, jerk};
-use zenav_protocol::robot::{RobotModel, shipped};
 
 /// Limit of the jerk, m/s³.
 const JERK: f64 = 2.0;

@@ -19,7 +19,7 @@ pub struct TimeLaw {
 pub struct Progress {
     /// The interval.
     pub index: usize,
-    /// Way since its first sample, m.
+    /// Path since its first sample, m.
     pub way: f64,
     /// Speed, m/s.
     pub v: f64,
@@ -142,7 +142,7 @@ impl Interval {
         2.0 * tau * stretch
     }
 
-    /// Way, speed and acceleration at a time since the beginning.
+    /// Path, speed and acceleration at a time since the beginning.
     fn at(&self, t: f64) -> (f64, f64, f64) {
         let ([v0, v1], [a0, a1]) = (self.speeds, self.accelerations);
         if self.leaves_rest() || self.comes_to_rest() {

@@ -88,7 +88,7 @@ impl Motion {
         self.duration
     }
 
-    /// Way of the base, m.
+    /// Path of the base, m.
     #[must_use]
     pub fn length(&self) -> f64 {
         self.length

@@ -97,7 +97,7 @@ impl Profile {
         self.pieces.iter().map(|piece| piece.begin)
     }
 
-    /// Way, speed and acceleration at a time (s), held to the profile's ends.
+    /// Path, speed and acceleration at a time (s), held to the profile's ends.
     #[must_use]
     pub fn at(&self, t: f64) -> (f64, f64, f64) {
         let t = t.clamp(0.0, self.duration);

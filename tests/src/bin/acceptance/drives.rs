@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use zenav_cloud::mapping::map_file::read_map;
+use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
-use zenav_tests::proving::ground::robot;
-use zenav_tests::proving::tracking::{self, Localised, percentile};
+use zenav_tests::acceptance::sim_rig::robot;
+use zenav_tests::acceptance::tracking::{self, Localised, percentile};
 
 use crate::Verdict;
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::runtime::Runtime;
-use zenav_tests::proving::footprint::measure;
+use zenav_tests::acceptance::footprint::measure;
 
 use crate::{Verdict, beside, zenav};
 

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use zenav_tests::proving::guard as proving;
-use zenav_tests::proving::guard::GENTLE;
+use zenav_tests::acceptance::guard as guarded;
+use zenav_tests::acceptance::guard::GENTLE;
 
 use crate::Verdict;
 
 /// Drives in one of the guard's random worlds, and prints every tick of it as it truly was.
 pub fn replay(seed: u64) -> Verdict {
     let (mut tick, mut told) = (0, 0);
-    let outcome = proving::drive_watched(seed, |ground| {
+    let outcome = guarded::drive_watched(seed, |ground| {
         let truth = ground.truth();
         let (pose, twist) = (truth.map_from_base, truth.twist);
         let movers: Vec<_> = ground
@@ -53,7 +53,7 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
             if seed >= first + worlds {
                 return done;
             }
-            done.push((seed, proving::drive(seed)));
+            done.push((seed, guarded::drive(seed)));
         }
     };
     let mut results: Vec<_> = std::thread::scope(|scope| {

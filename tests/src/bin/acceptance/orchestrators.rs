@@ -1,10 +1,10 @@
 //! What becomes of goals when orchestrators die or freeze, and how many robots does one serve?
 
 use tokio::runtime::Runtime;
-use zenav_tests::proving::handover::Blow;
-use zenav_tests::proving::tracking::percentile;
-use zenav_tests::proving::witness::Findings;
-use zenav_tests::proving::{fleet, handover, kills};
+use zenav_tests::acceptance::handover::Fault;
+use zenav_tests::acceptance::invariants::Findings;
+use zenav_tests::acceptance::tracking::percentile;
+use zenav_tests::acceptance::{fleet, handover, kills};
 
 use crate::{Verdict, zenav};
 
@@ -21,9 +21,9 @@ const ALONE: f64 = 5.0;
 
 /// Kills the leader of two orchestrators again and again, then freezes it, while goals come in.
 pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
-    let mut blows = vec![Blow::Death; deaths];
+    let mut blows = vec![Fault::Death; deaths];
     for _ in 0..pauses {
-        blows.extend([Blow::Pause(FROZEN), Blow::Alone(ALONE)]);
+        blows.extend([Fault::Pause(FROZEN), Fault::Alone(ALONE)]);
     }
     tell(handover::run(&zenav().to_string_lossy(), &blows, seed))
 }

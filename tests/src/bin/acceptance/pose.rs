@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
-use zenav_tests::proving::pose;
-use zenav_tests::proving::tracking::percentile;
+use zenav_tests::acceptance::pose;
+use zenav_tests::acceptance::tracking::percentile;
 
 use crate::Verdict;
 

@@ -1,0 +1,230 @@
+//! Is this a goal, and can it be reached? Answered when it is asked for, with the reason and the nearest place that would do.
+
+use nalgebra::Point2;
+use zenav_protocol::config_text::Number;
+use zenav_protocol::grid::{GridSpec, Occupancy};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::*;
+
+use super::context::Context;
+use super::trees;
+use zenav_protocol::padding::Extent;
+use zenav_space::reach;
+
+/// Waypoints of a goal.
+const MAX_WAYPOINTS: usize = 1000;
+/// Largest map on which a goal's connection to the robot is looked at before it is accepted, cells: some 50 ms.
+const MAX_FLOODED: usize = 4_000_000;
+/// Entries for a tree's blackboard.
+const MAX_ENTRIES: usize = 256;
+/// Longest name of an entry, bytes.
+const MAX_NAME: usize = 256;
+/// Coordinates beyond this are taken for a mistake, m.
+const FARTHEST: f64 = 1e6;
+/// What tolerance may be, m.
+const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
+/// Longest deadline, s.
+const LONGEST_DEADLINE: f64 = 1e7;
+
+/// What a goal asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Target {
+    /// Be there.
+    Pose(GoalPoint),
+    /// Pass these, in order.
+    Waypoints(Vec<GoalPoint>),
+    /// Whatever the request's tree does by itself.
+    Tree,
+}
+
+/// What a request asks for, if it is well formed.
+///
+/// # Errors
+/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for a place that there is not.
+pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
+    let bad = |reason: String| Err(Refusal::BadRequest { reason });
+    if let Some(id) = &request.id
+        && let Err(error) = Id::new(id.clone())
+    {
+        return bad(format!("`id`: {error}"));
+    }
+    let point = request.x.is_some() || request.y.is_some();
+    let kinds = [point, request.place.is_some(), !request.waypoints.is_empty()];
+    let kinds = kinds.iter().filter(|kind| **kind).count();
+    if kinds > 1 || (kinds == 0 && request.tree.is_none()) {
+        return bad(
+            "expected exactly one of `x` and `y`, `place`, `waypoints`, or a `tree`, alone or for one of them"
+                .to_owned(),
+        );
+    }
+    if request.yaw.is_some() && !point && request.place.is_none() {
+        return bad("`yaw` goes with `x` and `y` or with `place`".to_owned());
+    }
+    if let Some(tolerance) = request.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
+        return bad(format!(
+            "`tolerance` is {tolerance}: expected {} to {} m",
+            TOLERANCE.start(),
+            TOLERANCE.end()
+        ));
+    }
+    if let Some(secs) = request
+        .deadline_secs
+        .filter(|secs| !(*secs > 0.0 && *secs <= LONGEST_DEADLINE))
+    {
+        return bad(format!(
+            "`deadline_secs` is {secs}: expected more than 0 and at most {LONGEST_DEADLINE} s"
+        ));
+    }
+    if request.blackboard.len() > MAX_ENTRIES
+        || request
+            .blackboard
+            .keys()
+            .any(|name| name.is_empty() || name.len() > MAX_NAME)
+    {
+        return bad(format!(
+            "`blackboard`: expected at most {MAX_ENTRIES} entries with names of 1 to {MAX_NAME} bytes"
+        ));
+    }
+    if let Some(tree) = &request.tree {
+        trees::build(tree).map_err(|errors| Refusal::BadRequest {
+            reason: errors.to_string(),
+        })?;
+        if kinds == 0 {
+            return Ok(Target::Tree);
+        }
+    }
+    if let Some(name) = &request.place {
+        let Some(place) = ctx.config.places.get(name) else {
+            return Err(Refusal::NotFound {
+                what: format!("place {}", name.chars().take(80).collect::<String>()),
+            });
+        };
+        return checked_point(
+            GoalPoint {
+                yaw: request.yaw.or(place.yaw),
+                ..*place
+            },
+            "place",
+        )
+        .map(Target::Pose);
+    }
+    if request.waypoints.len() > MAX_WAYPOINTS {
+        return bad(format!(
+            "`waypoints`: {} given, expected at most {MAX_WAYPOINTS}",
+            request.waypoints.len()
+        ));
+    }
+    if !request.waypoints.is_empty() {
+        for (index, waypoint) in request.waypoints.iter().enumerate() {
+            checked_point(*waypoint, &format!("waypoints[{index}]"))?;
+        }
+        return Ok(Target::Waypoints(request.waypoints.clone()));
+    }
+    match (request.x, request.y) {
+        (Some(x), Some(y)) => checked_point(GoalPoint { x, y, yaw: request.yaw }, "goal").map(Target::Pose),
+        _ => bad("`x` and `y` go together".to_owned()),
+    }
+}
+
+fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
+    let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
+    if !(good(point.x) && good(point.y)) {
+        return Err(Refusal::BadRequest {
+            reason: format!(
+                "{name} ({}, {}): expected finite coordinates within {FARTHEST} m",
+                Number(point.x),
+                Number(point.y)
+            ),
+        });
+    }
+    match point.yaw {
+        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= 1e3) => Err(Refusal::BadRequest {
+            reason: format!("{name}: yaw is {yaw}: expected radians"),
+        }),
+        yaw => Ok(GoalPoint {
+            yaw: yaw.map(zenav_protocol::geometry::wrap_angle),
+            ..point
+        }),
+    }
+}
+
+/// Whether the robot could be at the target by what the map knows; what it does not know speaks for the goal.
+///
+/// # Errors
+/// [`Refusal::Rejected`] for a place outside the map, on an obstacle or closed off, with the nearest place that is not.
+pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
+    let points: Vec<GoalPoint> = match target {
+        Target::Pose(point) => vec![*point],
+        Target::Waypoints(points) => points.clone(),
+        Target::Tree => Vec::new(),
+    };
+    let Some(model) = ctx.robot.model().cloned() else {
+        return Ok(());
+    };
+    let Some(spec) = ctx.map.spec() else { return Ok(()) };
+    let explore = ctx.config.explore;
+    let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
+    let stands = ctx.robot.pose().map(|pose| pose.position());
+    let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
+    let places = points.iter().map(|goal| Point2::new(goal.x, goal.y));
+    let outlook = if ctx.config.unknown_is_free {
+        Extent::of(&model.footprint, places.filter(near).collect())
+    } else {
+        Extent::default()
+    };
+    let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &outlook) else {
+        return Ok(());
+    };
+    let zones = &ctx.config.zones;
+    let reached = stands
+        .filter(|_| space.spec().len() <= MAX_FLOODED)
+        .and_then(|stands| reach::flood(&space, stands));
+    for goal in points {
+        let point = Point2::new(goal.x, goal.y);
+        let outside = spec.cell_at(point).is_none() && !near(&point);
+        let fits = !outside && space.clearance(point) > model.footprint.inscribed_radius();
+        let connected = reached
+            .as_ref()
+            .is_none_or(|reached| reach::is_reached(&space, reached, point));
+        if fits && connected {
+            continue;
+        }
+        let kept_out = zones.keep_out(point);
+        let what = if let Some(zone) = kept_out {
+            &format!("lies in a zone that is closed to robots: {zone}")
+        } else if outside {
+            "lies outside the map"
+        } else if fits {
+            "cannot be reached: by the map it is closed off from the robot"
+        } else {
+            "is occupied: the robot does not fit there"
+        };
+        let seen_free = |cell| {
+            known
+                .grid()
+                .get(cell)
+                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Free)
+        };
+        let nearest = match &reached {
+            Some(reached) => reach::nearest(&space, reached, point, seen_free),
+            None => space.nearest_free(point),
+        };
+        let nearest_free = nearest.map(|free| GoalPoint {
+            x: free.x,
+            y: free.y,
+            yaw: goal.yaw,
+        });
+        return Err(Refusal::Rejected {
+            reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y),
+            nearest_free,
+        });
+    }
+    Ok(())
+}
+
+/// Distance from a grid's rectangle, m.
+fn distance(spec: &GridSpec, point: Point2<f64>) -> f64 {
+    let p = spec.to_cells(point);
+    let outside = |value: f64, size: u32| (-value).max(value - f64::from(size)).max(0.0);
+    outside(p.x, spec.width).hypot(outside(p.y, spec.height)) * spec.resolution
+}

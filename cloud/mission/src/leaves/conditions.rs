@@ -1,0 +1,87 @@
+//! DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable: leaves that watch the clock or the robot.
+
+use nalgebra::Point2;
+
+use super::SyncLeaf;
+use super::ports::{here, number};
+use crate::context::Context;
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+
+/// A touch counts for so long, s.
+const BUMP_MEMORY: f64 = 1.0;
+
+fn status(holds: bool) -> Status {
+    if holds { Status::Success } else { Status::Failure }
+}
+
+/// FAILURE until the robot is `distance` (straight) from where it was at its activation, then SUCCESS once, and again from
+/// there.
+#[derive(Default)]
+pub struct DistanceTraveled {
+    from: Option<Point2<f64>>,
+}
+
+impl SyncLeaf for DistanceTraveled {
+    fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        let (here, distance) = (here(ctx)?.position(), number(io, "distance", 1.0)?);
+        let from = self.from.filter(|_| io.previous().is_active());
+        let traveled = from.is_some_and(|from| (here - from).norm() >= distance);
+        if traveled || from.is_none() {
+            self.from = Some(here);
+        }
+        Ok(status(traveled))
+    }
+}
+
+/// SUCCESS for a second after the robot has touched something. Nav2 takes a jolt of the odometry for it.
+pub struct IsStuck;
+
+impl SyncLeaf for IsStuck {
+    fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        Ok(status(ctx.robot.was_bumped_within(ctx.now, BUMP_MEMORY)))
+    }
+}
+
+/// SUCCESS while the robot says where it is in the map: the one transform that there is between parts.
+pub struct TransformAvailable;
+
+impl SyncLeaf for TransformAvailable {
+    fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
+        Ok(status(ctx.robot.is_heard(ctx.now) && ctx.robot.pose().is_some()))
+    }
+}
+
+/// RUNNING while the robot has been slower than `velocity_threshold` for less than `duration_stopped`, SUCCESS after that;
+/// FAILURE if it moves.
+#[derive(Default)]
+pub struct CheckStopStatus {
+    since: Option<f64>,
+}
+
+impl CheckStopStatus {
+    fn look(&mut self, io: &LeafIo<'_>, ctx: &Context) -> Result<Status, String> {
+        let threshold = number(io, "velocity_threshold", 0.01)?;
+        let duration = number(io, "duration_stopped", 1000.0)? * 1e-3;
+        let (now, twist) = (io.now().as_secs_f64(), ctx.robot.velocity());
+        if twist.v.abs() >= threshold || twist.w.abs() >= threshold {
+            return Ok(Status::Failure);
+        }
+        let since = *self.since.get_or_insert(now);
+        Ok(if now - since >= duration {
+            Status::Success
+        } else {
+            Status::Running
+        })
+    }
+}
+
+impl Leaf<Context> for CheckStopStatus {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.since = None;
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.look(io, ctx).unwrap_or_else(|why| io.fail(why))
+    }
+}

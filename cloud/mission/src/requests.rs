@@ -1,0 +1,197 @@
+//! What are clients told? Goals taken, refused, cancelled, held; each answer only of what is stored in the same step.
+
+use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::*;
+
+use super::goal_validation;
+use super::goals::reply;
+use super::io::{Request, Response};
+use super::orchestrator::Mission;
+
+/// Longest id of a request, bytes.
+const LONGEST_ID: usize = 128;
+
+impl Mission {
+    /// Answers one request.
+    pub(super) fn serve(&mut self, request: Request) -> Result<Response, Refusal> {
+        if self.ctx.lease.stands_by() && !matches!(request, Request::Info(_)) {
+            return Err(Refusal::NotLeader);
+        }
+        match request {
+            Request::Goal(request) => self.submit(*request).map(Response::Goal),
+            Request::Cancel(request) => {
+                let id = request.request_id.clone();
+                self.once(id, |mission| mission.cancel(request.id)).map(Response::Goal)
+            }
+            Request::Pause(request) => {
+                let id = request.request_id.clone();
+                self.once(id, |mission| mission.pause(request.id, request.resume))
+                    .map(Response::Goal)
+            }
+            Request::Goals(request) => self.goals.list(&request).map(Response::Goals),
+            Request::Join(request) => self.join(request).map(Response::Join),
+            Request::Info(InfoRequest {}) => Ok(Response::Info(Box::new(InfoReply {
+                component: "mission".to_owned(),
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                schema: SCHEMA_VERSION,
+                robot: self.ctx.config.robot.to_string(),
+                store: self.store.clone(),
+                leads: self.ctx.lease.claims(),
+                ..InfoReply::default()
+            }))),
+        }
+    }
+
+    /// A repeated request gets its first answer; refusals may be asked again.
+    fn once(
+        &mut self,
+        request_id: Option<String>,
+        act: impl FnOnce(&mut Self) -> Result<GoalReply, Refusal>,
+    ) -> Result<GoalReply, Refusal> {
+        let Some(request_id) = request_id else { return act(self) };
+        if request_id.is_empty() || request_id.len() > LONGEST_ID {
+            return Err(Refusal::bad_request(format!(
+                "`request_id`: expected 1 to {LONGEST_ID} bytes"
+            )));
+        }
+        if let Some(first) = self.goals.answered(&request_id) {
+            return Ok(first.clone());
+        }
+        let answer = act(self)?;
+        self.goals.keep_answer(request_id, answer.clone());
+        Ok(answer)
+    }
+
+    fn submit(&mut self, mut request: GoalRequest) -> Result<GoalReply, Refusal> {
+        if let Some(known) = request.id.as_ref().and_then(|id| self.goals.get(id)) {
+            return if known.state.request == request {
+                Ok(reply(&known.state))
+            } else {
+                Err(Refusal::rejected(format!(
+                    "goal {} is known with another content",
+                    known.state.id
+                )))
+            };
+        }
+        let target = goal_validation::target(&request, &self.ctx)?;
+        goal_validation::reachable(&target, &mut self.ctx)?;
+        let busy = self
+            .goals
+            .active()
+            .or_else(|| self.goals.next())
+            .map(|goal| goal.state.id.clone());
+        if let (OnBusy::Reject, Some(other)) = (request.on_busy, &busy) {
+            return Err(Refusal::rejected(format!("busy with goal {other}")));
+        }
+        if self.goals.is_full() {
+            return Err(Refusal::rejected(format!("{} goals wait already", self.goals.queued())));
+        }
+        let id = request
+            .id
+            .get_or_insert_with(|| {
+                // Unlike any that another mission of the robot gives.
+                let store = self.store.as_ref().map_or(String::new(), |store| format!("{store}-"));
+                format!("goal-{store}{}-{}", self.incarnation, self.goals.next_sequence())
+            })
+            .clone();
+        let urgent = request.on_busy == OnBusy::Preempt;
+        if urgent && let Some(active) = self.goals.active().map(|goal| goal.state.id.clone()) {
+            self.finish(&active, GoalPhase::Canceled, Some(format!("preempted by goal {id}")));
+        }
+        let robot = self.ctx.config.robot.to_string();
+        self.goals.accept(&robot, id.clone(), request, urgent, self.ctx.now);
+        Ok(GoalReply {
+            robot: None,
+            id,
+            state: GoalPhase::Accepted,
+            reason: None,
+        })
+    }
+
+    /// Takes over what a mission that joins has accepted before any mission of the robot led: it was acknowledged, so it is not checked again.
+    fn join(&mut self, request: JoinRequest) -> Result<JoinReply, Refusal> {
+        let leader = self.store.clone().filter(|_| self.ctx.lease.term().is_some());
+        let leader = leader.ok_or(Refusal::NotLeader)?;
+        let robot = self.ctx.config.robot.to_string();
+        let proper = |name: &String| Id::new(name.clone()).map_err(|error| Refusal::bad_request(error.to_string()));
+        proper(&request.store)?;
+        for id in request.goals.iter().filter_map(|goal| goal.id.as_ref()) {
+            proper(id)?;
+        }
+        for goal in request.goals {
+            let new = goal.id.clone().filter(|id| self.goals.get(id).is_none());
+            if let Some(id) = new.filter(|_| !self.goals.is_full()) {
+                self.goals.accept(&robot, id, goal, false, self.ctx.now);
+            }
+        }
+        Ok(JoinReply { leader })
+    }
+
+    fn cancel(&mut self, id: Option<String>) -> Result<GoalReply, Refusal> {
+        let id = self.named(id)?;
+        self.finish(&id, GoalPhase::Canceled, None);
+        self.stands(&id)
+    }
+
+    fn pause(&mut self, id: Option<String>, resume: bool) -> Result<GoalReply, Refusal> {
+        let id = self.named(id)?;
+        let phase = self.stands(&id)?.state;
+        let now = self.ctx.now;
+        match (phase, resume) {
+            (GoalPhase::Active, false) if self.ask_tree_to_pause(&id, false) => {
+                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Paused);
+            }
+            (GoalPhase::Paused, true) if self.ask_tree_to_pause(&id, true) => {
+                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Active);
+            }
+            (GoalPhase::Active, false) => {
+                self.ctx.hold();
+                self.goals.change(&id, |goal| {
+                    goal.state.state = GoalPhase::Paused;
+                    goal.paused_since = Some(now);
+                });
+            }
+            (GoalPhase::Paused, true) => self.goals.change(&id, |goal| {
+                goal.state.state = GoalPhase::Active;
+                goal.paused_secs += goal
+                    .paused_since
+                    .take()
+                    .map_or(0.0, |since| now.since(since).as_secs_f64());
+            }),
+            (GoalPhase::Paused, false) | (GoalPhase::Active, true) => {}
+            (phase, _) => {
+                return Err(Refusal::rejected(format!(
+                    "goal {id} is {phase:?}: only a goal that is driven can be held"
+                )));
+            }
+        }
+        self.stands(&id)
+    }
+
+    /// The goal of that name, or the one in hand.
+    fn named(&self, id: Option<String>) -> Result<String, Refusal> {
+        let short = |id: &str| id.chars().take(80).collect::<String>();
+        match id {
+            Some(id) if self.goals.get(&id).is_some() => Ok(id),
+            Some(id) => Err(Refusal::NotFound {
+                what: format!("goal {}", short(&id)),
+            }),
+            None => match self.goals.active() {
+                Some(goal) => Ok(goal.state.id.clone()),
+                None => Err(Refusal::NotFound {
+                    what: "a goal that is driven".to_owned(),
+                }),
+            },
+        }
+    }
+
+    fn stands(&self, id: &str) -> Result<GoalReply, Refusal> {
+        self.goals
+            .get(id)
+            .map(|goal| reply(&goal.state))
+            .ok_or_else(|| Refusal::NotFound {
+                what: format!("goal {id}"),
+            })
+    }
+}

@@ -1,0 +1,240 @@
+//! Claims about which goals are taken.
+
+use std::sync::Arc;
+
+use zenav_protocol::messages::*;
+
+use super::rig::{Rig, to};
+use crate::io::{Request, Response};
+use zenav_space::Zones;
+
+#[test]
+fn what_is_no_goal_is_answered_with_what_was_expected() {
+    let mut rig = Rig::new();
+    rig.run(1.0);
+    let ok = to(1.0, 1.0, "ok");
+    let bad = [
+        (GoalRequest { y: None, ..ok.clone() }, "go together"),
+        (
+            GoalRequest {
+                x: None,
+                y: None,
+                ..ok.clone()
+            },
+            "exactly one",
+        ),
+        (
+            GoalRequest {
+                place: Some("sink".into()),
+                ..ok.clone()
+            },
+            "exactly one",
+        ),
+        (
+            GoalRequest {
+                id: Some("a/b".into()),
+                ..ok.clone()
+            },
+            "valid name",
+        ),
+        (
+            GoalRequest {
+                x: Some(f64::NAN),
+                ..ok.clone()
+            },
+            "finite",
+        ),
+        (
+            GoalRequest {
+                x: Some(1e300),
+                ..ok.clone()
+            },
+            "finite",
+        ),
+        (
+            GoalRequest {
+                yaw: Some(f64::INFINITY),
+                ..ok.clone()
+            },
+            "radians",
+        ),
+        (
+            GoalRequest {
+                tolerance: Some(0.0),
+                ..ok.clone()
+            },
+            "tolerance",
+        ),
+        (
+            GoalRequest {
+                deadline_secs: Some(-1.0),
+                ..ok.clone()
+            },
+            "deadline",
+        ),
+        (
+            GoalRequest {
+                x: None,
+                y: None,
+                tree: Some("<root".into()),
+                ..ok.clone()
+            },
+            "tree",
+        ),
+        (
+            GoalRequest {
+                x: None,
+                y: None,
+                waypoints: vec![GoalPoint {
+                    x: f64::NAN,
+                    y: 0.0,
+                    yaw: None,
+                }],
+                ..ok.clone()
+            },
+            "waypoints[0]",
+        ),
+    ];
+    for (request, expected) in bad {
+        match rig.submit(request.clone()) {
+            Err(Refusal::BadRequest { reason }) => assert!(reason.contains(expected), "{reason}"),
+            other => panic!("{request:?}: {other:?}"),
+        }
+    }
+    let nowhere = GoalRequest {
+        place: Some("moon".into()),
+        ..GoalRequest::default()
+    };
+    assert!(matches!(rig.submit(nowhere), Err(Refusal::NotFound { .. })));
+    assert!(rig.kept.goals.is_empty());
+    assert_eq!(rig.submit(ok).unwrap().state, GoalPhase::Accepted);
+}
+
+#[test]
+fn a_goal_in_a_wall_is_rejected_with_the_nearest_place_that_would_do() {
+    let mut rig = Rig::new();
+    rig.occupy(2.0, 2.0);
+    rig.run(1.0);
+    match rig.submit(to(2.05, 2.05, "wall")) {
+        Err(Refusal::Rejected {
+            nearest_free: Some(free),
+            ..
+        }) => assert!((0.2..0.6).contains(&(free.x - 2.05).hypot(free.y - 2.05)), "{free:?}"),
+        other => panic!("{other:?}"),
+    }
+    match rig.submit(to(100.0, 0.0, "far")) {
+        Err(Refusal::Rejected { reason, .. }) => assert!(reason.contains("outside the map"), "{reason}"),
+        other => panic!("{other:?}"),
+    }
+    assert!(
+        rig.submit(GoalRequest {
+            place: Some("sink".into()),
+            ..GoalRequest::default()
+        })
+        .is_ok()
+    );
+}
+
+#[test]
+fn a_goal_in_a_closed_zone_is_rejected_with_its_name_and_the_nearest_place_outside() {
+    let mut rig = Rig::new();
+    let zones = "[[keep_out]]\nname = \"stairs\"\npoints = [[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]]";
+    rig.config.zones = Arc::new(Zones::from_toml(zones, "zones").unwrap());
+    rig.start();
+    rig.run(1.0);
+    match rig.submit(to(2.2, 3.0, "closed")) {
+        Err(Refusal::Rejected {
+            reason,
+            nearest_free: Some(free),
+        }) => assert!(
+            reason.contains("stairs") && free.x < 1.8 && free.x > 1.4 && (free.y - 3.0).abs() < 0.2,
+            "{reason} {free:?}"
+        ),
+        other => panic!("{other:?}"),
+    }
+    assert!(rig.submit(to(2.0, 0.0, "open")).is_ok());
+}
+
+#[test]
+fn a_repeated_goal_is_the_same_goal_and_another_content_is_refused() {
+    let mut rig = Rig::new();
+    rig.submit(to(1.0, 0.0, "a")).unwrap();
+    rig.run(1.0);
+    assert_eq!(rig.submit(to(1.0, 0.0, "a")).unwrap().state, GoalPhase::Active);
+    assert!(matches!(rig.submit(to(2.0, 0.0, "a")), Err(Refusal::Rejected { .. })));
+    assert!(rig.run_until(20.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.submit(to(1.0, 0.0, "a")).unwrap().state, GoalPhase::Succeeded);
+    let plans = rig.plans.len();
+    rig.run(2.0);
+    assert_eq!(rig.plans.len(), plans, "it is not driven again");
+}
+
+#[test]
+fn a_busy_mission_queues_preempts_or_refuses_as_asked() {
+    let mut rig = Rig::new();
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    rig.submit(to(1.0, 1.0, "b")).unwrap();
+    rig.run(2.0);
+    let refused = rig.submit(GoalRequest {
+        on_busy: OnBusy::Reject,
+        ..to(2.0, 0.0, "c")
+    });
+    assert!(matches!(refused, Err(Refusal::Rejected { ref reason, .. }) if reason.contains("busy with goal a")));
+    rig.submit(GoalRequest {
+        on_busy: OnBusy::Preempt,
+        ..to(1.0, 0.0, "d")
+    })
+    .unwrap();
+    assert_eq!(rig.state("a"), GoalPhase::Canceled);
+    assert_eq!(rig.state("d"), GoalPhase::Active, "it goes before the one that waits");
+    assert!(rig.run_until(60.0, |rig| rig.state("b").is_end()));
+    assert_eq!(
+        (rig.state("b"), rig.state("d")),
+        (GoalPhase::Succeeded, GoalPhase::Succeeded)
+    );
+}
+
+#[test]
+fn a_repeated_cancel_gets_its_first_answer_and_an_unknown_goal_is_not_found() {
+    let mut rig = Rig::new();
+    let cancel = |id: Option<&str>, request: &str| {
+        Request::Cancel(CancelRequest {
+            id: id.map(str::to_owned),
+            request_id: Some(request.to_owned()),
+        })
+    };
+    assert!(matches!(rig.answer(cancel(None, "r0")), Err(Refusal::NotFound { .. })));
+    assert!(matches!(
+        rig.answer(cancel(Some("x"), "r0")),
+        Err(Refusal::NotFound { .. })
+    ));
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    let first = rig.answer(cancel(None, "r1")).unwrap();
+    assert!(matches!(&first, Response::Goal(reply) if reply.id == "a" && reply.state == GoalPhase::Canceled));
+    rig.submit(to(4.0, 0.0, "b")).unwrap();
+    rig.kill();
+    rig.start();
+    assert_eq!(rig.answer(cancel(None, "r1")).unwrap(), first, "also after a restart");
+    assert_eq!(rig.state("b"), GoalPhase::Active);
+    rig.answer(cancel(Some("b"), "r2")).unwrap();
+    assert_eq!(rig.state("b"), GoalPhase::Canceled);
+}
+
+#[test]
+fn lists_tell_every_goal_and_info_tells_the_schema() {
+    let mut rig = Rig::new();
+    rig.submit(to(1.0, 0.0, "a")).unwrap();
+    rig.submit(GoalRequest {
+        x: Some(1.0),
+        y: Some(1.0),
+        ..GoalRequest::default()
+    })
+    .unwrap();
+    match rig.answer(Request::Goals(GoalsRequest::default())).unwrap() {
+        Response::Goals(reply) => assert_eq!(reply.goals.len(), 2),
+        other => panic!("{other:?}"),
+    }
+    assert!(
+        matches!(rig.answer(Request::Info(InfoRequest {})).unwrap(), Response::Info(info) if info.component == "mission")
+    );
+}

@@ -1,0 +1,105 @@
+//! Is there a way on which a robot that is longer than wide may turn anywhere? A* over the cells that the disc around it stands on.
+//!
+//! Most ways that the footprint cannot drive only brush past something. Going round that is found in milliseconds, where the search over
+//! places and headings ([`super::se2_search`]) may take a thousand times as long.
+
+use nalgebra::Point2;
+
+use super::astar::{CellCost, NotFound};
+use super::budget::Budget;
+use super::se2_search::{Query, is_drivable};
+use super::searcher::{Searched, Searcher};
+use zenav_space::ConfigurationSpace;
+
+/// A way that the true footprint can drive, corner by corner; `costs` as for the cells of the map. [`NotFound::NoPath`] where it has to
+/// pass a place without room to turn, its ends included.
+pub(super) fn search(
+    space: &ConfigurationSpace,
+    costs: &impl CellCost,
+    query: &Query,
+    budget: Budget<'_>,
+) -> Searched<Vec<Point2<f64>>> {
+    let spec = space.spec();
+    let (Some(first), Some(last), Ok(mut searcher)) = (
+        spec.cell_at(query.start),
+        spec.cell_at(query.goal),
+        Searcher::new(&space.free_to_turn()),
+    ) else {
+        return Searched {
+            result: Err(NotFound::OutOfMap),
+            expansions: 0,
+        };
+    };
+    let Searched { result, expansions } = searcher.search_with(costs, first, last, budget);
+    let result = result.and_then(|way| {
+        let between = way.corners.iter().map(|corner| spec.from_cells(*corner));
+        let mut path: Vec<_> = [query.start].into_iter().chain(between).chain([query.goal]).collect();
+        path.dedup_by(|a, b| (*a - *b).norm() < 1e-9);
+        is_drivable(space, &path, query.heading)
+            .then_some(path)
+            .ok_or(NotFound::NoPath)
+    });
+    Searched { result, expansions }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use proptest::prelude::*;
+    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    use zenav_protocol::robot::Footprint;
+
+    use super::*;
+    use crate::astar::Uniform;
+    use zenav_space::UnknownPolicy;
+
+    /// A robot of 0.8 m by 0.3 m in a field of 6 m by 4 m.
+    fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 120,
+            height: 80,
+        };
+        let mut grid = Grid::filled(spec, Occupancy::FREE);
+        occupied
+            .iter()
+            .for_each(|(x, y)| grid[Cell::new(*x, *y)] = Occupancy::OCCUPIED);
+        let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
+        let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
+        ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)
+    }
+
+    fn ask(space: &ConfigurationSpace, heading: Option<f64>) -> Result<Vec<Point2<f64>>, NotFound> {
+        let query = Query {
+            start: Point2::new(0.81, 1.03),
+            heading,
+            goal: Point2::new(5.02, 3.01),
+        };
+        let found = search(space, &Uniform, &query, Budget::UNLIMITED).result;
+        if let Ok(way) = &found {
+            assert!(is_drivable(space, way, heading) && way[0] == query.start && way[way.len() - 1] == query.goal);
+        }
+        found
+    }
+
+    #[test]
+    fn a_gap_without_room_to_turn_is_gone_round_and_never_through() {
+        // A wall with a gap of 0.5 m, which the robot fits lengthways.
+        let gap: Vec<_> = (0..80).filter(|y| !(30..40).contains(y)).map(|y| (60, y)).collect();
+        assert_eq!(ask(&space(&gap), None), Err(NotFound::NoPath));
+        // The wall ends where there is room.
+        let short: Vec<_> = gap.into_iter().filter(|(_, y)| *y < 50).collect();
+        let way = ask(&space(&short), None).unwrap();
+        assert!(way.iter().any(|p| p.y > 2.8));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn whatever_is_found_can_be_driven(occupied in prop::collection::vec((0_u32..120, 0_u32..80), 0..25), heading in prop::option::of(-3.1..3.1_f64)) {
+            let _ = ask(&space(&occupied), heading);
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! What does a search give? Corner points in cells, whatever searched: grids, any-angle and sampling planners alike.
+
+use nalgebra::Point2;
+
+use super::grid_graph::GridPath;
+
+/// A way as corner points, in cells of the grid: the centre of cell (0, 0) lies at (0.5, 0.5).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Path {
+    /// Start, corners, end.
+    pub corners: Vec<Point2<f64>>,
+    /// Length, cells.
+    pub length: f64,
+}
+
+impl Path {
+    /// A way through points, as long as its legs.
+    #[must_use]
+    pub fn through(corners: Vec<Point2<f64>>) -> Self {
+        let length = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+        Self { corners, length }
+    }
+}
+
+impl From<GridPath> for Path {
+    fn from(path: GridPath) -> Self {
+        // Counted steps: exact, where a sum of legs would round.
+        let length = path.length();
+        let corners = path.corners.iter();
+        Self {
+            corners: corners
+                .map(|cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5))
+                .collect(),
+            length,
+        }
+    }
+}

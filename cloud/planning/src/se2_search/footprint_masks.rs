@@ -1,0 +1,181 @@
+//! Where does the footprint stand, and can it step and turn there? Places and headings of the search, by the true footprint.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::grid::Cell;
+use zenav_protocol::robot::Footprint;
+
+use zenav_space::ConfigurationSpace;
+use zenav_space::body::{hull, swept};
+
+/// The steps along the headings, in places, counter-clockwise.
+pub(super) const STEPS: [(i64, i64); 16] = [
+    (1, 0),
+    (2, 1),
+    (1, 1),
+    (1, 2),
+    (0, 1),
+    (-1, 2),
+    (-1, 1),
+    (-2, 1),
+    (-1, 0),
+    (-2, -1),
+    (-1, -1),
+    (-1, -2),
+    (0, -1),
+    (1, -2),
+    (1, -1),
+    (2, -1),
+];
+/// Places are at most about this far apart, m, and at most this many to a cell's side (an odd number: one lies at its centre).
+pub(super) const SPACING: f64 = 0.06;
+pub(super) const MOST_PLACES: u32 = 9;
+/// Outlines for which the turn to the next heading is taken as convex.
+pub(super) const PARTS_OF_TURN: u32 = 3;
+/// Kept clear, m.
+pub(super) const HAIR: f64 = 5e-4;
+pub(super) fn yaw_of(heading: usize) -> f64 {
+    let (x, y) = STEPS[heading];
+    (y as f64).atan2(x as f64)
+}
+
+/// Where the footprint stands, how it steps and turns. Lengths in cells.
+pub(super) struct FootprintMasks<'a> {
+    pub(super) space: &'a ConfigurationSpace,
+    /// Places to a cell's side, and their distance.
+    places: i64,
+    pub(super) spacing: f64,
+    pub(super) width: i64,
+    height: i64,
+    /// What a step along each heading sweeps, and a turn to the next one, about the place.
+    steps: Vec<Vec<Point2<f64>>>,
+    turns: Vec<[Vec<Point2<f64>>; PARTS_OF_TURN as usize]>,
+    /// The footprint itself with each heading, about the place.
+    standing: Vec<Vec<Point2<f64>>>,
+    /// With so much to the nearest obstacle at the cell's centre, m, nothing that starts in the cell collides.
+    roomy: f64,
+}
+
+impl<'a> FootprintMasks<'a> {
+    pub(super) fn new(space: &'a ConfigurationSpace) -> Option<Self> {
+        let Footprint::Polygon(corners) = space.footprint() else {
+            return None;
+        };
+        let spec = space.spec();
+        let places = (spec.resolution / SPACING).ceil().clamp(1.0, f64::from(MOST_PLACES)) as u32 | 1;
+        let spacing = 1.0 / f64::from(places);
+        // A little larger on all sides than what is asked for afterwards.
+        let grown = 1.0 + 2.0 * HAIR / space.footprint().inscribed_radius();
+        let corners: Vec<_> = corners
+            .iter()
+            .map(|corner| *corner * (grown / spec.resolution))
+            .collect();
+        let at_rest = |yaw: f64| Pose2 { x: 0.0, y: 0.0, yaw };
+        let step = |(i, (x, y)): (usize, &(i64, i64))| {
+            let to = Point2::new(*x as f64, *y as f64) * spacing;
+            hull(&swept(&corners, at_rest(yaw_of(i)), to))
+        };
+        let turn = |i: usize| {
+            let (from, turn) = (yaw_of(i), wrap_angle(yaw_of((i + 1) % STEPS.len()) - yaw_of(i)));
+            let part = turn / f64::from(PARTS_OF_TURN);
+            // Between two of the outlines a corner runs on an arc: it stays inside the tangents at both ends.
+            let bulge = 1.0 / (0.125 * part).cos();
+            std::array::from_fn(|j| {
+                let yaws = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| from + part * (j as f64 + share));
+                let outlines = yaws.iter().flat_map(|yaw| {
+                    let pose = at_rest(*yaw);
+                    corners.iter().map(move |corner| pose.transform_point(*corner * bulge))
+                });
+                hull(&outlines.collect::<Vec<_>>())
+            })
+        };
+        let around = space.footprint().circumscribed_radius();
+        Some(Self {
+            space,
+            places: i64::from(places),
+            spacing,
+            width: i64::from(spec.width) * i64::from(places),
+            height: i64::from(spec.height) * i64::from(places),
+            steps: STEPS.iter().enumerate().map(step).collect(),
+            turns: (0..STEPS.len()).map(turn).collect(),
+            standing: (0..STEPS.len())
+                .map(|i| {
+                    let pose = at_rest(yaw_of(i));
+                    corners.iter().map(|corner| pose.transform_point(*corner)).collect()
+                })
+                .collect(),
+            roomy: around + (0.75 + 2.3 * spacing) * spec.resolution + HAIR,
+        })
+    }
+
+    /// The place of a point, cells.
+    pub(super) fn nearest(&self, p: Point2<f64>) -> (i64, i64) {
+        let place = |at: f64| (at * self.places as f64).floor() as i64;
+        (place(p.x), place(p.y))
+    }
+
+    pub(super) fn point(&self, (x, y): (i64, i64)) -> Point2<f64> {
+        Point2::new(x as f64 + 0.5, y as f64 + 0.5) * self.spacing
+    }
+
+    pub(super) fn cell(&self, (x, y): (i64, i64)) -> Cell {
+        Cell::new((x / self.places) as u32, (y / self.places) as u32)
+    }
+
+    pub(super) fn contains(&self, (x, y): (i64, i64)) -> bool {
+        (0..self.width).contains(&x) && (0..self.height).contains(&y)
+    }
+
+    pub(super) fn is_roomy(&self, place: (i64, i64)) -> bool {
+        self.space.field().distance(self.cell(place)) > self.roomy
+    }
+
+    pub(super) fn admits(&self, outline: &[Point2<f64>], p: Point2<f64>) -> bool {
+        let mut moved = [Point2::origin(); 128];
+        let moved = moved.get_mut(..outline.len());
+        moved.is_some_and(|moved| {
+            for (to, corner) in moved.iter_mut().zip(outline) {
+                *to = corner + p.coords;
+            }
+            self.space.is_clear_of(moved)
+        })
+    }
+
+    /// Whether the footprint stands anywhere in a cell, with any heading.
+    pub(super) fn admits_cell(&self, cell: Cell) -> bool {
+        let distance = self.space.field().distance(cell);
+        let beside = 0.5 * std::f64::consts::SQRT_2 * self.space.spec().resolution;
+        let footprint = self.space.footprint();
+        if self.space.forbidden().get(cell) || distance + beside <= footprint.inscribed_radius() {
+            return false;
+        }
+        let (x, y) = (i64::from(cell.x) * self.places, i64::from(cell.y) * self.places);
+        let mut places = (0..self.places).flat_map(|dy| (0..self.places).map(move |dx| (x + dx, y + dy)));
+        distance > footprint.circumscribed_radius() + HAIR
+            || places.any(|place| {
+                self.standing
+                    .iter()
+                    .any(|outline| self.admits(outline, self.point(place)))
+            })
+    }
+
+    pub(super) fn can_step(&self, place: (i64, i64), to: (i64, i64), heading: usize) -> bool {
+        let spec = self.space.spec();
+        let [a, b] = [place, to].map(|place| spec.from_cells(self.point(place)));
+        self.space.is_permitted_between(a, b)
+            && (self.is_roomy(place) || self.admits(&self.steps[heading], self.point(place)))
+    }
+
+    /// Whether there is room to turn all the way round.
+    pub(super) fn can_turn_round(&self, place: (i64, i64)) -> bool {
+        (0..STEPS.len()).all(|heading| self.can_turn(place, heading))
+    }
+
+    /// From `heading` to the next one, or back.
+    pub(super) fn can_turn(&self, place: (i64, i64), heading: usize) -> bool {
+        self.is_roomy(place)
+            || self.turns[heading]
+                .iter()
+                .all(|part| self.admits(part, self.point(place)))
+    }
+}

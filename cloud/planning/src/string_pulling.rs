@@ -1,0 +1,137 @@
+//! How is a way pulled taut? Corners that one sees past go, and the others move to where the way is shortest, as long as it stays in sight.
+//!
+//! A descent: the way stays on its side of every obstacle, and gets no new corners.
+
+use nalgebra::{Point2, Vector2};
+
+use zenav_space::LineOfSight;
+
+/// Longest step that a corner is moved by, cells; then steps are halved.
+const LONGEST: f64 = 8.0;
+/// Corners that are looked for ahead of one.
+const AHEAD: usize = 16;
+/// Rounds over all corners: most ways are taut after a few.
+const ROUNDS: usize = 40;
+
+/// Shortens a way of which every leg is in sight, and stays so; its ends stay where they are. Corners move by `finest` cells at the least:
+/// by whole ones from centre to centre. Never longer than before; deterministic.
+pub fn tighten(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64) {
+    cut(sight, corners);
+    let mut step = LONGEST.max(finest);
+    for _ in 0..ROUNDS {
+        let mut moved = false;
+        for i in 1..corners.len().saturating_sub(1) {
+            if let Some(better) = better(sight, [corners[i - 1], corners[i], corners[i + 1]], step) {
+                corners[i] = better;
+                moved = true;
+            }
+        }
+        if moved {
+            cut(sight, corners);
+        } else if 0.5 * step >= finest {
+            step *= 0.5;
+        } else {
+            return;
+        }
+    }
+}
+
+/// Takes out the corners that one sees past.
+fn cut(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>) {
+    let (mut at, mut kept) = (0, Vec::with_capacity(corners.len()));
+    while let Some(from) = corners.get(at) {
+        kept.push(*from);
+        let near = &corners[at + 1..corners.len().min(at + 1 + AHEAD)];
+        at += 1 + near.iter().rposition(|to| sight.sees(*from, *to)).unwrap_or(0);
+    }
+    *corners = kept;
+}
+
+/// A place a step from a corner, in any of eight directions, over which the way between its neighbours is shortest; `None` where none is
+/// shorter than the present one.
+fn better(sight: &impl LineOfSight, [before, corner, after]: [Point2<f64>; 3], step: f64) -> Option<Point2<f64>> {
+    let length = |p: Point2<f64>| (p - before).norm() + (after - p).norm();
+    // What rounding makes of equal lengths is no gain.
+    let mut best = (length(corner) - 1e-9, None);
+    for (x, y) in [
+        (1.0, 0.0),
+        (-1.0, 0.0),
+        (0.0, 1.0),
+        (0.0, -1.0),
+        (1.0, 1.0),
+        (-1.0, -1.0),
+        (1.0, -1.0),
+        (-1.0, 1.0),
+    ] {
+        let place = corner + Vector2::new(x, y) * step;
+        let length = length(place);
+        if length < best.0 && sight.sees(before, place) && sight.sees(place, after) {
+            best = (length, Some(place));
+        }
+    }
+    best.1
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use proptest::prelude::*;
+    use zenav_protocol::grid::Cell;
+
+    use super::*;
+    use crate::astar::{Memory, Uniform, search};
+    use crate::grid_graph::GridGraph;
+    use crate::{Budget, Path};
+    use zenav_space::{BitGrid, PointLineOfSight};
+
+    fn length(corners: &[Point2<f64>]) -> f64 {
+        Path::through(corners.to_vec()).length
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+
+        #[test]
+        fn a_way_in_sight_stays_in_sight_and_never_gets_longer(size in (2_u32..40, 2_u32..40), dots in prop::collection::vec((0_u32..40, 0_u32..40), 0..200), ends in any::<(u32, u32, u32, u32)>(), finest in prop::sample::select(vec![0.125, 1.0])) {
+            let mut free = BitGrid::from_fn(size.0, size.1, |_| true);
+            dots.iter().for_each(|(x, y)| free.set(Cell::new(*x, *y), false));
+            let (start, goal) = (Cell::new(ends.0 % size.0, ends.1 % size.1), Cell::new(ends.2 % size.0, ends.3 % size.1));
+            let found = search(&GridGraph::new(&free).unwrap(), &Uniform, start, goal, &mut Memory::default(), Budget::UNLIMITED).result;
+            prop_assume!(found.is_ok());
+            let before = Path::from(found.unwrap());
+            let (sight, mut corners) = (PointLineOfSight::new(&free), before.corners.clone());
+            tighten(&sight, &mut corners, finest);
+            prop_assert!(corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
+            prop_assert!(length(&corners) <= before.length + 1e-9);
+            prop_assert_eq!((corners.first(), corners.last()), (before.corners.first(), before.corners.last()));
+            prop_assert!(finest < 1.0 || corners.iter().all(|p| p.x.fract() == 0.5 && p.y.fract() == 0.5));
+            prop_assert!(corners.windows(3).all(|three| !sight.sees(three[0], three[2])), "no corner that one sees past");
+        }
+    }
+
+    #[test]
+    fn a_way_around_a_wall_is_pulled_to_its_end() {
+        let mut free = BitGrid::from_fn(41, 41, |_| true);
+        (0..30).for_each(|y| free.set(Cell::new(20, y), false));
+        let at = |x: f64, y: f64| Point2::new(x, y);
+        let mut corners = vec![at(2.5, 2.5), at(5.0, 38.0), at(30.0, 40.0), at(38.5, 2.5)];
+        tighten(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0);
+        // Close around the wall's end at (20, 30) and (21, 30), with one corner instead of two.
+        let shortest = length(&[at(2.5, 2.5), at(20.0, 30.0), at(21.0, 30.0), at(38.5, 2.5)]);
+        assert!(
+            corners.len() == 3 && length(&corners) < shortest * 1.015,
+            "{} against {shortest}: {corners:?}",
+            length(&corners)
+        );
+    }
+
+    #[test]
+    fn nothing_much_stays_nothing_much() {
+        let sight = PointLineOfSight::new(&BitGrid::from_fn(9, 9, |_| true));
+        for mut corners in [vec![], vec![Point2::new(1.5, 1.5)]] {
+            let before = corners.clone();
+            tighten(&sight, &mut corners, 1.0);
+            assert_eq!(corners, before);
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Which curve leads from one stop to the next? The best one through the corridor, which is tightened where the true footprint does not fit.
+//!
+//! A disc needs no more than its rooms. What a longer robot needs depends on its heading, which nobody knows before there is a curve: rooms
+//! are first made for headings near each piece's own; the footprint is then swept along the curve, and where it touches something the room
+//! is made anew for the headings that it had there.
+
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::robot::Footprint;
+
+use super::corridor::{FreePolygon, SPREAD, corridor, room};
+use super::curve::{Curve, CurveError, Sampled};
+use super::fit::{Ends, fit};
+use super::smoother::{SmoothSettings, Times};
+use super::timing::GeometricPath;
+use zenav_space::ConfigurationSpace;
+
+/// A curve that is free all along.
+#[derive(Clone, Debug)]
+pub(super) struct Segment {
+    pub(super) path: GeometricPath,
+    pub(super) rooms: Vec<FreePolygon>,
+    /// The curve; none where the way is one straight line.
+    pub(super) curve: Option<Curve>,
+}
+
+/// Why there is no such curve.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum NoSegment {
+    /// None at all.
+    Curve(CurveError),
+    /// The footprint touches something at these places, m.
+    Collides(Vec<Point2<f64>>),
+}
+
+/// Times that a corridor is tightened.
+const TIGHTENED: usize = 5;
+/// A room is made for headings so much farther off than those that the curve had, rad, and for so many times more than before.
+const MARGIN: f64 = 0.05;
+const GROWTH: f64 = 1.5;
+
+/// The curve along a way (corner points) between two ends.
+pub(super) fn segment(
+    space: &ConfigurationSpace,
+    way: &[Point2<f64>],
+    ends: &Ends,
+    settings: &SmoothSettings,
+    times: &mut Times<'_>,
+) -> Result<Segment, NoSegment> {
+    if let Some(path) = straight(way, ends, settings.step) {
+        let (rooms, curve) = (Vec::new(), None);
+        return Ok(Segment { path, rooms, curve });
+    }
+    let is_long = matches!(space.footprint(), Footprint::Polygon(_));
+    let mut rooms = times.measure(|t| &mut t.corridor, || corridor(space, way, &settings.rooms));
+    let mut spreads = vec![SPREAD; rooms.len()];
+    let mut places = Vec::new();
+    for _ in 0..=TIGHTENED {
+        let fitted = times.measure(
+            |t| &mut t.geometry,
+            || {
+                let curve = fit(&rooms, ends, settings.turning_length, settings.max_iterations)?;
+                let sampled = curve.sampled(settings.step)?;
+                let hits = if is_long {
+                    collisions(space, &sampled.path)
+                } else {
+                    Vec::new()
+                };
+                Ok((curve, sampled, hits))
+            },
+        );
+        let (curve, sampled, hits) = match fitted {
+            Ok(fitted) => fitted,
+            Err(error) if places.is_empty() => return Err(NoSegment::Curve(error)),
+            Err(_) => break,
+        };
+        if hits.is_empty() {
+            let (path, curve) = (sampled.path, Some(curve));
+            return Ok(Segment { path, rooms, curve });
+        }
+        let points = sampled.path.points();
+        places = hits
+            .iter()
+            .map(|hit| Point2::new(points[*hit].x, points[*hit].y))
+            .collect();
+        let widened = widen(&mut spreads, &rooms, &sampled, &hits);
+        let tightened = times.measure(
+            |t| &mut t.corridor,
+            || {
+                let mut tightened = false;
+                for i in widened {
+                    let (from, to) = (rooms[i].from, rooms[i].to);
+                    let tight = room(space, from, to, &settings.rooms, spreads[i]);
+                    if tight.holds(from, 1e-6) && tight.holds(to, 1e-6) {
+                        tightened |= tight.sides != rooms[i].sides;
+                        rooms[i].sides = tight.sides;
+                    }
+                }
+                tightened
+            },
+        );
+        if !tightened {
+            break;
+        }
+    }
+    Err(NoSegment::Collides(places))
+}
+
+/// One straight line, where that is what the ends ask for.
+fn straight(way: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPath> {
+    let [from, to] = way else { return None };
+    let along = to - from;
+    let admits = [ends.start, ends.end]
+        .into_iter()
+        .flatten()
+        .all(|tangent| tangent.direction.angle(&along) < 1e-6 && tangent.curvature.is_none_or(|k| k.abs() < 1e-6));
+    admits.then(|| GeometricPath::straight(*from, *to, step)).flatten()
+}
+
+/// Samples after which the footprint touches something before the next one.
+fn collisions(space: &ConfigurationSpace, path: &GeometricPath) -> Vec<usize> {
+    let pose = |i: usize| {
+        let point = path.points()[i];
+        Pose2 {
+            x: point.x,
+            y: point.y,
+            yaw: point.yaw,
+        }
+    };
+    (0..path.points().len() - 1)
+        .filter(|i| !space.motion_is_free(pose(*i), pose(i + 1)))
+        .collect()
+}
+
+/// Notes for which headings rooms are to be made; says which rooms change.
+fn widen(spreads: &mut [f64], rooms: &[FreePolygon], sampled: &Sampled, hits: &[usize]) -> Vec<usize> {
+    let before = spreads.to_vec();
+    for hit in hits {
+        let i = sampled.ends.partition_point(|end| *end <= *hit).min(rooms.len() - 1);
+        let off = [*hit, hit + 1].map(|sample| {
+            let yaw = sampled.path.points()[sample].yaw;
+            wrap_angle(yaw - rooms[i].heading()).abs()
+        });
+        let wider = (off[0].max(off[1]) + MARGIN).max(before[i] * GROWTH);
+        spreads[i] = spreads[i].max(wider.min(FRAC_PI_2));
+    }
+    (0..spreads.len()).filter(|i| spreads[*i] > before[*i]).collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    use zenav_space::UnknownPolicy;
+
+    /// A corner to the left between two halls of 0.8 m, for a robot of 0.8 m by 0.3 m with its base in front.
+    #[test]
+    fn a_corridor_is_tightened_until_a_long_robot_fits_round_its_corner() {
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 80,
+            height: 80,
+        };
+        let mut grid = Grid::filled(spec, Occupancy::OCCUPIED);
+        for i in 0..80 {
+            for j in 0..80 {
+                let center = spec.center(Cell::new(i, j));
+                let east = (1.0..1.8).contains(&center.y) && center.x < 2.8;
+                let north = (2.0..2.8).contains(&center.x) && center.y > 1.0;
+                if east || north {
+                    grid[Cell::new(i, j)] = Occupancy::FREE;
+                }
+            }
+        }
+        let outline = [(-0.6, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.6, 0.15)];
+        let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
+        let space = ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0);
+        let way = [Point2::new(0.8, 1.6), Point2::new(2.3, 1.6), Point2::new(2.3, 3.5)];
+        let (settings, mut clock) = (SmoothSettings::default(), || 0.0);
+        let mut times = Times::new(&mut clock);
+        let loose = fit(&corridor(&space, &way, &settings.rooms), &Ends::default(), 0.25, 50).unwrap();
+        let loose = loose.sampled(settings.step).unwrap();
+        let found = segment(&space, &way, &Ends::default(), &settings, &mut times).unwrap();
+        assert!(
+            !collisions(&space, &loose.path).is_empty(),
+            "it takes the true footprint to tell"
+        );
+        assert!(collisions(&space, &found.path).is_empty());
+    }
+}

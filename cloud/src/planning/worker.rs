@@ -1,0 +1,145 @@
+//! How is one plan request answered? On a copy of the map, by the planner asked for, within a budget.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use nalgebra::Point2;
+use zenav_protocol::messages::{PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal};
+use zenav_protocol::robot::Footprint;
+
+use zenav_planning::{Budget, PlanOptions, Planner, Replanner};
+use zenav_protocol::map_replica::MapReplica;
+use zenav_space::{SpaceCache, UnknownPolicy, Zones};
+
+/// Nodes that a search may expand for a robot: some seconds' worth.
+const MAX_EXPANSIONS: u64 = 50_000_000;
+/// Samples that trees may grow by until a way is found: seconds' worth.
+const MAX_SAMPLES: u64 = 1_000_000;
+/// Samples that a way is improved by: some tenths of a second's worth. What it would gain by more is less than the wait costs.
+const IMPROVING: u64 = 20_000;
+/// Robots and maps that answers are kept for.
+const KEPT: usize = 4;
+
+/// Answers plan requests one after the other; keeps what it prepared and what it found.
+#[derive(Debug, Default)]
+pub struct PlanWorker {
+    spaces: SpaceCache,
+    /// The one used last comes first.
+    kept: VecDeque<Kept>,
+    /// Whether the last search grew trees.
+    grew: bool,
+}
+
+/// What is known of a map for a robot.
+#[derive(Debug)]
+struct Kept {
+    map: String,
+    footprint: Footprint,
+    policy: UnknownPolicy,
+    replanner: Replanner,
+}
+
+impl PlanWorker {
+    /// A worker for maps with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+            ..Self::default()
+        }
+    }
+
+    /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
+    #[must_use]
+    pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
+        let Some(Kept { replanner, .. }) = self.kept.front().filter(|_| self.grew) else {
+            return Vec::new();
+        };
+        let edges = replanner.searcher.tree(limit);
+        edges
+            .map(|edge| edge.map(|end| replanner.spec().from_cells(end)))
+            .collect()
+    }
+
+    /// Answers a request on a copy of the robot's map, without the time it took. `cancel` ends the search soon after it is set.
+    ///
+    /// # Errors
+    /// [`Refusal::BadRequest`] for numbers that are not finite, a robot that cannot be, and a planner that there is not.
+    pub fn answer(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &PlanRequest,
+        cancel: Option<&AtomicBool>,
+    ) -> Result<PlanReply, Refusal> {
+        let planner: Planner = request
+            .planner
+            .parse()
+            .map_err(|error: zenav_planning::planner::UnknownPlanner| Refusal::bad_request(error.to_string()))?;
+        if !(request.start.is_finite() && request.goal.is_finite()) {
+            return Err(Refusal::bad_request("start and goal: expected finite numbers"));
+        }
+        let model = request
+            .model
+            .clone()
+            .checked("model")
+            .map_err(|error| Refusal::bad_request(error.to_string()))?;
+        let Some(map) = map.filter(|map| !map.grid().spec().is_empty()) else {
+            return Ok(PlanReply {
+                map: request.map.clone(),
+                outcome: PlanOutcome::NoMap,
+                search_ms: 0.0,
+                expansions: 0,
+                origin: PlanOrigin::Searched,
+            });
+        };
+        let policy = if request.unknown_is_free {
+            UnknownPolicy::Free
+        } else {
+            UnknownPolicy::Blocked
+        };
+        let space = self.spaces.get(map, &model.footprint, policy);
+        let internal = |error: &dyn std::fmt::Display| Refusal::Internal {
+            reason: error.to_string(),
+        };
+        let known =
+            |kept: &Kept| kept.map == map.map().id && kept.policy == policy && kept.footprint == model.footprint;
+        let mut kept = match self.kept.iter().position(known).and_then(|at| self.kept.remove(at)) {
+            Some(kept) => kept,
+            None => Kept {
+                map: map.map().id.clone(),
+                footprint: model.footprint.clone(),
+                policy,
+                replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
+            },
+        };
+        kept.replanner.searcher.sampling.improving = IMPROVING;
+        let options = PlanOptions {
+            planner,
+            seed: request.seed,
+            ..PlanOptions::default()
+        };
+        let budget = Budget {
+            max_expansions: if planner.grows_trees() {
+                MAX_SAMPLES
+            } else {
+                MAX_EXPANSIONS
+            },
+            cancel,
+        };
+        let planned = kept
+            .replanner
+            .plan(&space, request.start, request.goal, &options, budget);
+        self.kept.push_front(kept);
+        self.kept.truncate(KEPT);
+        let planned = planned.map_err(|error| internal(&error))?;
+        self.grew = planner.grows_trees() && planned.origin == PlanOrigin::Searched;
+        Ok(PlanReply {
+            map: map.map().clone(),
+            outcome: planned.outcome,
+            search_ms: 0.0,
+            expansions: planned.expansions,
+            origin: planned.origin,
+        })
+    }
+}

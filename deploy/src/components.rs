@@ -1,0 +1,379 @@
+//! How do the parts start and end that share a process?
+//!
+//! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+
+use clap::ValueEnum;
+use tokio::task::JoinSet;
+use zenav_cloud::{dispatch, mapping, planning, smoothing};
+use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
+use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::robot::RobotModel;
+use zenav_sim::{RobotSpec, Simulation, World};
+
+use crate::config::{Deployment, RobotSection};
+use crate::failure::Failure;
+use crate::files;
+
+/// Time for the parts to end by themselves.
+const DRAIN: Duration = Duration::from_secs(8);
+
+/// Off-board services.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CloudPart {
+    /// Maps from scans
+    Mapping,
+    /// Planning and smoothing workers
+    Planning,
+    /// Missions of the deployment's robots
+    Mission,
+    /// All of them
+    All,
+}
+
+/// Parts that run in this process.
+#[derive(Debug)]
+pub struct Parts {
+    tasks: JoinSet<(String, Result<(), Failure>)>,
+    shutdown: Shutdown,
+}
+
+impl Default for Parts {
+    fn default() -> Self {
+        Self {
+            tasks: JoinSet::new(),
+            shutdown: Shutdown::new(),
+        }
+    }
+}
+
+impl Parts {
+    /// Runs a part on a bus of its own until the shutdown.
+    fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
+    where
+        F: FnOnce(Bus, Shutdown) -> R + Send + 'static,
+        R: Future<Output = Result<(), Failure>> + Send + 'static,
+    {
+        let opening = async { Ok((Bus::open(bus).await?, ())) };
+        self.spawn_once(name, opening, |bus, (), shutdown| part(bus, shutdown));
+    }
+
+    /// Runs a part on the bus, and with what else, that `opening` gives once it is there, until the shutdown.
+    fn spawn_once<T, O, F, R>(&mut self, name: String, opening: O, part: F)
+    where
+        T: Send + 'static,
+        O: Future<Output = Result<(Bus, T), Failure>> + Send + 'static,
+        F: FnOnce(Bus, T, Shutdown) -> R + Send + 'static,
+        R: Future<Output = Result<(), Failure>> + Send + 'static,
+    {
+        let shutdown = self.shutdown.clone();
+        self.tasks.spawn(async move {
+            // Without a router or a world a part waits for one: its end must not.
+            let opened = tokio::select! {
+                opened = opening => opened,
+                () = shutdown.wait() => return (name, Ok(())),
+            };
+            let (bus, with) = match opened {
+                Ok(opened) => opened,
+                Err(error) => return (name, Err(error)),
+            };
+            let result = part(bus.clone(), with, shutdown).await;
+            bus.close().await;
+            (name, result)
+        });
+    }
+
+    /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in the order of their ids.
+    ///
+    /// # Errors
+    /// Bad files, or a start where something stands.
+    pub fn edges(&mut self, deployment: &Deployment, world: &World) -> Result<Vec<Referee>, Failure> {
+        let mut here = Vec::new();
+        let mut specs = Vec::new();
+        for (id, section) in deployment.robot_ids()? {
+            let model = files::robot(&section.model)?;
+            let start = section.start.map(|start| Pose2::new(start.x, start.y, start.yaw));
+            if section.attach {
+                self.attached(deployment, id, section, model, start);
+                continue;
+            }
+            specs.push(RobotSpec {
+                id: id.clone(),
+                model,
+                start: start.unwrap_or_else(|| world.start()),
+            });
+            here.push((id, section));
+        }
+        if specs.is_empty() {
+            return Ok(Vec::new());
+        }
+        let simulation = Simulation::new(world, specs.clone(), deployment.simulation.seed)
+            .map_err(|error| Failure::usage(format!("{error}; each robot of a deployment may have a `start`")))?;
+        let mut referees = Vec::new();
+        for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
+            let service = ServiceConfig {
+                edge: edge_config(&id, section, spec.model, spec.start),
+                state_dir: deployment.robot_dir(&id),
+                speed: deployment.simulation.speed,
+                gives_the_time: referees.is_empty(),
+            };
+            referees.push(referee);
+            self.spawn(
+                format!("edge {id}"),
+                edge_bus(deployment, &id, section),
+                move |bus, shutdown| run_edge(bus, service, Box::new(body), shutdown),
+            );
+        }
+        Ok(referees)
+    }
+
+    /// Starts the one robot of a deployment that is simulated here; returns its referee.
+    ///
+    /// # Errors
+    /// As [`edges`](Self::edges), or when there is none.
+    pub fn edge(&mut self, deployment: &Deployment, world: &World) -> Result<Referee, Failure> {
+        let referee = self.edges(deployment, world)?.pop();
+        referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))
+    }
+
+    /// Starts a robot of the world that `zenav sim serve` serves on the deployment's bus.
+    fn attached(
+        &mut self,
+        deployment: &Deployment,
+        id: Id,
+        section: &RobotSection,
+        model: RobotModel,
+        start: Option<Pose2>,
+    ) {
+        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
+        let bus = edge_bus(deployment, &id, &section);
+        let name = format!("edge {id}");
+        let attaching = {
+            let (id, model) = (id.clone(), model.clone());
+            async move {
+                let Attached { bus, body, reply } = RemoteBody::attach(&bus, &id, &model, start)
+                    .await
+                    .map_err(|error| Failure::new(error.exit_code(), error.to_string()))?;
+                Ok((bus, (body, reply)))
+            }
+        };
+        self.spawn_once(name, attaching, move |bus, (body, reply), shutdown| {
+            let mut edge = edge_config(&id, &section, model, reply.start);
+            edge.tick = reply.tick_secs;
+            let service = ServiceConfig {
+                edge,
+                state_dir,
+                speed: reply.speed,
+                gives_the_time: false,
+            };
+            run_edge(bus, service, Box::new(body), shutdown)
+        });
+    }
+
+    /// Starts the mapping of a robot.
+    pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
+        let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
+        let mut config = mapping::MappingConfig::new(id.as_str());
+        config.mapper.resolution = deployment.mapping.resolution;
+        config.folder = Some(deployment.robot_dir(id));
+        self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
+            let clock = Clock::follow(&bus)?;
+            mapping::run(bus, clock, config, shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
+        });
+    }
+
+    /// Starts planning and smoothing workers.
+    ///
+    /// # Errors
+    /// A name that no worker may have, bad zones.
+    pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
+        let zones = files::zones(deployment.zones.file.as_deref())?;
+        for number in 1..=deployment.planning.workers {
+            let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
+            let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
+            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
+            self.spawn(
+                format!("planning {worker}"),
+                bus("planning"),
+                move |bus, shutdown| async move {
+                    let clock = Clock::follow(&bus)?;
+                    planning::run(bus, clock, name, map_zones, shutdown)
+                        .await
+                        .map_err(|error| Failure::failed(error.to_string()))
+                },
+            );
+            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
+            self.spawn(
+                format!("smoothing {worker}"),
+                bus("smoothing"),
+                move |bus, shutdown| async move {
+                    smoothing::run(bus, name, map_zones, shutdown)
+                        .await
+                        .map_err(|error| Failure::failed(error.to_string()))
+                },
+            );
+        }
+        Ok(())
+    }
+
+    /// Starts robots' missions. They share a session: a hundred robots are one orchestrator's.
+    ///
+    /// # Errors
+    /// Bad zones.
+    pub fn missions(&mut self, deployment: &Deployment, world: &World, robots: &[Id]) -> Result<(), Failure> {
+        let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
+        let config = |id: &Id| {
+            let mut config = zenav_mission::MissionConfig::new(
+                id.clone(),
+                deployment.mission.holder.clone(),
+                deployment.robot_dir(id).join("mission.redb"),
+            );
+            config.places = places.clone();
+            config.planner.clone_from(&deployment.planning.planner);
+            config.latency_budget = deployment.mission.latency_budget_secs;
+            config.plan_valid = deployment.mission.plan_valid_secs;
+            config.profile = deployment.mission.profile;
+            config.zones = Arc::clone(&zones);
+            config
+        };
+        let configs: Vec<zenav_mission::MissionConfig> = robots.iter().map(config).collect();
+        let name = format!("missions-{}", deployment.mission.holder);
+        let bus = BusConfig::service(&name, &deployment.bus.connect);
+        self.spawn(name, bus, move |bus, shutdown| async move {
+            let clock = Clock::follow(&bus)?;
+            let mut missions = JoinSet::new();
+            for config in configs {
+                let robot = config.robot.clone();
+                let mission = zenav_cloud::mission::run(bus.clone(), clock.clone(), config, shutdown.clone());
+                missions.spawn(async move {
+                    mission
+                        .await
+                        .map_err(|error| Failure::failed(format!("mission {robot}: {error}")))
+                });
+            }
+            while let Some(ended) = missions.join_next().await {
+                ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;
+            }
+            Ok(())
+        });
+        Ok(())
+    }
+
+    /// Starts what takes goals for a group of robots.
+    fn dispatch(&mut self, deployment: &Deployment, world: &World, group: Id, robots: Vec<Id>) {
+        let bus = BusConfig::service(&format!("dispatch-{group}"), &deployment.bus.connect);
+        let places = places(world);
+        self.spawn(format!("group {group}"), bus, move |bus, shutdown| async move {
+            dispatch::service::run(bus, group, robots, places, shutdown)
+                .await
+                .map_err(|error| Failure::failed(error.to_string()))
+        });
+    }
+
+    /// Starts all off-board services of a deployment that run.
+    ///
+    /// # Errors
+    /// A name that no worker may have.
+    pub fn cloud(
+        &mut self,
+        deployment: &Deployment,
+        world: &World,
+        which: CloudPart,
+        worker: &str,
+    ) -> Result<(), Failure> {
+        let wanted = |part| which == CloudPart::All || which == part;
+        let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
+        if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+            for id in &robots {
+                self.mapping(deployment, id);
+            }
+        }
+        if wanted(CloudPart::Mission) && deployment.mission.enabled {
+            self.missions(deployment, world, &robots)?;
+            for (group, robots) in deployment.group_ids()? {
+                self.dispatch(deployment, world, group, robots);
+            }
+        }
+        if wanted(CloudPart::Planning) {
+            self.planning(deployment, worker)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the first part that ends by itself.
+    ///
+    /// # Errors
+    /// The part's failure.
+    pub async fn first_end(&mut self) -> Result<(), Failure> {
+        match self.tasks.join_next().await {
+            None => std::future::pending().await,
+            Some(Ok((name, Ok(())))) => Err(Failure::failed(format!("{name} ended by itself"))),
+            Some(Ok((name, Err(failure)))) => Err(Failure::new(failure.code, format!("{name}: {failure}"))),
+            Some(Err(error)) => Err(Failure::failed(format!("a part broke off: {error}"))),
+        }
+    }
+
+    /// Ends all parts, robots first to rest, each within its deadline.
+    pub async fn end(mut self) {
+        self.shutdown.trigger();
+        let ended = async {
+            while let Some(part) = self.tasks.join_next().await {
+                if let Ok((name, Err(failure))) = part {
+                    tracing::warn!(name, %failure, "a part did not end well");
+                }
+            }
+        };
+        if tokio::time::timeout(DRAIN, ended).await.is_err() {
+            tracing::warn!("some parts did not end in time");
+        }
+    }
+}
+
+fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
+    let mut edge = EdgeConfig::new(id.clone(), model, start);
+    edge.on_lost = section.on_lost;
+    edge
+}
+
+fn edge_bus(deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConfig {
+    BusConfig {
+        listen: vec![section.listen.clone()],
+        ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect)
+    }
+}
+
+async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), Failure> {
+    let endpoints = bus.endpoints().await;
+    tracing::info!(?endpoints, "the robot's own endpoint");
+    zenav_edge::run(bus, service, body, shutdown)
+        .await
+        .map_err(|error| Failure::failed(error.to_string()))
+}
+
+/// A world's places as named goals.
+#[must_use]
+pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
+    world
+        .places()
+        .iter()
+        .map(|place| {
+            (
+                place.name.to_string(),
+                GoalPoint {
+                    x: place.x,
+                    y: place.y,
+                    yaw: place.yaw,
+                },
+            )
+        })
+        .collect()
+}

@@ -1,0 +1,299 @@
+//! How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
+//!
+//! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
+//! links' delay stands for the whole way from scan to plan.
+
+use std::sync::Arc;
+
+use zenav_cloud::planning::worker::PlanWorker;
+use zenav_cloud::smoothing::worker::SmoothWorker;
+use zenav_cloud::worker_host::Work as _;
+use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
+use zenav_mapping::{Mapper, MapperConfig};
+use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
+use zenav_protocol::messages::*;
+use zenav_protocol::time::Stamp;
+use zenav_sim::{Simulation, Truth};
+
+use super::delay::Link;
+
+/// Control ticks between two steps of the mission.
+const TICKS_A_STEP: u64 = 2;
+
+/// What a stage is set up with.
+#[derive(Debug)]
+pub struct ClosedLoopConfig {
+    /// The robot.
+    pub edge: EdgeConfig,
+    /// Its mission.
+    pub mission: MissionConfig,
+    /// Side of a cell, m.
+    pub resolution: f64,
+    /// The map to begin with.
+    pub known_map: Option<OccupancyGrid>,
+    /// From scan to plan, s.
+    pub cloud_delay: f64,
+    /// Seed of the links.
+    pub seed: u64,
+}
+
+/// Up from the robot.
+enum Up {
+    Publication(Publication),
+    Answer(zenav_mission::Ticket, Result<Answer, NoAnswer>),
+}
+
+/// Down to the robot.
+enum Down {
+    Plan(Box<Plan>),
+    Heartbeat(Heartbeat),
+    Question(zenav_mission::Ticket, Question),
+}
+
+/// Everything, in one thread.
+pub struct ClosedLoop {
+    simulation: Simulation,
+    pilot: Pilot,
+    mapper: Mapper,
+    workers: Workers,
+    mission: Mission,
+    up: Link<Up>,
+    down: Link<Down>,
+    /// For the mission's next step.
+    inputs: zenav_mission::Inputs,
+    replies: Vec<Result<Response, Refusal>>,
+    /// The newest state of each goal.
+    goal: Option<GoalState>,
+    ticks: u64,
+    clients: u64,
+}
+
+impl ClosedLoop {
+    /// Sets the stage; the simulation has one robot.
+    #[must_use]
+    pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
+        let mapper_config = MapperConfig {
+            resolution: config.resolution,
+            footprint: Some(config.edge.model.footprint.clone()),
+            ..MapperConfig::default()
+        };
+        let map = MapRef {
+            id: "lockstep".to_owned(),
+            revision: 0,
+        };
+        let mut mapper = match &config.known_map {
+            Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),
+            None => Mapper::new(mapper_config, map.id),
+        };
+        // Live scans go on into a known map: what moved since must be seen.
+        mapper.resume();
+        Self {
+            simulation,
+            pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
+            mapper,
+            workers: Workers {
+                mirror: MapReplica::new(),
+                planning: PlanWorker::new(Arc::clone(&config.mission.zones)),
+                smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
+            },
+            mission: Mission::new(config.mission, Restored::fresh()),
+            up: Link::new(0.5 * config.cloud_delay, config.seed),
+            down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
+            inputs: zenav_mission::Inputs::default(),
+            replies: Vec::new(),
+            goal: None,
+            ticks: 0,
+            clients: 0,
+        }
+    }
+
+    /// Hands the mission a goal at its next step.
+    pub fn submit(&mut self, request: GoalRequest) {
+        self.clients += 1;
+        self.inputs
+            .requests
+            .push((zenav_mission::Client(self.clients), Request::Goal(Box::new(request))));
+    }
+
+    /// One control tick.
+    pub fn tick(&mut self) {
+        self.simulation.step();
+        let now = self.simulation.now();
+        let outbox = self.step_edge(now);
+        self.simulation.drive(0, outbox.wheels);
+        self.step_cloud(now);
+        self.ticks += 1;
+    }
+
+    fn step_edge(&mut self, now: Stamp) -> Outbox {
+        let mut inbox = Inbox::default();
+        for message in self.down.receive(now) {
+            match message {
+                Down::Plan(plan) => inbox.plans.push(*plan),
+                Down::Heartbeat(heartbeat) => inbox.heartbeats.push(heartbeat),
+                Down::Question(ticket, question) => inbox.questions.push((zenav_edge::Ticket(ticket.0), question)),
+            }
+        }
+        let mut outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
+        for publication in outbox.publications.drain(..) {
+            self.up.send(now, Up::Publication(publication));
+        }
+        for (ticket, answer) in outbox.answers.drain(..) {
+            self.up
+                .send(now, Up::Answer(zenav_mission::Ticket(ticket.0), answer_of(answer)));
+        }
+        outbox
+    }
+
+    fn step_cloud(&mut self, now: Stamp) {
+        for message in self.up.receive(now) {
+            match message {
+                Up::Answer(ticket, answer) => self.inputs.answers.push((ticket, answer)),
+                Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
+                Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
+                Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
+                Up::Publication(Publication::Scan(scan)) => {
+                    self.mapper.insert(&scan);
+                }
+                Up::Publication(_) => {}
+            }
+        }
+        while let Some(patch) = self.mapper.take_patch() {
+            if self.workers.mirror.apply(&patch) == PatchResult::Gap {
+                self.workers.mirror.replace(&self.mapper.reply());
+            }
+            self.inputs.map_patches.push(patch);
+            self.inputs.map_info = Some(self.mapper.info());
+        }
+        if self.ticks.is_multiple_of(TICKS_A_STEP) {
+            let inputs = std::mem::take(&mut self.inputs);
+            for effect in self.mission.step(now, inputs) {
+                self.carry_out(now, effect);
+            }
+        }
+    }
+
+    fn carry_out(&mut self, now: Stamp, effect: Effect) {
+        match effect {
+            Effect::Heartbeat(heartbeat) => self.down.send(now, Down::Heartbeat(heartbeat)),
+            Effect::Plan(plan) => self.down.send(now, Down::Plan(plan)),
+            Effect::Goal(goal) => self.goal = Some(*goal),
+            Effect::Reply(_, reply) => self.replies.push(reply),
+            Effect::Ask(ticket, ask) => {
+                let question = match ask {
+                    Ask::Lease(request) => Question::Lease(request),
+                    Ask::EdgeInfo(request) => Question::Info(request),
+                    Ask::Behaviour(request) => Question::Maneuver(request),
+                    Ask::Plan(request) => {
+                        let answer = self.workers.plan(&request);
+                        return self.inputs.answers.push((ticket, answer));
+                    }
+                    Ask::Smooth(request) => {
+                        let answer = self.workers.smooth(&request);
+                        return self.inputs.answers.push((ticket, answer));
+                    }
+                    Ask::Remote(server, _) => {
+                        let answer = Err(NoAnswer::Silent(format!(
+                            "a run in lockstep has no network for {server}"
+                        )));
+                        return self.inputs.answers.push((ticket, answer));
+                    }
+                    Ask::Map(request) => {
+                        let answer = self.map_answer(&request);
+                        return self.inputs.answers.push((ticket, Ok(answer)));
+                    }
+                };
+                self.down.send(now, Down::Question(ticket, question));
+            }
+            // Nothing outlives a lockstep run, and nobody watches it.
+            Effect::Persist(_) | Effect::Status(_) | Effect::StandBy | Effect::Fatal(_) => {}
+        }
+    }
+
+    fn map_answer(&mut self, request: &MapRequest) -> Answer {
+        match request.action {
+            MapAction::Get => {}
+            MapAction::Save => self.mapper.mark_stored(),
+            MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
+            MapAction::Resume => self.mapper.resume(),
+            MapAction::Hold => self.mapper.hold(),
+            MapAction::Forget => self.mapper.forget(),
+        }
+        let mut reply = self.mapper.reply();
+        if request.action != MapAction::Get {
+            reply.values.clear();
+        }
+        Answer::Map(Box::new(reply))
+    }
+
+    /// Simulated time.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.simulation.now()
+    }
+
+    /// The simulator's truth.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        self.simulation.truth(0)
+    }
+
+    /// The newest state of the goal.
+    #[must_use]
+    pub fn goal(&self) -> Option<&GoalState> {
+        self.goal.as_ref()
+    }
+
+    /// What the mission has answered so far.
+    pub fn replies(&self) -> &[Result<Response, Refusal>] {
+        &self.replies
+    }
+
+    /// The map so far.
+    #[must_use]
+    pub fn map(&self) -> OccupancyGrid {
+        self.mapper.grid()
+    }
+}
+
+fn answer_of(answer: Result<zenav_edge::Answer, Refusal>) -> Result<Answer, NoAnswer> {
+    match answer {
+        Ok(zenav_edge::Answer::Lease(reply)) => Ok(Answer::Lease(reply)),
+        Ok(zenav_edge::Answer::Info(reply)) => Ok(Answer::EdgeInfo(reply)),
+        Ok(zenav_edge::Answer::Maneuver(reply)) => Ok(Answer::Behaviour(reply)),
+        Ok(_) => Err(NoAnswer::Silent("an answer to another question".to_owned())),
+        Err(refusal) => Err(NoAnswer::Refused(refusal)),
+    }
+}
+
+/// A planning and a smoothing worker with one copy of the map.
+struct Workers {
+    mirror: MapReplica,
+    planning: PlanWorker,
+    smoothing: SmoothWorker,
+}
+
+impl Workers {
+    fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = PlanWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
+        self.planning
+            .answer(Some(&self.mirror), request, None)
+            .map(Answer::Plan)
+            .map_err(NoAnswer::Refused)
+    }
+
+    fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
+        if let Some(outlook) = SmoothWorker::outlook(request) {
+            self.mirror.reach(&outlook);
+        }
+        // No clock: times would differ from run to run.
+        self.smoothing
+            .answer(Some(&self.mirror), request, &mut || 0.0)
+            .map(|reply| Answer::Smooth(Box::new(reply)))
+            .map_err(NoAnswer::Refused)
+    }
+}

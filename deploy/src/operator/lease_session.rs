@@ -1,0 +1,112 @@
+//! How does an operator keep the right to command? By heartbeats, until it is given back; when they end, the robot takes it back itself.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use zenav_protocol::bus::{AskError, Bus, BusError};
+use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
+use zenav_protocol::topics;
+
+use crate::connect::fresh_id;
+
+/// Heartbeats a second; the robot waits for one a second at most.
+const PERIOD: Duration = Duration::from_millis(50);
+/// Giving back is a courtesy: the lease ends by itself.
+const RELEASE_WITHIN: Duration = Duration::from_millis(800);
+
+/// Asks for the operator's lease, or gives it back.
+pub(super) async fn ask(
+    bus: &Bus,
+    robot: &str,
+    holder: &str,
+    action: LeaseAction,
+    within: Duration,
+) -> Result<LeaseReply, AskError> {
+    let request = LeaseRequest::new(holder.to_owned(), LeaseRole::Operator, action, fresh_id("lease"));
+    bus.ask(&topics::LEASE, &[robot], &request, within).await
+}
+
+/// A lease, renewed until it is released or dropped.
+pub(super) struct LeaseSession {
+    bus: Bus,
+    robot: String,
+    holder: String,
+    /// What the robot granted.
+    pub(super) grant: LeaseReply,
+    heartbeats: JoinHandle<()>,
+}
+
+/// Why a lease was not got.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LeaseSessionError {
+    #[error(transparent)]
+    Ask(#[from] AskError),
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
+impl From<LeaseSessionError> for crate::failure::Failure {
+    fn from(error: LeaseSessionError) -> Self {
+        match error {
+            LeaseSessionError::Ask(error) => error.into(),
+            LeaseSessionError::Bus(error) => error.into(),
+        }
+    }
+}
+
+impl LeaseSession {
+    /// Takes the lease and begins to renew it.
+    pub(super) async fn acquire(
+        bus: &Bus,
+        robot: &str,
+        holder: &str,
+        within: Duration,
+    ) -> Result<Self, LeaseSessionError> {
+        let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
+        let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
+        // A holder who asks again, from another process too, may get the same epoch: the count goes on above what was sent before.
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let mut heartbeat = Heartbeat {
+            holder: holder.to_owned(),
+            epoch: grant.epoch,
+            counter: u64::try_from(since.as_micros()).unwrap_or_default(),
+        };
+        let heartbeats = tokio::spawn(async move {
+            let mut pace = tokio::time::interval(PERIOD);
+            pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
+            loop {
+                pace.tick().await;
+                heartbeat.counter += 1;
+                publisher.put(&heartbeat);
+            }
+        });
+        Ok(Self {
+            bus: bus.clone(),
+            robot: robot.to_owned(),
+            holder: holder.to_owned(),
+            grant,
+            heartbeats,
+        })
+    }
+
+    /// Gives the lease back.
+    pub(super) async fn release(self) -> Result<(), AskError> {
+        self.heartbeats.abort();
+        ask(
+            &self.bus,
+            &self.robot,
+            &self.holder,
+            LeaseAction::Release,
+            RELEASE_WITHIN,
+        )
+        .await
+        .map(|_| ())
+    }
+}
+
+impl Drop for LeaseSession {
+    fn drop(&mut self) {
+        self.heartbeats.abort();
+    }
+}

@@ -1,0 +1,141 @@
+//! How long does the guard think? One decision on a scan of 667 beams, and what taking in such a sweep costs before it.
+//! `cargo bench -p zenav-edge --bench guard`
+//!
+//! A room of 5 m by 4 m with furniture at arm's length, seen by the shipped robots' own lidars with 667 beams each; with somebody
+//! who walks through it, and one more who has gone out of sight.
+
+#![allow(missing_docs, reason = "criterion's macros")]
+#![allow(clippy::unwrap_used, reason = "a bench")]
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use nalgebra::{Point2, Vector2};
+use zenav_edge::collision_monitor::CollisionMonitor;
+use zenav_edge::local_obstacles::LocalObstacles;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::Bump;
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::time::Stamp;
+
+const BEAMS: usize = 667;
+/// Half the room, m.
+const ROOM: (f64, f64) = (2.5, 2.0);
+/// What stands in it: places and radii, m.
+const FURNITURE: [(f64, f64, f64); 6] = [
+    (1.1, 0.5, 0.2),
+    (0.9, -0.6, 0.05),
+    (-0.8, 0.9, 0.3),
+    (-1.0, -0.7, 0.1),
+    (0.2, 1.0, 0.1),
+    (1.9, -1.2, 0.4),
+];
+
+fn model(name: &str) -> RobotModel {
+    let mut model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+    model.lidar.beams = BEAMS;
+    model
+}
+
+/// Way along a direction until a disc is met, m.
+fn to_disc(from: Point2<f64>, along: Vector2<f64>, (x, y, radius): (f64, f64, f64)) -> f64 {
+    let to = Point2::new(x, y) - from;
+    let (ahead, off) = (to.dot(&along), to.perp(&along));
+    let half = (radius * radius - off * off).sqrt();
+    // Written so that NaN is a miss.
+    if ahead > half { ahead - half } else { f64::INFINITY }
+}
+
+fn sweep(model: &RobotModel, secs: f64, base: Pose2, people: &[(f64, f64, f64)]) -> Sweep {
+    let (lidar, laser) = (&model.lidar, base * model.lidar.mount);
+    let range = |beam: usize| {
+        let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
+        let along = Vector2::new(angle.cos(), angle.sin());
+        let x = (ROOM.0 * along.x.signum() - laser.x) / along.x;
+        let y = (ROOM.1 * along.y.signum() - laser.y) / along.y;
+        let discs = FURNITURE.iter().chain(people);
+        discs
+            .map(|disc| to_disc(laser.position(), along, *disc))
+            .fold(x.min(y), f64::min) as f32
+    };
+    Sweep {
+        stamp: Stamp::from_secs(secs),
+        ranges: (0..lidar.beams).map(range).collect(),
+    }
+}
+
+/// Three seconds of a robot that turns about and comes to look along x.
+fn history(model: &RobotModel, people: bool) -> Vec<(Sweep, Pose2)> {
+    (0..60)
+        .map(|step| {
+            let secs = 0.05 * f64::from(step);
+            let base = Pose2::new(0.0, 0.0, 2.0 * (secs - 2.95));
+            // One comes from ahead, one has walked behind the robot.
+            let walkers = [(2.2 - 0.4 * secs, 0.1, 0.2), (0.6 - 0.5 * secs, 0.85, 0.15)];
+            let seen = if people { &walkers[..] } else { &[] };
+            (sweep(model, secs, base, seen), base)
+        })
+        .collect()
+}
+
+fn decision(criterion: &mut Criterion) {
+    let bump = Bump {
+        stamp: Stamp::ZERO,
+        pressed: false,
+        bearing: None,
+    };
+    for name in ["tiago", "jackal"] {
+        let model = model(name);
+        let (v, w) = (model.drive.top_speed(), model.drive.top_yaw_rate());
+        for people in [false, true] {
+            let mut around = LocalObstacles::new(&model.lidar, &model.footprint, v);
+            let history = history(&model, people);
+            for (sweep, base) in &history {
+                assert!(around.insert(sweep, *base));
+            }
+            let with = if people { "people" } else { "furniture" };
+            for (motion, twist) in [
+                ("ahead", Twist2::new(v, 0.0)),
+                ("arc", Twist2::new(0.7 * v, 0.3 * w)),
+                ("turn", Twist2::new(0.0, w)),
+                ("back", Twist2::new(-v, 0.1 * w)),
+            ] {
+                let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+                guard.blind_speed = v;
+                criterion.bench_function(&format!("guard/decision/{name}/{with}/{motion}"), |bencher| {
+                    bencher.iter(|| {
+                        guard.judge(
+                            Stamp::from_secs(3.0),
+                            black_box(twist),
+                            black_box(&around),
+                            Pose2::IDENTITY,
+                            &bump,
+                        )
+                    });
+                });
+            }
+            let mut step = 0;
+            criterion.bench_function(&format!("guard/sweep/{name}/{with}"), |bencher| {
+                let mut around = LocalObstacles::new(&model.lidar, &model.footprint, v);
+                bencher.iter_batched_ref(
+                    || {
+                        // Round after round of the same seconds, on a clock that goes on.
+                        let (sweep, base) = &history[step % history.len()];
+                        step += 1;
+                        let sweep = Sweep {
+                            stamp: Stamp::from_secs(0.05 * step as f64),
+                            ranges: sweep.ranges.clone(),
+                        };
+                        (sweep, *base)
+                    },
+                    |(sweep, base)| assert!(around.insert(sweep, *base)),
+                    criterion::BatchSize::PerIteration,
+                );
+            });
+        }
+    }
+}
+
+criterion_group!(benches, decision);
+criterion_main!(benches);

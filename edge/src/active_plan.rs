@@ -1,0 +1,226 @@
+//! How is an accepted plan driven, renewed and ended? The plan in force, its tracker, and its expiry.
+
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{Marker, Plan, PlanProgress};
+use zenav_protocol::robot::{ControllerGains, Drive, RobotModel};
+use zenav_protocol::time::Stamp;
+
+use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
+use crate::local_obstacles::LocalObstacles;
+use crate::trackers::{Progress, ReferenceTrajectory, Tracker, TrackerInput, along_trajectory, through_waypoints};
+
+/// Share of the normal deceleration that braking for the expiry reckons with.
+const BRAKING_SHARE: f64 = 0.9;
+/// A splice may lie so far behind when the plan arrives, s.
+const LATE_SPLICE: f64 = 1.5;
+/// Farther from where it should be than this the robot no longer follows the plan: something moved the map, m.
+const LOST_TRACK: f64 = 0.6;
+
+/// The plan in force.
+#[derive(Clone, Debug)]
+pub struct ActivePlan {
+    plan: Plan,
+    expiry: Stamp,
+    tracker: Box<dyn Tracker>,
+    expiry_told: bool,
+    end_told: bool,
+}
+
+/// Where the robot is and what it sees, when a plan is judged.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// The robot.
+    pub model: &'a RobotModel,
+    /// The estimate.
+    pub map_from_base: Pose2,
+    /// The correction of odometry.
+    pub map_from_odom: Pose2,
+    /// Measured velocity.
+    pub velocity: Twist2,
+    /// What the lidar sees.
+    pub around: &'a LocalObstacles,
+}
+
+/// What became of a plan that was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// The same motion goes on for longer.
+    Renewed,
+    /// A new motion begins.
+    Begun,
+}
+
+impl ActivePlan {
+    /// Takes a plan whose head has been judged: renews the course in force, or replaces it. A rejection changes nothing.
+    ///
+    /// # Errors
+    /// [`Rejection`].
+    pub fn take(current: &mut Option<Self>, plan: Plan, expiry: Stamp, scene: &Scene<'_>) -> Result<Taken, Rejection> {
+        if let Some(course) = current
+            .as_mut()
+            .filter(|course| course.plan.trajectory_id == plan.trajectory_id)
+        {
+            if course.plan.trajectory != plan.trajectory || course.plan.waypoints != plan.waypoints {
+                return Err(Rejection::Changed(plan.trajectory_id));
+            }
+            course.plan.goal_id = plan.goal_id;
+            course.plan.epoch = plan.epoch;
+            course.plan.revision = plan.revision;
+            course.expiry = expiry;
+            course.expiry_told = false;
+            return Ok(Taken::Renewed);
+        }
+        judge_course(&plan, &scene.model.drive)?;
+        let tracker = if plan.trajectory.is_empty() {
+            let model = scene.model;
+            through_waypoints(
+                model.controller.tracker,
+                &model.drive,
+                scene.map_from_base,
+                plan.waypoints.clone(),
+            )
+        } else {
+            Self::begin(current.as_ref(), &plan, scene)?
+        };
+        *current = Some(Self {
+            plan,
+            expiry,
+            tracker,
+            expiry_told: false,
+            end_told: false,
+        });
+        Ok(Taken::Begun)
+    }
+
+    /// A tracker for a trajectory that begins at a splice of the current one, or where the robot is.
+    fn begin(current: Option<&Self>, plan: &Plan, scene: &Scene<'_>) -> Result<Box<dyn Tracker>, Rejection> {
+        let drive = &scene.model.drive;
+        let Some(first) = plan.trajectory.first() else {
+            return Err(Rejection::Empty);
+        };
+        let old = current
+            .filter(|old| !old.tracker.progress(&scene.map_from_base).finished)
+            .and_then(|old| Some((old.plan.trajectory_id, old.tracker.motion()?)));
+        let splice = plan.splice.and_then(|splice| {
+            let (_, (timeline, time)) = old.filter(|(id, _)| *id == splice.trajectory_id)?;
+            Some((splice.time.clamp(timeline.start(), timeline.end()), timeline, time))
+        });
+        let (timeline, time) = match splice {
+            Some((until, old, now)) => {
+                let planned = old.sample(until);
+                judge_start(first, planned.pose(), planned.twist(), drive)?;
+                let late = now - until;
+                if late > 0.0 {
+                    let there = ReferenceTrajectory::new(plan.trajectory.clone()).sample(late.min(LATE_SPLICE));
+                    judge_start(&there, scene.map_from_base, old.sample(now).twist(), drive)?;
+                }
+                (old.spliced(now, until, &plan.trajectory), late)
+            }
+            None => {
+                judge_start(first, scene.map_from_base, scene.velocity, drive)?;
+                (ReferenceTrajectory::new(plan.trajectory.clone()), 0.0)
+            }
+        };
+        let obstacles: Vec<_> = scene.around.seen_in(scene.map_from_odom).collect();
+        judge_free(timeline.points(), scene.model, scene.map_from_base, &obstacles)?;
+        let kind = scene.model.controller.tracker;
+        Ok(along_trajectory(kind, drive, timeline, time, &plan.waypoints))
+    }
+
+    /// Whether it has not expired.
+    #[must_use]
+    pub fn is_valid(&self, now: Stamp) -> bool {
+        now < self.expiry
+    }
+
+    /// One tick: the wanted twist, such that the robot is at rest by the expiry.
+    pub fn step(
+        &mut self,
+        now: Stamp,
+        dt: f64,
+        map_from_base: Pose2,
+        velocity: Twist2,
+        drive: &Drive,
+        gains: &ControllerGains,
+    ) -> Twist2 {
+        let view = TrackerInput {
+            dt,
+            map_from_base,
+            velocity,
+            speed_cap: speed_cap(drive, self.expiry.secs_since(now), dt),
+        };
+        self.tracker.step(&view, gains)
+    }
+
+    /// Why the plan can no longer be followed, if so.
+    #[must_use]
+    pub fn lost(&self) -> Option<&'static str> {
+        (self.tracker.off_track() > LOST_TRACK).then_some("too far from where the plan has the robot")
+    }
+
+    /// True once, when the end has been reached.
+    pub fn ends(&mut self, map_from_base: &Pose2) -> bool {
+        let ends = self.raw_progress(map_from_base).finished && !self.end_told;
+        self.end_told |= ends;
+        ends
+    }
+
+    /// True once for each validity, when it is over before the end was reached.
+    pub fn expires(&mut self, now: Stamp) -> bool {
+        let expires = !self.is_valid(now) && !self.expiry_told && !self.end_told;
+        self.expiry_told |= expires;
+        expires
+    }
+
+    /// Whether the robot is at rest at the end.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        self.end_told
+    }
+
+    /// The plan.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    fn raw_progress(&self, map_from_base: &Pose2) -> Progress {
+        self.tracker.progress(map_from_base)
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self, now: Stamp, map_from_base: &Pose2) -> PlanProgress {
+        let progress = self.raw_progress(map_from_base);
+        PlanProgress {
+            goal_id: self.plan.goal_id.clone(),
+            epoch: self.plan.epoch,
+            revision: self.plan.revision,
+            trajectory_id: self.plan.trajectory_id,
+            // Negative while what is left of the motion before a splice is driven.
+            time: progress.time,
+            waypoint: progress.waypoint,
+            distance_left: progress.distance_left,
+            time_left: progress.time_left,
+            valid_for: self.expiry.secs_since(now).max(0.0),
+            finished: self.end_told,
+        }
+    }
+
+    /// What to draw: the waypoint or the place that the robot drives to now.
+    #[must_use]
+    pub fn marker(&self, now: Stamp) -> Option<Marker> {
+        let (name, point) = self.tracker.target()?;
+        Some(Marker {
+            stamp: now,
+            name: name.to_owned(),
+            points: vec![point],
+        })
+    }
+}
+
+/// Largest wheel surface speed from which the robot comes to rest within `left` seconds, the motors' lag included.
+fn speed_cap(drive: &Drive, left: f64, tick: f64) -> f64 {
+    let usable = left - 4.0 * drive.motor_lag - 2.0 * tick;
+    (BRAKING_SHARE * drive.acceleration() * usable).max(0.0)
+}

@@ -1,0 +1,342 @@
+//! Claims about the guard's last word.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use nalgebra::{Point2, Vector2};
+use proptest::prelude::*;
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::shipped;
+
+const NO_BUMP: Bump = Bump {
+    stamp: Stamp::ZERO,
+    pressed: false,
+    bearing: None,
+};
+
+fn tiago() -> RobotModel {
+    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+}
+
+/// A TIAGo that looks all around.
+fn all_seeing() -> RobotModel {
+    let mut model = tiago();
+    model.lidar.field_of_view = std::f64::consts::TAU;
+    model
+}
+
+/// A wall across the way at `distance` ahead of the base.
+fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
+    let lidar = &model.lidar;
+    let mut around = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let range = |beam: usize| {
+        let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
+        if cos > 0.05 {
+            ((distance - lidar.mount.x) / cos) as f32
+        } else {
+            f32::INFINITY
+        }
+    };
+    around.insert(
+        &Sweep {
+            stamp: Stamp::from_secs(1.0),
+            ranges: (0..lidar.beams).map(range).collect(),
+        },
+        Pose2::IDENTITY,
+    );
+    around
+}
+
+fn judge(model: &RobotModel, around: &LocalObstacles, wanted: Twist2) -> Verdict {
+    CollisionMonitor::new(model, 0.02, 0.5).judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+}
+
+#[test]
+fn full_speed_at_a_wall_is_slowed_and_stopped_before_it() {
+    let model = tiago();
+    let full = Twist2::new(0.6, 0.0);
+    assert_eq!(judge(&model, &wall(&model, 2.0), full).zone, GuardZone::Clear);
+    let near = judge(&model, &wall(&model, 0.42), full);
+    assert!(near.zone == GuardZone::Slow && near.twist.v < 0.5, "{near:?}");
+    assert_eq!(judge(&model, &wall(&model, 0.27), full).twist.v, 0.0);
+    assert_eq!(judge(&model, &wall(&model, 0.27), full).zone, GuardZone::Stop);
+}
+
+#[test]
+fn a_robot_at_a_wall_may_turn_and_back_away() {
+    let model = all_seeing();
+    let around = wall(&model, 0.28);
+    assert_eq!(judge(&model, &around, Twist2::new(0.0, 1.5)).twist.w, 1.5);
+    assert_eq!(judge(&model, &around, Twist2::new(-0.3, 0.0)).twist.v, -0.3);
+}
+
+#[test]
+fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
+    let model = tiago();
+    let lidar = &model.lidar;
+    let mut around = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let ranges = (0..lidar.beams).map(|beam| {
+        let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
+        if sin > 0.05 {
+            (0.365 / sin) as f32
+        } else {
+            f32::INFINITY
+        }
+    });
+    around.insert(
+        &Sweep {
+            stamp: Stamp::from_secs(1.0),
+            ranges: ranges.collect(),
+        },
+        Pose2::IDENTITY,
+    );
+    assert_eq!(judge(&model, &around, Twist2::new(0.6, 0.0)).twist.v, 0.6);
+}
+
+#[test]
+fn without_a_fresh_scan_nothing_moves() {
+    let model = tiago();
+    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+    let stale = guard.judge(
+        Stamp::from_secs(1.6),
+        Twist2::new(0.1, 0.0),
+        &wall(&model, 3.0),
+        Pose2::IDENTITY,
+        &NO_BUMP,
+    );
+    assert_eq!((stale.twist, stale.zone), (Twist2::ZERO, GuardZone::Stop));
+    assert_eq!(stale.change.as_deref(), Some("the scan is too old"));
+    let none = guard.judge(
+        Stamp::from_secs(1.6),
+        Twist2::new(0.1, 0.0),
+        &LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed()),
+        Pose2::IDENTITY,
+        &NO_BUMP,
+    );
+    assert_eq!(none.twist, Twist2::ZERO);
+}
+
+#[test]
+fn contact_allows_only_the_way_back() {
+    let model = all_seeing();
+    let around = wall(&model, 3.0);
+    let bump = Bump {
+        stamp: Stamp::ZERO,
+        pressed: true,
+        bearing: Some(0.3),
+    };
+    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+    let now = Stamp::from_secs(1.05);
+    assert_eq!(
+        guard
+            .judge(now, Twist2::new(0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+            .twist,
+        Twist2::ZERO
+    );
+    assert_eq!(
+        guard
+            .judge(now, Twist2::new(-0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+            .twist
+            .v,
+        -0.2
+    );
+}
+
+#[test]
+fn another_reason_to_stop_is_told_too() {
+    let model = tiago();
+    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+    let around = wall(&model, 0.27);
+    let mut told = |secs: f64| {
+        let verdict = guard.judge(
+            Stamp::from_secs(secs),
+            Twist2::new(0.5, 0.0),
+            &around,
+            Pose2::IDENTITY,
+            &NO_BUMP,
+        );
+        assert_eq!(verdict.twist, Twist2::ZERO);
+        verdict.change
+    };
+    assert_eq!(told(1.05).as_deref(), Some("an obstacle in the way"));
+    assert_eq!(told(1.45), None);
+    assert_eq!(told(1.55).as_deref(), Some("the scan is too old"));
+    assert_eq!(told(1.57), None);
+}
+
+fn jackal() -> RobotModel {
+    RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+}
+
+/// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
+fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
+    let lidar = &model.lidar;
+    let mut around = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let mut stamp = Stamp::ZERO;
+    for step in 0..20 {
+        let secs = 1.0 + 0.05 * f64::from(step);
+        stamp = Stamp::from_secs(secs);
+        let center = from.coords + Vector2::new(velocity * (secs - 1.0), 0.0) - lidar.mount.position().coords;
+        let range = |beam: usize| {
+            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            let along = Vector2::new(angle.cos(), angle.sin());
+            let (ahead, off) = (center.dot(&along), center.perp(&along));
+            if ahead > 0.0 && off.abs() < 0.2 {
+                (ahead - (0.04 - off * off).sqrt()) as f32
+            } else {
+                f32::INFINITY
+            }
+        };
+        let ranges = (0..lidar.beams).map(range).collect();
+        assert!(around.insert(&Sweep { stamp, ranges }, Pose2::IDENTITY));
+    }
+    (around, stamp)
+}
+
+#[test]
+fn what_goes_away_may_turn_round() {
+    let model = jackal();
+    let fast = Twist2::new(1.5, 0.0);
+    let share = |velocity: f64| {
+        let (around, stamp) = beside(&model, Point2::new(1.2 - 0.95 * velocity, 0.0), velocity);
+        let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+        let verdict = guard.judge(stamp.plus_secs(0.02), fast, &around, Pose2::IDENTITY, &NO_BUMP);
+        (verdict.twist.v / fast.v, verdict.change.unwrap_or_default())
+    };
+    assert_eq!(share(0.0).0, 1.0, "it stands");
+    let (goes, reason) = share(0.5);
+    assert!(goes < 0.9 && reason.contains("moves nearby"), "{goes} {reason}");
+}
+
+#[test]
+fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
+    let model = jackal();
+    // Along the left side, backwards into the blind sector.
+    let (around, stamp) = beside(&model, Point2::new(0.6, 0.5), -1.0);
+    let turn = Twist2::new(0.0, 2.0);
+    let judge = |secs: f64, twist: Twist2| {
+        let mut around = around.clone();
+        let mut now = stamp;
+        while now < stamp.plus_secs(secs) {
+            now = now.plus_secs(0.2);
+            let sweep = Sweep {
+                stamp: now,
+                ranges: vec![f32::INFINITY; model.lidar.beams],
+            };
+            assert!(around.insert(&sweep, Pose2::IDENTITY));
+        }
+        CollisionMonitor::new(&model, 0.02, 0.5).judge(now.plus_secs(0.02), twist, &around, Pose2::IDENTITY, &NO_BUMP)
+    };
+    let soon = judge(1.0, turn);
+    assert!(
+        soon.twist.w * 0.21 < 0.01 && soon.change.unwrap().contains("out of sight"),
+        "{:?}",
+        soon.twist
+    );
+    assert_eq!(judge(1.0, Twist2::new(0.5, 0.0)).twist.v, 0.5, "it may drive off");
+    assert!(judge(8.0, turn).twist.w * 0.21 < 0.01, "it may still stand there");
+    assert_eq!(judge(11.0, turn).twist.w, 2.0, "not for ever");
+}
+
+#[test]
+fn after_a_silence_of_the_lidar_somebody_may_stand_behind() {
+    let model = jackal();
+    let turn = |second: f64| {
+        let mut around = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+        looked(&mut around, &model, 0.0, 0.0);
+        looked(&mut around, &model, second, 0.0);
+        let now = Stamp::from_secs(second + 0.05);
+        let wanted = Twist2::new(0.0, 1.0);
+        let verdict = CollisionMonitor::new(&model, 0.02, 0.5).judge(now, wanted, &around, Pose2::IDENTITY, &NO_BUMP);
+        verdict.twist.w
+    };
+    assert_eq!(turn(0.2), 1.0);
+    assert!(turn(1.0) * 0.21 < 0.01);
+}
+
+#[test]
+fn what_was_felt_behind_is_reckoned_with() {
+    let model = jackal();
+    let mut around = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    looked(&mut around, &model, 1.0, 0.0);
+    let turn = |around: &LocalObstacles| judge(&model, around, Twist2::new(0.0, 1.0)).twist.w;
+    assert_eq!(turn(&around), 1.0);
+    let bump = Bump {
+        bearing: Some(3.0),
+        ..NO_BUMP
+    };
+    around.touch(Stamp::from_secs(1.0), touched(&model.footprint, &bump), Pose2::IDENTITY);
+    assert!(turn(&around) * 0.21 < 0.01);
+}
+
+/// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.
+fn looked(around: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
+    let sweep = Sweep {
+        stamp: Stamp::from_secs(secs),
+        ranges: vec![f32::INFINITY; model.lidar.beams],
+    };
+    assert!(around.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
+}
+
+#[test]
+fn where_nobody_looks_it_backs_up_over_known_floor_only_and_as_slowly_as_it_is_told() {
+    let model = tiago();
+    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut back = |around: &LocalObstacles, allowed: f64| {
+        guard.blind_speed = allowed;
+        let wanted = Twist2::new(-0.3, 0.0);
+        -guard
+            .judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+            .twist
+            .v
+    };
+    let mut ahead = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    looked(&mut ahead, &model, 1.0, 0.0);
+    assert!(back(&ahead, 0.15) <= 0.01, "never seen");
+    let mut both = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    looked(&mut both, &model, 0.5, std::f64::consts::PI);
+    looked(&mut both, &model, 1.0, 0.0);
+    assert!((back(&both, 0.15) - 0.15).abs() < 1e-9);
+    assert!(back(&both, 0.0) <= 0.01, "somebody may have come up");
+}
+
+#[test]
+fn what_comes_at_the_robot_stops_it_earlier_than_what_stands() {
+    let model = tiago();
+    let lidar = &model.lidar;
+    let mut moving = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let mut standing = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let post = |distance: f64, secs: f64| Sweep {
+        stamp: Stamp::from_secs(secs),
+        ranges: (0..lidar.beams)
+            .map(|beam| {
+                let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+                if angle.abs() < 0.2 {
+                    distance as f32
+                } else {
+                    f32::INFINITY
+                }
+            })
+            .collect(),
+    };
+    for (secs, distance) in [(0.6, 0.7), (0.8, 0.6), (1.0, 0.5)] {
+        moving.insert(&post(distance, secs), Pose2::IDENTITY);
+        standing.insert(&post(0.5, secs), Pose2::IDENTITY);
+    }
+    let wanted = Twist2::new(0.5, 0.0);
+    assert_eq!(judge(&model, &standing, wanted).twist.v, 0.5);
+    let verdict = judge(&model, &moving, wanted);
+    assert!(verdict.twist.v < 0.4 && verdict.change.unwrap().contains("moves"));
+}
+
+proptest! {
+    #[test]
+    fn the_guard_only_ever_scales_down(v in prop::num::f64::ANY, w in prop::num::f64::ANY, distance in 0.3..3.0) {
+        let model = tiago();
+        let verdict = judge(&model, &wall(&model, distance), Twist2::new(v, w));
+        prop_assert!(verdict.twist.is_finite());
+        if v.is_finite() && w.is_finite() {
+            prop_assert!(verdict.twist.v.abs() <= v.abs() && verdict.twist.w.abs() <= w.abs());
+        }
+    }
+}

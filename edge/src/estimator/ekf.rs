@@ -1,0 +1,392 @@
+//! What is believed at a moment, and how does one input change it? An extended Kalman filter over the pose in the map, the gyro's bias
+//! and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their separation.
+//!
+//! Every noise is that of the robot's file, and nothing is widened by hand: encoder noise and slip a wheel, gyro noise a reading,
+//! half a step of what is quantised. The steps of encoders count for nothing, because they do not add up. A constant error is a state,
+//! not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and
+//! Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
+
+use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+/// Gates at 99.9 % of the chi-square distribution for one, two and three dimensions.
+const GATE: [f64; 3] = [10.83, 13.82, 16.27];
+/// After so many rejected measurements in a row the estimate is doubted rather than the sensor.
+const DOUBT_AFTER: u32 = 25;
+/// Least random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
+const SLIP: f64 = 1e-6;
+/// Share of the forward variance that acts sideways: no floor is perfect, and the covariance stays regular.
+const SIDEWAYS: f64 = 1e-3;
+/// Wheels that have not turned for this long are at rest, s.
+const STILL: f64 = 0.5;
+/// Random walk of the gyro's bias, (rad/s)² for each s.
+const BIAS_WALK: f64 = 1e-11;
+/// How far a wheel's radius may be from what is stated, as a share (standard deviation).
+const RADIUS: f64 = 0.01;
+/// The same of the wheels' separation.
+const SEPARATION: f64 = 0.02;
+/// How those wander, 1/s.
+const WANDER: f64 = 1e-10;
+/// No measurement is better than this, m² or rad².
+const LEAST_VARIANCE: f64 = 1e-8;
+
+/// Places in the state after x, y and yaw.
+const BIAS: usize = 3;
+const LEFT: usize = 4;
+const RIGHT: usize = 5;
+const APART: usize = 6;
+const STATES: usize = 7;
+
+type State = SVector<f64, STATES>;
+type Covariance = SMatrix<f64, STATES, STATES>;
+
+/// What a sensor said, checked for being numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Input {
+    /// Mean yaw rate since the gyro's reading before, rad/s.
+    Gyro(f64),
+    /// Angles of both wheels since start, rad; not a number where nobody knows.
+    Wheels([f64; 2]),
+    /// Heading, rad.
+    Compass(f64),
+    /// Position, m, and its variance, m².
+    Gps(Vector2<f64>, f64),
+    /// Pose, made off board, and its covariance.
+    Correction(Pose2, Matrix3<f64>),
+}
+
+impl Input {
+    /// Whether it is made of numbers, or says itself that it is not.
+    pub(super) fn is_finite(&self) -> bool {
+        match self {
+            Self::Gyro(value) | Self::Compass(value) => value.is_finite(),
+            Self::Wheels(_) => true,
+            Self::Gps(position, variance) => position.iter().chain([variance]).all(|value| value.is_finite()),
+            Self::Correction(pose, noise) => pose.is_finite() && noise.iter().all(|value| value.is_finite()),
+        }
+    }
+
+    /// Order of inputs with one stamp: what moves comes before what measures.
+    pub(super) fn rank(&self) -> u8 {
+        match self {
+            Self::Gyro(_) => 0,
+            Self::Wheels(_) => 1,
+            Self::Compass(_) => 2,
+            Self::Gps(..) => 3,
+            Self::Correction(..) => 4,
+        }
+    }
+}
+
+/// A measurement of the pose was compared with what was believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Compared {
+    /// Compass, GPS, correction.
+    pub(super) sensor: usize,
+    /// Normalised innovation squared.
+    pub(super) distance: f64,
+    /// It fitted and counts.
+    pub(super) fused: bool,
+}
+
+/// How the robot moves until the next input, as far as sensors tell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Stamp and angles (rad) of the wheels' reading that ends the interval.
+    pub(super) wheels: (Stamp, [f64; 2]),
+    /// Stamp and mean rate (rad/s) of the gyro's reading that covers it.
+    pub(super) gyro: Option<(Stamp, f64)>,
+}
+
+/// Dead reckoning since the beginning, with neither bias nor wheels corrected.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reckoned {
+    /// Way, m.
+    pub(super) way: f64,
+    /// Turn, rad.
+    pub(super) turn: f64,
+    /// Time in which the gyro told the turn, s.
+    pub(super) by_gyro: f64,
+}
+
+/// The filter at a moment.
+#[derive(Clone, Debug)]
+pub(super) struct Ekf {
+    time: Stamp,
+    state: State,
+    covariance: Covariance,
+    reckoned: Reckoned,
+    wheels: (Stamp, [f64; 2]),
+    gyro: Option<Stamp>,
+    still: f64,
+    stood_at: [f64; 2],
+    rejected: [u32; 3],
+}
+
+impl Ekf {
+    /// A robot that stands at `start` in the map, known to the given standard deviations (m, rad).
+    pub(super) fn new(model: &RobotModel, start: Pose2, std: f64, yaw_std: f64) -> Self {
+        let bias_std = model.imu.gyro_bias.abs().max(0.5 * model.imu.gyro_noise).max(1e-5);
+        let std = State::from([std, std, yaw_std, bias_std, RADIUS, RADIUS, SEPARATION]);
+        Self {
+            time: Stamp::ZERO,
+            state: State::from([start.x, start.y, start.yaw, 0.0, 0.0, 0.0, 0.0]),
+            covariance: SMatrix::from_diagonal(&std.component_mul(&std)),
+            reckoned: Reckoned::default(),
+            wheels: (Stamp::ZERO, [0.0; 2]),
+            gyro: None,
+            still: 0.0,
+            stood_at: [0.0; 2],
+            rejected: [0; 3],
+        }
+    }
+
+    /// The same at rest at another time: its clock began anew, or just now.
+    pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
+        (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
+        (self.still, self.stood_at) = (0.0, wheels);
+    }
+
+    /// When it holds.
+    pub(super) fn time(&self) -> Stamp {
+        self.time
+    }
+
+    /// Stamp of the wheels' last reading.
+    pub(super) fn wheels_at(&self) -> Stamp {
+        self.wheels.0
+    }
+
+    /// Stamp of the gyro's last reading.
+    pub(super) fn gyro_at(&self) -> Option<Stamp> {
+        self.gyro
+    }
+
+    /// Pose in the map.
+    pub(super) fn map_from_base(&self) -> Pose2 {
+        Pose2::new(self.state[0], self.state[1], self.state[2])
+    }
+
+    /// Covariance of x, y and yaw.
+    pub(super) fn covariance(&self) -> Matrix3<f64> {
+        self.covariance.fixed_view::<3, 3>(0, 0).into_owned()
+    }
+
+    /// The gyro's bias, rad/s.
+    pub(super) fn gyro_bias(&self) -> f64 {
+        self.state[BIAS]
+    }
+
+    /// Dead reckoning.
+    pub(super) fn reckoned(&self) -> Reckoned {
+        self.reckoned
+    }
+
+    /// Moves on to an input's stamp, and takes it. `motion` is what the sensors say about the time in between.
+    pub(super) fn take(
+        &mut self,
+        model: &RobotModel,
+        stamp: Stamp,
+        motion: &Motion,
+        input: &Input,
+    ) -> Option<Compared> {
+        self.advance(model, stamp, motion);
+        match input {
+            Input::Gyro(rate) => {
+                self.gyro = Some(stamp);
+                self.learn_bias_at_rest(model, *rate);
+                None
+            }
+            Input::Wheels(angles) => {
+                self.rest(model, stamp.secs_since(self.wheels.0), *angles);
+                self.wheels = (stamp, *angles);
+                None
+            }
+            Input::Compass(yaw) => {
+                let noise = model.imu.compass_noise?;
+                let innovation = SVector::<f64, 1>::new(wrap_angle(yaw - self.state[2]));
+                let mut jacobian = RowSVector::<f64, STATES>::zeros();
+                jacobian[2] = 1.0;
+                let noise = SMatrix::<f64, 1, 1>::new(noise * noise + LEAST_VARIANCE);
+                Some(self.gated(0, innovation, jacobian, noise))
+            }
+            Input::Gps(position, variance) => {
+                let steps = model.gps.as_ref().map_or(0.0, |gps| gps.resolution.powi(2) / 12.0);
+                let innovation = position - self.state.fixed_rows::<2>(0);
+                let jacobian = SMatrix::<f64, 2, STATES>::identity();
+                let noise = Matrix2::identity() * (variance + steps + LEAST_VARIANCE);
+                Some(self.gated(1, innovation, jacobian, noise))
+            }
+            Input::Correction(pose, noise) => {
+                let innovation = Vector3::new(
+                    pose.x - self.state[0],
+                    pose.y - self.state[1],
+                    wrap_angle(pose.yaw - self.state[2]),
+                );
+                Some(self.gated(2, innovation, SMatrix::<f64, 3, STATES>::identity(), *noise))
+            }
+        }
+    }
+
+    /// Moves on to a stamp within the interval that `motion` tells about.
+    fn advance(&mut self, model: &RobotModel, to: Stamp, motion: &Motion) {
+        let secs = to.secs_since(self.time);
+        let interval = motion.wheels.0.secs_since(self.wheels.0);
+        if secs <= 0.0 || interval <= 0.0 {
+            return;
+        }
+        self.time = to;
+        let drive = &model.drive;
+        let mut turns = [0, 1].map(|side: usize| motion.wheels.1[side] - self.wheels.1[side]);
+        // An encoder that is silent, was reset or lost counts: no wheel turns at thrice its limit.
+        let limit = 3.0 * drive.max_wheel_speed * interval + 0.1;
+        let known = turns.iter().all(|turn| turn.abs() <= limit);
+        if !known {
+            turns = [0.0; 2];
+        }
+        // Of what the wheels rolled, m, the share that falls into this time; variances add up over the interval.
+        let share = secs / interval;
+        let slip = SLIP.max(drive.errors.slip.powi(2));
+        let variances = turns.map(|turn| {
+            if !known {
+                // It may go at its limit for about a second in a row.
+                return (drive.max_wheel_speed * drive.wheel_radius).powi(2) * secs;
+            }
+            let metres = turn * drive.wheel_radius;
+            share * ((model.encoders.noise * metres).powi(2) + slip * metres.abs())
+        });
+        let [left, right] = turns.map(|turn| share * turn * drive.wheel_radius);
+        let way = 0.5 * (left * (1.0 + self.state[LEFT]) + right * (1.0 + self.state[RIGHT]));
+        let apart = drive.wheel_separation * (1.0 + self.state[APART]);
+        self.reckoned.way += 0.5 * (left + right);
+
+        // How way and turn depend on the parameters and on what each wheel did wrong.
+        let mut way_by = RowSVector::<f64, STATES>::zeros();
+        let mut turn_by = RowSVector::<f64, STATES>::zeros();
+        (way_by[LEFT], way_by[RIGHT]) = (0.5 * left, 0.5 * right);
+        let (turn, wheel_turns, own_variance) = match motion.gyro {
+            Some((until, rate)) => {
+                // A reading's one error, as a random walk over all the time that it covers.
+                let span = self.gyro.map_or(secs, |since| until.secs_since(since));
+                let noise = model.imu.gyro_noise.powi(2) + model.imu.resolution.powi(2) / 12.0;
+                self.reckoned.turn += rate * secs;
+                self.reckoned.by_gyro += secs;
+                turn_by[BIAS] = -secs;
+                ((rate - self.state[BIAS]) * secs, 0.0, noise * span * secs)
+            }
+            None => {
+                let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
+                self.reckoned.turn += (right - left) / drive.wheel_separation;
+                (turn_by[LEFT], turn_by[RIGHT]) = (-left / apart, right / apart);
+                turn_by[APART] = -turn / (1.0 + self.state[APART]);
+                (turn, 1.0 / apart, 0.0)
+            }
+        };
+        let (sin, cos) = (self.state[2] + 0.5 * turn).sin_cos();
+        let moved = self.map_from_base().advance(Twist2::new(way, turn), 1.0);
+        (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
+
+        // Along the heading at half the turn.
+        let spread = |way_by: f64, turn_by: f64| {
+            Vector3::new(
+                cos * way_by - 0.5 * way * sin * turn_by,
+                sin * way_by + 0.5 * way * cos * turn_by,
+                turn_by,
+            )
+        };
+        let mut jacobian = Covariance::identity();
+        (jacobian[(0, 2)], jacobian[(1, 2)]) = (-way * sin, way * cos);
+        for parameter in [BIAS, LEFT, RIGHT, APART] {
+            jacobian
+                .fixed_view_mut::<3, 1>(0, parameter)
+                .copy_from(&spread(way_by[parameter], turn_by[parameter]));
+        }
+        self.covariance = jacobian * self.covariance * jacobian.transpose();
+        let (by_left, by_right) = (spread(0.5, -wheel_turns), spread(0.5, wheel_turns));
+        let by_gyro = spread(0.0, 1.0);
+        let sideways = Vector3::new(-sin, cos, 0.0);
+        let pose_noise = by_left * by_left.transpose() * variances[0]
+            + by_right * by_right.transpose() * variances[1]
+            + by_gyro * by_gyro.transpose() * own_variance
+            + sideways * sideways.transpose() * (SIDEWAYS * 0.25 * (variances[0] + variances[1]));
+        let mut pose = self.covariance.fixed_view_mut::<3, 3>(0, 0);
+        pose += pose_noise;
+        self.covariance[(BIAS, BIAS)] += BIAS_WALK * secs;
+        for parameter in [LEFT, RIGHT, APART] {
+            self.covariance[(parameter, parameter)] += WANDER * secs;
+        }
+    }
+
+    /// Keeps how long the wheels have stood still.
+    fn rest(&mut self, model: &RobotModel, secs: f64, wheels: [f64; 2]) {
+        // Against where the wheels stood when they came to rest: a slow creep is no rest.
+        let flicker = 1.01 * model.encoders.resolution + 1e-9;
+        let resting = wheels
+            .iter()
+            .zip(self.stood_at)
+            .all(|(now, then)| (now - then).abs() <= flicker);
+        if resting {
+            self.still += secs;
+        } else {
+            (self.still, self.stood_at) = (0.0, wheels);
+        }
+    }
+
+    /// A gyro that turns while the wheels stand still shows its bias.
+    fn learn_bias_at_rest(&mut self, model: &RobotModel, rate: f64) {
+        if self.still > STILL {
+            let noise = SMatrix::<f64, 1, 1>::new((2.0 * model.imu.gyro_noise).powi(2) + 1e-6);
+            let mut jacobian = RowSVector::<f64, STATES>::zeros();
+            jacobian[BIAS] = 1.0;
+            self.update(SVector::<f64, 1>::new(rate - self.state[BIAS]), jacobian, noise);
+        }
+    }
+
+    /// Updates unless the measurement lies too far off; after many such in a row the estimate itself is doubted.
+    fn gated<const N: usize>(
+        &mut self,
+        sensor: usize,
+        innovation: SVector<f64, N>,
+        jacobian: SMatrix<f64, N, STATES>,
+        noise: SMatrix<f64, N, N>,
+    ) -> Compared {
+        let (fused, distance) = self.update(innovation, jacobian, noise);
+        let rejected = &mut self.rejected[sensor];
+        *rejected = if fused { 0 } else { *rejected + 1 };
+        if *rejected >= DOUBT_AFTER {
+            *rejected = 0;
+            self.covariance += SMatrix::from_diagonal(&State::from([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0]));
+        }
+        Compared {
+            sensor,
+            distance,
+            fused,
+        }
+    }
+
+    /// Whether a measurement passed the gate and was fused, and its normalised innovation squared.
+    fn update<const N: usize>(
+        &mut self,
+        innovation: SVector<f64, N>,
+        jacobian: SMatrix<f64, N, STATES>,
+        noise: SMatrix<f64, N, N>,
+    ) -> (bool, f64) {
+        let spread = jacobian * self.covariance * jacobian.transpose() + noise;
+        let Some(inverse) = spread.try_inverse() else {
+            return (false, f64::INFINITY);
+        };
+        let distance = (innovation.transpose() * inverse * innovation)[0];
+        if !distance.is_finite() || distance > GATE[N - 1] {
+            return (false, distance);
+        }
+        let gain = self.covariance * jacobian.transpose() * inverse;
+        self.state += gain * innovation;
+        self.state[2] = wrap_angle(self.state[2]);
+        // Joseph's form stays symmetric and positive.
+        let rest = Covariance::identity() - gain * jacobian;
+        self.covariance = rest * self.covariance * rest.transpose() + gain * noise * gain.transpose();
+        (true, distance)
+    }
+}

@@ -1,0 +1,227 @@
+//! What would be believed if every input had come in the order of its stamp? Inputs of the last seconds, each with the belief after it;
+//! one that comes late is put where it belongs, and everything after it is applied again.
+//!
+//! So the belief is a function of the set of inputs, whatever order they came in (re-application of history: Bar-Shalom 2002 calls it
+//! the optimal answer to out-of-sequence measurements, at the cost of the memory). Wheels between two of their readings turn evenly,
+//! and until a gyro's reading covers a time the wheels tell the turn. Bounded in time and in number.
+
+use std::collections::VecDeque;
+
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+use super::ekf::{Compared, Ekf, Input, Motion};
+
+/// An input that is later than this is too late, s.
+pub(super) const WINDOW: f64 = 2.0;
+/// Inputs kept at most: less than the window is covered where more come.
+const CAPACITY: usize = 1024;
+/// An input may be this far ahead of the wheels' newest reading, s; it waits until they come.
+const AHEAD: f64 = 1.0;
+/// A gyro's reading that comes longer after the one before does not tell what happened meanwhile, s.
+const LONGEST_SPAN: f64 = 0.5;
+
+/// What became of an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Admission {
+    /// It has its place.
+    Taken,
+    /// There is one of its kind with this stamp.
+    Repeated,
+    /// What it tells about lies before the window.
+    TooLate,
+    /// No clock of this robot says so.
+    Ahead,
+}
+
+#[derive(Clone, Debug)]
+struct Entry {
+    stamp: Stamp,
+    input: Input,
+    /// Never applied yet.
+    fresh: bool,
+    after: Ekf,
+}
+
+impl Entry {
+    fn order(&self) -> (Stamp, u8) {
+        (self.stamp, self.input.rank())
+    }
+
+    fn wheels(&self) -> Option<[f64; 2]> {
+        match self.input {
+            Input::Wheels(angles) => Some(angles),
+            _ => None,
+        }
+    }
+
+    fn gyro(&self) -> Option<f64> {
+        match self.input {
+            Input::Gyro(rate) => Some(rate),
+            _ => None,
+        }
+    }
+}
+
+/// Inputs in the order of their stamps.
+#[derive(Clone, Debug)]
+pub(super) struct MeasurementBuffer {
+    /// Before the first entry.
+    before: Ekf,
+    entries: VecDeque<Entry>,
+    /// Entries whose `after` holds.
+    applied: usize,
+    /// Stamp of the wheels' newest reading.
+    newest: Stamp,
+}
+
+impl MeasurementBuffer {
+    /// Begins with a reading of the wheels.
+    pub(super) fn new(mut before: Ekf, stamp: Stamp, wheels: [f64; 2]) -> Self {
+        before.begin(stamp, wheels);
+        Self {
+            before,
+            entries: VecDeque::new(),
+            applied: 0,
+            newest: stamp,
+        }
+    }
+
+    /// What is believed at the wheels' newest reading, once [`Self::replay`] has been called.
+    pub(super) fn belief(&self) -> &Ekf {
+        match self.applied.checked_sub(1).and_then(|last| self.entries.get(last)) {
+            Some(entry) => &entry.after,
+            None => &self.before,
+        }
+    }
+
+    /// Stamp of the wheels' newest reading.
+    pub(super) fn newest(&self) -> Stamp {
+        self.newest
+    }
+
+    /// Inputs kept.
+    #[cfg(test)]
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Puts an input in its place; it counts from the next [`Self::replay`] on.
+    pub(super) fn insert(&mut self, stamp: Stamp, input: Input) -> Admission {
+        let is_wheels = matches!(input, Input::Wheels(_));
+        if stamp < self.before.time() || self.newest.secs_since(stamp) > WINDOW {
+            return Admission::TooLate;
+        }
+        if !is_wheels && stamp.secs_since(self.newest) > AHEAD {
+            return Admission::Ahead;
+        }
+        let order = (stamp, input.rank());
+        let place = self.entries.partition_point(|entry| entry.order() < order);
+        if self.entries.get(place).is_some_and(|entry| entry.order() == order)
+            || is_wheels && stamp == self.before.wheels_at()
+        {
+            return Admission::Repeated;
+        }
+        if self.entries.len() >= CAPACITY {
+            // Where everything still waits for wheels there is no room.
+            if place == 0 || !self.forget_first() {
+                return Admission::TooLate;
+            }
+            return self.insert(stamp, input);
+        }
+        // Wheels and gyro tell about the time since their reading before: all after that is applied again.
+        let told_since = match input {
+            Input::Wheels(_) => self.since(place, |entry| entry.wheels().is_some()),
+            Input::Gyro(_) => self.since(place, |entry| entry.gyro().is_some()),
+            _ => place,
+        };
+        if is_wheels {
+            self.newest = self.newest.max(stamp);
+        }
+        self.applied = self.applied.min(told_since);
+        self.entries.insert(
+            place,
+            Entry {
+                stamp,
+                input,
+                fresh: true,
+                after: self.before.clone(),
+            },
+        );
+        Admission::Taken
+    }
+
+    /// The first entry before `place` that is later than the last one of a kind.
+    fn since(&self, place: usize, kind: impl Fn(&Entry) -> bool) -> usize {
+        let last = self.entries.range(..place).rev().find(|entry| kind(entry));
+        last.map_or(0, |last| {
+            self.entries.partition_point(|entry| entry.stamp <= last.stamp)
+        })
+        .min(place)
+    }
+
+    /// Leaves out the oldest entry for good, if it is applied.
+    fn forget_first(&mut self) -> bool {
+        if self.applied == 0 {
+            return false;
+        }
+        if let Some(first) = self.entries.pop_front() {
+            self.applied -= 1;
+            self.before = first.after;
+        }
+        true
+    }
+
+    /// Applies everything that is not, in the order of stamps; `told` hears of measurements that are compared for the first time.
+    pub(super) fn replay(&mut self, model: &RobotModel, mut told: impl FnMut(Compared)) {
+        let (mut wheels_ahead, mut gyro_ahead) = (self.applied, self.applied);
+        while let Some(entry) = self
+            .entries
+            .get(self.applied)
+            .filter(|entry| entry.stamp <= self.newest)
+        {
+            let index = self.applied;
+            let mut belief = self.belief().clone();
+            let wheels = self.next(&mut wheels_ahead, index, Entry::wheels);
+            let gyro = self.next(&mut gyro_ahead, index, Entry::gyro);
+            let motion = Motion {
+                // None is ahead only at the stamp of the newest itself, where nothing moves any more.
+                wheels: wheels.unwrap_or((entry.stamp, [0.0; 2])),
+                gyro: gyro.filter(|(until, _)| {
+                    belief
+                        .gyro_at()
+                        .is_some_and(|since| until.secs_since(since) < LONGEST_SPAN)
+                }),
+            };
+            let compared = belief.take(model, entry.stamp, &motion, &entry.input);
+            if entry.fresh
+                && let Some(compared) = compared
+            {
+                told(compared);
+            }
+            if let Some(entry) = self.entries.get_mut(index) {
+                entry.after = belief;
+                entry.fresh = false;
+            }
+            self.applied += 1;
+        }
+        while self
+            .entries
+            .front()
+            .is_some_and(|first| self.newest.secs_since(first.stamp) > WINDOW + LONGEST_SPAN)
+            && self.forget_first()
+        {}
+    }
+
+    /// The first entry of a kind from `index` on; `ahead` remembers where it was.
+    fn next<T>(&self, ahead: &mut usize, index: usize, kind: impl Fn(&Entry) -> Option<T>) -> Option<(Stamp, T)> {
+        *ahead = (*ahead).max(index);
+        loop {
+            let entry = self.entries.get(*ahead)?;
+            if let Some(value) = kind(entry) {
+                return Some((entry.stamp, value));
+            }
+            *ahead += 1;
+        }
+    }
+}

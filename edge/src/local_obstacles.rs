@@ -1,0 +1,230 @@
+//! What stands around the robot, and what of it moves? The newest sweep, and in the lidar's blind sector what earlier sweeps saw.
+//!
+//! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Isometry2, Point2};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::time::Stamp;
+
+use crate::blind_spot_grid::BlindSpotGrid;
+use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
+use crate::moving_obstacles::MovingObstacles;
+
+/// Remembered points farther off than this are let go, m.
+pub(crate) const MEMORY_RANGE: f64 = 3.0;
+/// Remembered points at most.
+const MEMORY_POINTS: usize = 2048;
+/// After so long without a sweep somebody may have come up where the lidar does not look, s.
+const SILENCE: f64 = 0.5;
+/// Remembered points closer together than this say nothing more, m.
+const SPACING: f64 = 0.02;
+
+/// Obstacle points around the robot.
+#[derive(Clone, Debug)]
+pub struct LocalObstacles {
+    lidar: LidarModel,
+    view: FieldOfView,
+    caster: ScanProjector,
+    stamp: Option<Stamp>,
+    seen: Vec<Point2<f64>>,
+    /// What was seen in what is the blind sector now, until it is seen again or left behind.
+    remembered: VecDeque<Point2<f64>>,
+    intruders: MovingObstacles,
+    trodden: BlindSpotGrid,
+}
+
+impl LocalObstacles {
+    /// Nothing seen yet. Nothing moves faster than `fastest`, m/s.
+    #[must_use]
+    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
+        Self {
+            lidar: lidar.clone(),
+            view: FieldOfView::new(lidar),
+            caster: ScanProjector::new(lidar),
+            stamp: None,
+            seen: Vec::new(),
+            remembered: VecDeque::new(),
+            intruders: MovingObstacles::new(lidar, footprint, fastest),
+            trodden: BlindSpotGrid::new(lidar, footprint),
+        }
+    }
+
+    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
+    /// number of beams, or not newer than the last, is not.
+    pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
+        if self.stamp.is_some_and(|last| sweep.stamp <= last) {
+            return false;
+        }
+        let Some(cast) = self.caster.cast(sweep, odom_from_base) else {
+            return false;
+        };
+        if self.view.has_blind_sector() {
+            if self.stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
+                self.intruders.lose_at(odom_from_base.position(), sweep.stamp);
+            }
+            remember(
+                &mut self.remembered,
+                &self.seen,
+                self.view,
+                cast.odom_from_laser.inverse(),
+            );
+        }
+        self.seen.clear();
+        let laser = cast.laser();
+        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
+            let range = f64::from(*range);
+            // Written so that NaN is no return.
+            if range >= self.lidar.range_min && range <= self.lidar.range_max {
+                self.seen.push(laser + ray * range);
+            }
+        }
+        self.intruders.insert(&cast);
+        self.trodden.insert(&cast);
+        self.stamp = Some(sweep.stamp);
+        true
+    }
+
+    /// Something was felt at a place (base frame): where nobody looks it counts as something that moves.
+    pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
+        let local = self.lidar.mount.inverse().transform_point(place).coords;
+        if self.view.is_blind(local) {
+            self.intruders.lose_at(odom_from_base.transform_point(place), now);
+        }
+    }
+
+    /// Age of the newest sweep, s; `None` before the first.
+    #[must_use]
+    pub fn age(&self, now: Stamp) -> Option<f64> {
+        self.stamp.map(|stamp| now.secs_since(stamp))
+    }
+
+    /// When the newest sweep was taken.
+    #[must_use]
+    pub fn stamp(&self) -> Option<Stamp> {
+        self.stamp
+    }
+
+    /// All known points in the base frame of a robot at `odom_from_base`.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let base_from_odom = rigid(odom_from_base.inverse());
+        self.seen
+            .iter()
+            .chain(&self.remembered)
+            .map(move |point| base_from_odom * point)
+    }
+
+    /// The newest sweep's points in another frame.
+    pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let frame_from_odom = rigid(frame_from_odom);
+        self.seen.iter().map(move |point| frame_from_odom * point)
+    }
+
+    /// What of the newest sweep moves.
+    #[must_use]
+    pub fn intruders(&self) -> &MovingObstacles {
+        &self.intruders
+    }
+
+    /// What of the floor is known to be free where the lidar does not look.
+    #[must_use]
+    pub fn trodden(&self) -> &BlindSpotGrid {
+        &self.trodden
+    }
+}
+
+/// Keeps of all known points those that the lidar cannot see from here.
+fn remember(
+    remembered: &mut VecDeque<Point2<f64>>,
+    seen: &[Point2<f64>],
+    view: FieldOfView,
+    laser_from_odom: Isometry2<f64>,
+) {
+    let blind = |point: &Point2<f64>| {
+        let local = (laser_from_odom * point).coords;
+        view.is_blind(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+    };
+    remembered.retain(blind);
+    let mut last = Point2::new(f64::INFINITY, 0.0);
+    for point in seen.iter().filter(|point| blind(point)) {
+        if (point - last).norm_squared() < SPACING * SPACING {
+            continue;
+        }
+        last = *point;
+        if remembered.len() == MEMORY_POINTS {
+            remembered.pop_front();
+        }
+        remembered.push_back(*point);
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    fn tiago() -> LidarModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+    }
+
+    fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
+        let mut ranges = vec![f32::INFINITY; lidar.beams];
+        if let Some((beam, range)) = hit {
+            ranges[beam] = range;
+        }
+        Sweep {
+            stamp: Stamp::from_secs(secs),
+            ranges,
+        }
+    }
+
+    #[test]
+    fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
+        let lidar = tiago();
+        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
+        assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
+        let points: Vec<_> = around.in_base(behind).collect();
+        assert_eq!(points.len(), 1);
+        assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
+        assert!(around.insert(&sweep(&lidar, 100.0, None), behind));
+        assert_eq!(around.in_base(behind).count(), 1, "nobody has looked again");
+        let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
+        assert!(around.insert(&sweep(&lidar, 110.0, None), gone));
+        assert_eq!(around.in_base(gone).count(), 0);
+    }
+
+    #[test]
+    fn what_the_lidar_sees_again_is_not_remembered() {
+        let lidar = tiago();
+        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
+        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+    }
+
+    #[test]
+    fn a_broken_sweep_is_no_sweep() {
+        let lidar = tiago();
+        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        assert!(!around.insert(
+            &Sweep {
+                stamp: Stamp(5),
+                ranges: vec![1.0; 3]
+            },
+            Pose2::IDENTITY
+        ));
+        assert_eq!(around.age(Stamp(6)), None);
+        assert!(around.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        assert!(
+            !around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
+            "the same stamp twice"
+        );
+    }
+}

@@ -1,0 +1,324 @@
+//! How fast may a robot go, so that it rests before anything could be touched? Four answers: past what stands, past what
+//! moves, into what was never seen, and past what has gone out of sight. Each is a share of the wanted twist, whose curvature stays.
+//!
+//! Standing things: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the free way along
+//! the robot's own arc. Moving ones: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban
+//! scenarios", Automatika 2009): whatever moves may come at the robot as fast as the robot itself can go; by the time that
+//! it could arrive the robot rests. Out of sight (Bouraine et al., "Provably safe navigation for mobile robots with limited
+//! field-of-views in dynamic environments", Autonomous Robots 2012): by that time no point of the outline goes outwards faster than
+//! gently, by driving or by turning.
+
+use nalgebra::{Isometry2, Point2, Vector2};
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::Bump;
+use zenav_protocol::robot::{Drive, Footprint};
+use zenav_protocol::time::Stamp;
+
+use crate::blind_spot_grid::Floor;
+use crate::field_of_view::rigid;
+use crate::limiter::wheel_surface_speed;
+use crate::local_obstacles::LocalObstacles;
+use crate::time_to_contact::SweptFootprint;
+
+/// Least time to collision with the last centimetre while creeping inside the margin, s.
+const CREEP_TIME: f64 = 1.0;
+/// Closer than this nothing is approached, m.
+pub(crate) const LAST_CENTIMETRE: f64 = 0.01;
+/// Shares of the wanted twist that are tried against what moves.
+const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
+/// The motors answer as a first-order lag: after so many time constants beyond braking the robot is at rest.
+const LAGS_TO_REST: f64 = 3.0;
+/// What falls back faster than this share of the robot's speed is left behind: it can only run after the robot.
+const LEFT_BEHIND: f64 = 0.3;
+/// Spacing of the outline's samples and of the poses that they are checked at, m.
+const SAMPLE: f64 = 0.04;
+/// Distance kept from what was never seen beyond the margin, m: odometry drifts, and cells are coarse.
+const UNSEEN_MARGIN: f64 = 0.03;
+/// Most poses checked.
+const MAX_POSES: f64 = 100.0;
+/// Contact at this speed is no harm, m/s.
+pub(crate) const GENTLE: f64 = 0.008;
+
+/// A wanted motion, and how it can be ended.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<'a> {
+    /// Outline on the floor.
+    pub footprint: &'a Footprint,
+    /// What is wanted.
+    pub twist: Twist2,
+    /// Speed of the faster wheel's contact point, m/s.
+    pub speed: f64,
+    /// Time before braking begins: scan age, tick and motor lag, s.
+    pub reaction: f64,
+    /// Deceleration, m/s².
+    pub braking: f64,
+    /// Time constant of the motors, s.
+    pub lag: f64,
+    /// As fast as anything else may move, m/s.
+    pub others: f64,
+    /// Distance kept beyond the braking distance, m.
+    pub margin: f64,
+}
+
+impl<'a> Motion<'a> {
+    /// A twist of this robot, with the age of its newest scan and its control period, s.
+    #[must_use]
+    pub fn new(footprint: &'a Footprint, drive: &Drive, twist: Twist2, age: f64, tick: f64, margin: f64) -> Self {
+        Self {
+            footprint,
+            twist,
+            speed: wheel_surface_speed(drive, twist),
+            reaction: age + tick + drive.motor_lag,
+            braking: drive.hard_braking,
+            lag: drive.motor_lag,
+            others: drive.top_speed(),
+            margin,
+        }
+    }
+
+    /// Way until rest at a share of the speed, m.
+    fn way(&self, share: f64) -> f64 {
+        let speed = share * self.speed;
+        speed * self.reaction + 0.5 * speed * speed / self.braking
+    }
+
+    /// Time until rest at a share of the speed, s.
+    fn time(&self, share: f64) -> f64 {
+        self.reaction + share * self.speed / self.braking + LAGS_TO_REST * self.lag
+    }
+
+    /// The largest share that stops within a free way (m).
+    fn share_within(&self, free: f64) -> f64 {
+        let lag = self.braking * self.reaction;
+        ((lag * lag + 2.0 * self.braking * free).sqrt() - lag) / self.speed
+    }
+
+    /// Past all that is known to stand, from `odom_from_base`.
+    #[must_use]
+    pub fn past_obstacles(&self, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        let near = self.footprint.circumscribed_radius() + self.margin + self.way(1.0) + LAST_CENTIMETRE;
+        let outer = SweptFootprint::new(self.footprint, self.margin, self.twist);
+        let inner = SweptFootprint::new(self.footprint, LAST_CENTIMETRE.min(self.margin), self.twist);
+        let mut share: f64 = 1.0;
+        for point in around.in_base(odom_from_base) {
+            if point.coords.norm_squared() > near * near {
+                continue;
+            }
+            let stopping = if outer.holds(point) {
+                0.0
+            } else {
+                let Some(time) = outer.contact(point) else { continue };
+                self.share_within(self.speed * time)
+            };
+            if stopping >= share {
+                continue;
+            }
+            let creeping = if inner.holds(point) {
+                if approaches(self.footprint, self.twist, point) {
+                    0.0
+                } else {
+                    1.0
+                }
+            } else {
+                inner.contact(point).map_or(1.0, |time| time / CREEP_TIME)
+            };
+            share = share.min(stopping.max(creeping));
+        }
+        share
+    }
+
+    /// Past all that moves.
+    #[must_use]
+    pub fn past_intruders(&self, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        let mut shares = SHARES.iter();
+        let mut share = shares.next().copied().unwrap_or(0.0);
+        let mut reach = self.reach(share);
+        let near = self.footprint.circumscribed_radius() + self.keep_off(1.0) + self.way(1.0);
+        for point in around.intruders().in_base(odom_from_base) {
+            if point.coords.norm_squared() > near * near
+                || closing(self.footprint, self.twist, point) < -LEFT_BEHIND * self.speed
+            {
+                continue;
+            }
+            while share > 0.0 && reach.holds(self.footprint, point) {
+                share = shares.next().copied().unwrap_or(0.0);
+                reach = self.reach(share);
+            }
+        }
+        share
+    }
+
+    /// Distance that something which moves covers before the robot rests, and the margin, m.
+    fn keep_off(&self, share: f64) -> f64 {
+        self.margin + self.others * self.time(share)
+    }
+
+    /// What may touch the robot before it rests.
+    fn reach(&self, share: f64) -> Reach {
+        let secs = self.way(share) / (share * self.speed).max(1e-9);
+        let twist = Twist2::new(share * self.twist.v, share * self.twist.w);
+        Reach {
+            keep_off: self.keep_off(share),
+            there_from_here: [0.0, 0.5, 1.0].map(|part| rigid(Pose2::IDENTITY.advance(twist, part * secs).inverse())),
+        }
+    }
+
+    /// Into what the lidar does not see: only as far as it was seen before, and backwards no faster than `allowed` (m/s), for
+    /// somebody may have come up behind.
+    #[must_use]
+    pub fn into_the_blind(&self, around: &LocalObstacles, odom_from_base: Pose2, allowed: f64) -> f64 {
+        let trodden = around.trodden();
+        if !trodden.has_blind_sector() {
+            return 1.0;
+        }
+        let odom_from_base = rigid(odom_from_base);
+        let reach = self.footprint.circumscribed_radius();
+        let outline_speed = self.twist.v.abs() + self.twist.w.abs() * reach;
+        let way = self.way(1.0) * (outline_speed / self.speed).max(1.0);
+        let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
+        let step = way / outline_speed / poses;
+        let mut fastest: f64 = 0.0;
+        let samples: Vec<_> = outline(self.footprint, self.margin + UNSEEN_MARGIN)
+            .into_iter()
+            .filter(|(at, normal)| {
+                // What moves out gently may touch what it likes.
+                let outward = self.outward(*at, *normal);
+                fastest = fastest.max(outward);
+                outward > GENTLE
+            })
+            .map(|(at, normal)| (at, at - normal * (self.margin + UNSEEN_MARGIN - LAST_CENTIMETRE)))
+            .collect();
+        let mut share: f64 = 1.0;
+        'poses: for pose in 1..=poses as u32 {
+            let there = rigid(Pose2::IDENTITY.advance(self.twist, f64::from(pose) * step));
+            for (outer, inner) in &samples {
+                let floor = trodden.floor(&odom_from_base, there * outer);
+                let met = || trodden.floor(&odom_from_base, there * inner) == Floor::Occupied;
+                // A cell that was met is coarse: what stands in it is remembered as a point, too.
+                if floor == Floor::Unknown || (floor != Floor::InSight && met()) {
+                    share = self.share_within(self.speed * f64::from(pose - 1) * step);
+                    break 'poses;
+                }
+            }
+        }
+        share = share.max(GENTLE / fastest.max(1e-9));
+        if trodden.leads_into_the_blind(self.twist.v) {
+            share = share.min(allowed.max(GENTLE) / self.twist.v.abs().max(1e-9));
+        }
+        share.min(1.0)
+    }
+
+    /// Past what has gone out of sight, and may be anywhere within its reach by now: no faster than gently outwards, where
+    /// the lidar does not look; and where it does, not to swing at what may come round into sight.
+    #[must_use]
+    pub fn past_the_lost(&self, now: Stamp, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        let base_from_odom = rigid(odom_from_base.inverse());
+        let mut shares = SHARES.iter();
+        let mut share = shares.next().copied().unwrap_or(0.0);
+        for lost in around.intruders().lost() {
+            let age = now.secs_since(lost.stamp).max(0.0);
+            let distance = self.footprint.distance(base_from_odom * lost.place);
+            while share > 0.0 && distance <= self.keep_off(share) + self.others * age {
+                share = shares.next().copied().unwrap_or(0.0);
+            }
+        }
+        if share >= 1.0 {
+            return share;
+        }
+        let fastest = outline(self.footprint, 0.0)
+            .into_iter()
+            .map(|(at, normal)| {
+                if around.trodden().is_blind(at) {
+                    self.outward(at, normal)
+                } else {
+                    self.twist.w * (at.x * normal.y - at.y * normal.x)
+                }
+            })
+            .fold(0.0, f64::max);
+        share.max(GENTLE / fastest.max(1e-9)).min(1.0)
+    }
+
+    /// How fast a point of the outline moves along its normal, m/s.
+    fn outward(&self, at: Point2<f64>, normal: Vector2<f64>) -> f64 {
+        Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x).dot(&normal)
+    }
+}
+
+/// Within this distance of the outline, now or on the way to rest, something that moves may touch it.
+struct Reach {
+    keep_off: f64,
+    there_from_here: [Isometry2<f64>; 3],
+}
+
+impl Reach {
+    fn holds(&self, footprint: &Footprint, point: Point2<f64>) -> bool {
+        self.there_from_here
+            .iter()
+            .any(|there_from_here| footprint.distance(there_from_here * point) <= self.keep_off)
+    }
+}
+
+/// Where the outline was touched (base frame), a little outside of it. Without a bearing that is ahead.
+pub(crate) fn touched(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
+    let bearing = bump.bearing.unwrap_or(0.0);
+    let toward = Vector2::new(bearing.cos(), bearing.sin());
+    // Found by halving along the bearing.
+    let (mut inside, mut outside) = (0.0, 2.0 * footprint.circumscribed_radius());
+    for _ in 0..20 {
+        let middle = 0.5 * (inside + outside);
+        if footprint.distance(Point2::from(toward * middle)) > 0.0 {
+            outside = middle;
+        } else {
+            inside = middle;
+        }
+    }
+    Point2::from(toward * (outside + 1e-3))
+}
+
+/// Points on the grown outline with their outward normals, base frame.
+fn outline(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
+    match footprint {
+        Footprint::Radius(radius) => {
+            let radius = radius + margin;
+            let count = (std::f64::consts::TAU * radius / SAMPLE).ceil().clamp(8.0, 1000.0);
+            (0..count as u32)
+                .map(|step| {
+                    let angle = f64::from(step) * std::f64::consts::TAU / count;
+                    let normal = Vector2::new(angle.cos(), angle.sin());
+                    (Point2::from(normal * radius), normal)
+                })
+                .collect()
+        }
+        Footprint::Polygon(corners) => {
+            let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+            edges
+                .flat_map(|(a, b)| {
+                    let along = (b - a).normalize();
+                    let normal = Vector2::new(along.y, -along.x);
+                    let length = (b - a).norm() + 2.0 * margin;
+                    let count = (length / SAMPLE).ceil().clamp(1.0, 1000.0);
+                    let from = a + (normal - along) * margin;
+                    (0..=count as u32).map(move |step| (from + along * (length * f64::from(step) / count), normal))
+                })
+                .collect()
+        }
+    }
+}
+
+/// How fast a twist brings the outline nearer to a resting point (base frame), m/s; negative: away from it.
+pub(crate) fn closing(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
+    const STEP: f64 = 1e-3;
+    let motion = Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
+    let (here, there) = (footprint.distance(point), footprint.distance(point + motion * STEP));
+    // Inside the outline (noise, or the robot saw itself) distances are zero: go by the way to the base.
+    if here > 0.0 {
+        (here - there) / STEP
+    } else {
+        -point.coords.dot(&motion) / point.coords.norm().max(1e-9)
+    }
+}
+
+/// Whether a twist brings the outline nearer to a point (base frame).
+pub(crate) fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool {
+    closing(footprint, twist, point) > 1e-6
+}

@@ -1,0 +1,150 @@
+//! How do both wheels slow down together? Where one can brake no harder, the other brakes in proportion: the robot stays on its curve.
+//!
+//! The guard reckons with the curve that is driven. Told to rest at once, each motor would brake as hard as it can, the inner wheel of
+//! a curve would rest before the outer one, and the robot would swing into what it was to stop before.
+
+use zenav_protocol::robot::Drive;
+
+/// The motors, as the robot's file tells of them: a first-order lag, and limits of how fast they gain and lose speed.
+#[derive(Clone, Debug)]
+pub struct WheelCoordination {
+    lag: f64,
+    /// Limits, rad/s².
+    gain: f64,
+    loss: f64,
+    /// Where they should be by now (left, right; rad/s). Not measured: what encoders that fail tell must not keep a robot going.
+    speed: [f64; 2],
+}
+
+impl WheelCoordination {
+    /// At rest.
+    #[must_use]
+    pub fn new(drive: &Drive) -> Self {
+        Self {
+            lag: drive.motor_lag,
+            gain: drive.max_wheel_acceleration,
+            loss: (drive.hard_braking / drive.wheel_radius).max(drive.max_wheel_acceleration),
+            speed: [0.0; 2],
+        }
+    }
+
+    /// The wheels may have been stopped by something else: the next command is not to push on.
+    pub fn may_rest(&mut self) {
+        self.speed = [0.0; 2];
+    }
+
+    /// The commands (left, right; rad/s) for the next `dt` seconds that lead to a target: as fast as can be, and both wheels alike.
+    pub fn lead(&mut self, target: [f64; 2], dt: f64) -> [f64; 2] {
+        let answer = if self.lag > 0.0 {
+            1.0 - (-dt / self.lag).exp()
+        } else {
+            1.0
+        };
+        let change = [target[0] - self.speed[0], target[1] - self.speed[1]];
+        let largest = answer * change[0].abs().max(change[1].abs());
+        // A motor that is told to change by more does not change faster.
+        let most = self.loss * dt;
+        let share = if largest > most { most / largest } else { 1.0 };
+        let command = [self.speed[0] + share * change[0], self.speed[1] + share * change[1]];
+        for (speed, command) in self.speed.iter_mut().zip(command) {
+            let wanted = *speed + answer * (command - *speed);
+            let most = dt
+                * if wanted.abs() < speed.abs() {
+                    self.loss
+                } else {
+                    self.gain
+                };
+            *speed += (wanted - *speed).clamp(-most, most);
+        }
+        command
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use zenav_protocol::geometry::{Pose2, Twist2};
+    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_sim::drive::WheelCoordination as Real;
+
+    use crate::limiter::wheel_surface_speed;
+
+    const TICK: f64 = 0.02;
+
+    fn jackal() -> Drive {
+        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal")
+            .unwrap()
+            .drive
+    }
+
+    /// Where a robot that was told to rest on its curve does so, and after which way of its faster wheel, m.
+    fn rest(twist: Twist2, mut command: impl FnMut([f64; 2]) -> [f64; 2]) -> (Pose2, f64) {
+        let drive = jackal();
+        let mut real = Real::at_rest();
+        let (mut pose, mut way) = (Pose2::IDENTITY, 0.0);
+        for tick in 0..300 {
+            let wanted = if tick < 200 { twist } else { Twist2::ZERO };
+            real.command(&drive, command(drive.wheels(wanted)));
+            let driven = drive.twist(real.step(&drive, TICK));
+            if tick >= 200 {
+                pose = pose.advance(driven, TICK);
+                way += wheel_surface_speed(&drive, driven) * TICK;
+            }
+        }
+        (pose, way)
+    }
+
+    /// How far a robot's corners are off at rest from where its curve would have brought them, m.
+    fn off_the_curve(twist: Twist2, rests: Pose2) -> f64 {
+        let corner = |pose: &Pose2| pose.transform_point(Point2::new(0.25, 0.2));
+        let off = |step: u32| {
+            let on = Pose2::IDENTITY.advance(twist, 5e-4 * f64::from(step));
+            (on.position() - rests.position())
+                .norm()
+                .max((corner(&on) - corner(&rests)).norm())
+        };
+        (0..2000).map(off).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn a_robot_that_is_to_rest_stays_on_its_curve_and_rests_as_soon() {
+        let drive = jackal();
+        for (v, w) in [(1.5, 2.4), (1.0, -3.0), (-1.2, 1.5), (2.0, 0.0)] {
+            let twist = Twist2::new(v, w);
+            let mut motors = WheelCoordination::new(&drive);
+            let (led, way) = rest(twist, |target| motors.lead(target, TICK));
+            let (told, shortest) = rest(twist, |target| target);
+            let off = off_the_curve(twist, led);
+            assert!(off < 1e-3, "{twist:?}: {off}");
+            assert!(way < shortest + 1e-6, "{way} {shortest}");
+            if (v, w) == (1.5, 2.4) {
+                assert!(off_the_curve(twist, told) > 0.02, "{}", off_the_curve(twist, told));
+            }
+        }
+    }
+
+    #[test]
+    fn what_something_stopped_does_not_push_on() {
+        let mut motors = WheelCoordination::new(&jackal());
+        for _ in 0..50 {
+            motors.lead([10.0, 10.0], TICK);
+        }
+        assert!(motors.lead([0.0; 2], TICK)[0] > 5.0);
+        motors.may_rest();
+        assert_eq!(motors.lead([0.0; 2], TICK), [0.0; 2]);
+    }
+
+    proptest! {
+        #[test]
+        fn commands_lead_to_the_target(targets in prop::collection::vec((-30.0..30.0_f64, -30.0..30.0_f64), 1..20)) {
+            let mut motors = WheelCoordination::new(&jackal());
+            for (left, right) in targets {
+                let commands: Vec<_> = (0..200).map(|_| motors.lead([left, right], TICK)).collect();
+                prop_assert_eq!(commands[199], [left, right]);
+            }
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! What did a user write, and where? Pairs of coordinates, values out of their bounds, lines of keys in a TOML file, numbers in messages.
+
+use std::fmt;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Deserializer, Serialize};
+use thiserror::Error;
+
+/// Two numbers, and no third: a reader that takes the first two of `[1, 2, 3]` would hide a mistake.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<f64>")]
+pub struct Pair(pub [f64; 2]);
+
+impl TryFrom<Vec<f64>> for Pair {
+    type Error = String;
+
+    fn try_from(numbers: Vec<f64>) -> Result<Self, String> {
+        match numbers[..] {
+            [a, b] => Ok(Self([a, b])),
+            _ => Err(format!("expected 2 numbers, found {}", numbers.len())),
+        }
+    }
+}
+
+impl From<Pair> for Point2<f64> {
+    fn from(pair: Pair) -> Self {
+        Self::from(pair.0)
+    }
+}
+
+/// Reads a [`Pair`] into a plain array.
+pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    Pair::deserialize(deserializer).map(|Pair(numbers)| numbers)
+}
+
+/// A setting with a value that it cannot have.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{name}` {problem}")]
+pub struct OutOfBounds {
+    /// The setting's key.
+    pub name: &'static str,
+    /// What it is, and what was expected.
+    pub problem: String,
+}
+
+impl OutOfBounds {
+    /// A value that lies outside of its bounds.
+    #[must_use]
+    pub fn outside(name: &'static str, value: f64, least: f64, most: f64) -> Self {
+        Self {
+            name,
+            problem: format!("is {}: expected {least} to {most}", Number(value)),
+        }
+    }
+
+    /// A value that is something else than was expected.
+    #[must_use]
+    pub fn unlike(name: &'static str, value: f64, expected: impl fmt::Display) -> Self {
+        Self {
+            name,
+            problem: format!("is {}: expected {expected}", Number(value)),
+        }
+    }
+}
+
+/// A number in a message: what would need a line of digits is written with an exponent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Number(pub f64);
+
+impl fmt::Display for Number {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let size = self.0.abs();
+        if self.0.is_finite() && (size >= 1e9 || (size > 0.0 && size < 1e-6)) {
+            write!(f, "{:e}", self.0)
+        } else {
+            fmt::Display::fmt(&self.0, f)
+        }
+    }
+}
+
+/// The line, counted from 1, of a key in a TOML text, tables before it joined by dots; where it is not written, of the table that it
+/// would stand in. `None` where that is not written either, or the text is not TOML.
+#[must_use]
+pub fn line_of(text: &str, key: &str) -> Option<usize> {
+    let document = toml::de::DeTable::parse(text).ok()?;
+    let mut table = document.get_ref();
+    let mut found = None;
+    for part in key.split('.') {
+        let Some((name, value)) = table.get_key_value(part) else {
+            break;
+        };
+        found = Some(name.span().start);
+        match value.get_ref().as_table() {
+            Some(inner) => table = inner,
+            None => break,
+        }
+    }
+    let newlines = text.bytes().take(found?).filter(|byte| *byte == b'\n').count();
+    Some(newlines + 1)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pair_is_two_numbers() {
+        let read = |text: &str| toml::from_str::<std::collections::BTreeMap<String, Pair>>(text);
+        assert_eq!(read("a = [1, 2.5]").unwrap()["a"], Pair([1.0, 2.5]));
+        let error = read("b = [0, 0]\na = [1, 2, 3]").unwrap_err().to_string();
+        assert!(
+            error.contains("line 2") && error.contains("expected 2 numbers, found 3"),
+            "{error}"
+        );
+        assert!(read("a = [1]").is_err());
+        assert_eq!(serde_json::to_string(&Pair([1.0, 2.0])).unwrap(), "[1.0,2.0]");
+    }
+
+    #[test]
+    fn a_key_is_found_in_tables_of_any_form() {
+        let text = "a = 1\n[b]\nc = 2\nd.e = 3\n[b.f]\n# none\ng = 4\nh = { i = 5 }\n";
+        for (key, line) in [
+            ("a", Some(1)),
+            ("b.c", Some(3)),
+            ("b.d.e", Some(4)),
+            ("b.f.g", Some(7)),
+            ("b.f.h.i", Some(8)),
+            // Not written: their tables.
+            ("b.x", Some(2)),
+            ("b.f.x.y", Some(5)),
+            ("x", None),
+        ] {
+            assert_eq!(line_of(text, key), line, "{key}");
+        }
+        assert_eq!(line_of("a = ", "a"), None);
+    }
+
+    #[test]
+    fn a_huge_number_is_short() {
+        let said = |value| Number(value).to_string();
+        assert_eq!(
+            (said(1e300), said(-0.25), said(100_000.0)),
+            ("1e300".into(), "-0.25".into(), "100000".into())
+        );
+        assert_eq!(
+            (said(f64::NAN), said(1e-300), said(0.0)),
+            ("NaN".into(), "1e-300".into(), "0".into())
+        );
+    }
+}

@@ -1,0 +1,432 @@
+//! How many robots' missions does one orchestrator run on one core? A real orchestrator on a core of its own; its robots, planner and smoother are
+//! puppets: they answer at once and drive every plan perfectly, so that what is measured is the orchestrator.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use nalgebra::Point2;
+use tokio::time::{Instant, MissedTickBehavior, interval};
+use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::bus::{Bus, BusError, Publisher, Server};
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::lease::LeaseArbiter;
+use zenav_protocol::messages::*;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+use zenav_smoothing::unsmoothed;
+
+use super::sim_rig;
+use crate::deployment::Deployment;
+use crate::usage::{cpu_secs, memory};
+
+/// The clock's tick, of which a mission's step is a multiple.
+const TICK: Duration = Duration::from_millis(5);
+/// Ticks from one pose to the next, and from one state to the next.
+const POSE_EVERY: u32 = 4;
+const STATE_EVERY: u32 = 20;
+/// Sample period of trajectories, s.
+const SAMPLES: f64 = 0.05;
+/// Time between two heartbeats of a mission that is never late, s.
+const BEAT: f64 = 0.1;
+/// Bytes of a MiB.
+const MIB: f64 = 1024.0 * 1024.0;
+/// Wall time for all robots to be led.
+const READY: Duration = Duration::from_secs(60);
+/// Life of a lease.
+const LEASE: Duration = Duration::from_secs(1);
+/// Time for all to have their maps and first goals before it is measured.
+const SETTLING: Duration = Duration::from_secs(10);
+/// Robots begin one after the other, by this much.
+const STAGGER: Duration = Duration::from_millis(70);
+/// Every robot's map: 12.8 m square, free.
+const MAP: GridSpec = GridSpec {
+    origin: Point2::new(-6.4, -6.4),
+    resolution: 0.05,
+    width: 256,
+    height: 256,
+};
+/// Goals are driven to in turn, m.
+const PLACES: [(f64, f64); 4] = [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0)];
+
+/// What was found.
+#[derive(Clone, Debug, Default)]
+pub struct Findings {
+    /// Robots.
+    pub robots: usize,
+    /// How far each time between two heartbeats of a robot's mission was from what it should be, s. They are sent by its steps, and more while
+    /// one waits for the disk.
+    pub jitter: Vec<f64>,
+    /// Share of the core.
+    pub load: f64,
+    /// Resident memory of the process, MiB.
+    pub memory: f64,
+    /// Goals driven.
+    pub goals: usize,
+    /// Ticks of robots without a lease, plans that were refused, goals that did not succeed.
+    pub faults: [usize; 3],
+}
+
+/// A robot that drives every plan perfectly.
+struct Puppet {
+    name: String,
+    book: LeaseArbiter,
+    pose: Pose2,
+    velocity: Twist2,
+    plan: Option<(Plan, Stamp)>,
+    finished: bool,
+    place: usize,
+    goals: u64,
+    beat: Option<Instant>,
+    states: Publisher<EdgeState>,
+    poses: Publisher<PoseEstimate>,
+    events: Publisher<Event>,
+    told: u64,
+    maps: (Publisher<MapInfo>, Publisher<MapPatch>),
+}
+
+impl Puppet {
+    fn new(bus: &Bus, name: String) -> Result<Self, BusError> {
+        let chunks = [name.as_str()];
+        Ok(Self {
+            book: LeaseArbiter::new(LEASE, 0, None),
+            pose: Pose2::IDENTITY,
+            velocity: Twist2::ZERO,
+            plan: None,
+            finished: false,
+            place: 0,
+            goals: 0,
+            beat: None,
+            states: bus.publisher(&topics::STATE, &chunks)?,
+            poses: bus.publisher(&topics::POSE, &chunks)?,
+            events: bus.publisher(&topics::EVENT, &chunks)?,
+            told: 0,
+            maps: (
+                bus.publisher(&topics::MAP_INFO, &chunks)?,
+                bus.publisher(&topics::MAP_PATCH, &chunks)?,
+            ),
+            name,
+        })
+    }
+
+    fn tell_map(&self, now: Stamp) {
+        let grid = OccupancyGrid::filled(MAP, Occupancy::FREE);
+        let info = map_info(now);
+        let tiles = (0..MAP.height / TILE).flat_map(|y| (0..MAP.width / TILE).map(move |x| (x, y)));
+        let values = grid.values().first().copied().unwrap_or_default();
+        self.maps.0.put(&info);
+        self.maps.1.put(&MapPatch {
+            stamp: now,
+            map: info.map,
+            base_revision: 0,
+            spec: MAP,
+            tiles: tiles
+                .map(|(x, y)| Tile {
+                    x,
+                    y,
+                    values: vec![values; (TILE * TILE) as usize],
+                })
+                .collect(),
+        });
+    }
+
+    fn tell(&mut self, now: Stamp, kind: EventKind) {
+        self.told += 1;
+        self.events.put(&Event {
+            stamp: now,
+            boot_id: "boot".to_owned(),
+            sequence: self.told,
+            kind,
+        });
+    }
+
+    fn take(&mut self, now: Stamp, plan: Plan) -> bool {
+        if !self.book.admits(now, plan.epoch) {
+            return false;
+        }
+        let known = self
+            .plan
+            .as_ref()
+            .filter(|(old, _)| old.trajectory_id == plan.trajectory_id);
+        let begun = known.map_or(now, |(_, begun)| *begun);
+        if known.is_none() {
+            self.finished = false;
+            let (goal_id, revision, trajectory_id) = (plan.goal_id.clone(), plan.revision, plan.trajectory_id);
+            self.tell(
+                now,
+                EventKind::PlanAccepted {
+                    goal_id,
+                    revision,
+                    trajectory_id,
+                },
+            );
+        }
+        self.plan = Some((plan, begun));
+        true
+    }
+
+    fn tick(&mut self, now: Stamp, count: u32) {
+        self.velocity = Twist2::ZERO;
+        let mut progress = None;
+        if let Some((plan, begun)) = &self.plan {
+            let time = now.secs_since(*begun);
+            let next = plan.trajectory.partition_point(|point| point.t <= time);
+            if let Some(point) = plan.trajectory.get(next).or(plan.trajectory.last()) {
+                self.pose = point.pose();
+                self.finished = next == plan.trajectory.len();
+                if !self.finished {
+                    self.velocity = Twist2::new(point.v, point.w);
+                }
+            }
+            let left = plan.trajectory.last().map_or(0.0, |last| last.t - time).max(0.0);
+            progress = Some(PlanProgress {
+                goal_id: plan.goal_id.clone(),
+                epoch: plan.epoch,
+                revision: plan.revision,
+                trajectory_id: plan.trajectory_id,
+                time,
+                waypoint: 0,
+                distance_left: left * self.velocity.v,
+                time_left: left,
+                valid_for: (plan.valid_for - now.secs_since(plan.based_on.stamp)).max(0.0),
+                finished: self.finished,
+            });
+        }
+        if count.is_multiple_of(POSE_EVERY) {
+            self.poses.put(&PoseEstimate {
+                stamp: now,
+                map_from_base: self.pose,
+                covariance: [0.0; 9],
+                velocity: self.velocity,
+            });
+        }
+        if count.is_multiple_of(STATE_EVERY) {
+            self.states.put(&EdgeState {
+                stamp: now,
+                boot_id: "boot".to_owned(),
+                mode: if progress.is_some() { Mode::Follow } else { Mode::Idle },
+                link: Link::Connected,
+                lease: self.book.state(now),
+                plan: progress,
+                velocity: self.velocity,
+                guard: GuardZone::Clear,
+                battery: 1.0,
+                behaviour: None,
+                wall_follower: None,
+                missed_ticks: 0,
+            });
+        }
+    }
+
+    /// The next goal, which takes its turn when the one before has ended.
+    fn next_goal(&mut self) -> GoalRequest {
+        let (x, y) = PLACES[self.place % PLACES.len()];
+        self.place += 1;
+        self.goals += 1;
+        GoalRequest {
+            id: Some(format!("{}-{}", self.name, self.goals)),
+            x: Some(x),
+            y: Some(y),
+            ..GoalRequest::default()
+        }
+    }
+}
+
+fn map_info(now: Stamp) -> MapInfo {
+    MapInfo {
+        stamp: now,
+        map: MapRef {
+            id: "hall".to_owned(),
+            revision: 1,
+        },
+        spec: MAP,
+        free: u64::from(MAP.width) * u64::from(MAP.height),
+        occupied: 0,
+        unknown: 0,
+        scans: 1,
+        stored: true,
+    }
+}
+
+/// Runs the missions of so many robots for a time, the orchestrator on the first core alone.
+///
+/// # Errors
+/// When a part cannot be started or joined, or a robot is not led.
+pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, String> {
+    let text = |error: BusError| error.to_string();
+    let model = sim_rig::robot("tiago").map_err(|error| error.to_string())?;
+    let deployment = Deployment::new(binary, "kitchen", 1.0);
+    let names: Vec<String> = (1..=robots).map(|number| format!("robot{number:03}")).collect();
+    let mut sections = String::new();
+    for name in &names {
+        let _ = writeln!(
+            sections,
+            "[robots.{name}]\nmodel = \"tiago\"\nlisten = \"tcp/127.0.0.1:0\""
+        );
+    }
+    let _router = deployment.start_router();
+    let bus = deployment.bus().await;
+    let mut puppets = BTreeMap::new();
+    for name in &names {
+        puppets.insert(name.clone(), Puppet::new(&bus, name.clone()).map_err(text)?);
+    }
+    let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
+    let mut infos = bus.serve(&topics::EDGE_INFO, &["*"]).map_err(text)?;
+    let mut maps = bus.serve(&topics::MAP, &["*"]).map_err(text)?;
+    let plans = bus.serve(&topics::PLAN_SERVICE, &["puppet"]).map_err(text)?;
+    let smooths = bus.serve(&topics::SMOOTH_SERVICE, &["puppet"]).map_err(text)?;
+    let _workers = [tokio::spawn(plan(plans)), tokio::spawn(smooth(smooths, model.clone()))];
+    let alive = |service: &str| bus.declare_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "puppet"]));
+    let _alive = [alive("plan").map_err(text)?, alive("smooth").map_err(text)?];
+    let clock = bus.publisher(&topics::SIM_CLOCK, &[]).map_err(text)?;
+    let mut beats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
+    let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
+    let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
+    let orchestrator = deployment.start_missions_on_one_core(&sections);
+    let used = || cpu_secs(orchestrator.id()).map_err(|error| error.to_string());
+    let start = Instant::now();
+    let now = || Stamp::from_secs(1.0 + start.elapsed().as_secs_f64());
+    let mut findings = Findings {
+        robots,
+        ..Findings::default()
+    };
+    let mut ticks = interval(TICK);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let (mut count, mut settling, mut measured): (u32, Option<Instant>, Option<(Instant, f64)>) = (0, None, None);
+    loop {
+        tokio::select! {
+                    biased;
+                    Some(beat) = beats.next() => {
+                        let Some(puppet) = beat.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        puppet.book.renew(now(), &beat.message.holder, beat.message.epoch, beat.message.counter);
+                        let last = puppet.beat.replace(Instant::now());
+                        if let (Some(last), Some(_)) = (last, measured) {
+                            findings.jitter.push((last.elapsed().as_secs_f64() - BEAT).abs());
+                        }
+                    }
+                    _ = ticks.tick() => {
+                        count += 1;
+                        clock.put(&SimClock { stamp: now() });
+                        for puppet in puppets.values_mut() {
+                            puppet.tick(now(), count);
+                        }
+                        let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
+                        match measured {
+                    None if settling.is_some_and(|since: Instant| since.elapsed() > SETTLING) => {
+                        measured = Some((Instant::now(), used()?));
+                    }
+                    None if settling.is_some() => {}
+                    None if led == robots => {
+                        for (turn, puppet) in (0_u32..).zip(puppets.values_mut()) {
+                            puppet.tell_map(now());
+                            submit(&bus, puppet, turn * STAGGER);
+                        }
+                        settling = Some(Instant::now());
+                    }
+                    None if start.elapsed() > READY => {
+                                return Err(format!("{led} of {robots} robots are led after {READY:?}"));
+                            }
+                            None => {}
+                            Some((since, before)) => {
+                                findings.faults[0] += robots - led;
+                                let took = since.elapsed().as_secs_f64();
+                                if took >= secs {
+                                    findings.load = (used()? - before) / took;
+                                    findings.memory = memory(orchestrator.id()).map_err(|error| error.to_string())? as f64 / MIB;
+                                    break;
+                                }
+                            }
+                        }
+                    }
+            Some(request) = leases.next() => {
+                        let Some(puppet) = request.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        match puppet.book.request(now(), &request.body) {
+                            Ok(granted) => request.reply(&LeaseReply {
+                                epoch: granted.epoch,
+                                ttl_secs: LEASE.as_secs_f64(),
+                                boot_id: "boot".to_owned(),
+                            }),
+                            Err(refusal) => request.refuse(&refusal),
+                        }
+                    }
+                    Some(request) = infos.next() => {
+                        let robot = request.chunks.first().cloned().unwrap_or_default();
+                        request.reply(&InfoReply {
+                            component: "edge".to_owned(),
+                            version: env!("CARGO_PKG_VERSION").to_owned(),
+                            schema: SCHEMA_VERSION,
+                            robot,
+                            boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
+                            model: Some(model.clone()),
+        ..InfoReply::default()
+        });
+                    }
+                    Some(request) = maps.next() => request.reply(&MapReply {
+                        info: map_info(now()),
+                        values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
+                        trajectory: Vec::new(),
+                    }),
+                    Some(plan) = written.next() => {
+                        let Some(puppet) = plan.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        findings.faults[1] += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
+                    }
+                    Some(goal) = ended.next() => {
+                        let Some(puppet) = goal.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
+                        if goal.message.state.is_end() && goal.message.id == format!("{}-{}", puppet.name, puppet.goals) {
+                            let good = goal.message.state == GoalPhase::Succeeded;
+                            findings.goals += usize::from(good && measured.is_some());
+                            findings.faults[2] += usize::from(!good);
+                            submit(&bus, puppet, Duration::ZERO);
+                        }
+                    }
+                        }
+    }
+    bus.close().await;
+    Ok(findings)
+}
+
+fn submit(bus: &Bus, puppet: &mut Puppet, after: Duration) {
+    let (bus, name, goal) = (bus.clone(), puppet.name.clone(), puppet.next_goal());
+    tokio::spawn(async move {
+        tokio::time::sleep(after).await;
+        if let Err(error) = bus.ask(&topics::GOAL, &[&name], &goal, Duration::from_secs(10)).await {
+            eprintln!("{name}: {error}");
+        }
+    });
+}
+
+/// Plans straight to the goal.
+async fn plan(mut requests: Server<PlanRequest, PlanReply>) {
+    while let Some(request) = requests.next().await {
+        let path = vec![request.body.start.position(), request.body.goal.position()];
+        let length = (path[1] - path[0]).norm();
+        let map = request.body.map.clone();
+        request.reply(&PlanReply {
+            map,
+            outcome: PlanOutcome::Found { path, length },
+            search_ms: 0.0,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        });
+    }
+}
+
+/// Drives along the path as it is, a corner at a time.
+async fn smooth(mut requests: Server<SmoothRequest, SmoothReply>, model: RobotModel) {
+    while let Some(request) = requests.next().await {
+        let wanted = &request.body;
+        let (start, velocity) = (wanted.start, wanted.start_velocity);
+        let motion = unsmoothed(&wanted.path, start, velocity, wanted.goal_yaw, &model);
+        let reply = SmoothReply {
+            map: wanted.map.clone(),
+            trajectory: motion.trajectory(SAMPLES),
+            statistics: PlanStatistics {
+                status: "unsmoothed".to_owned(),
+                ..PlanStatistics::default()
+            },
+        };
+        request.reply(&reply);
+    }
+}

@@ -1,0 +1,352 @@
+//! Is the estimate as good as its covariance says? Many seeded drives, each with its own start error, gyro bias and crooked wheels,
+//! drawn from what the filter assumes; at every step the errors of all drives are averaged.
+//!
+//! Consistency after Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4: the mean normalised estimation error squared (NEES) of `runs`
+//! drives with three states lies in the two-sided 95 % band of chi-square / runs, [2.54, 3.50] for 100; so does, with its own
+//! degrees of freedom, the normalised innovation squared (NIS) of each sensor. Errors pass slowly, so that the steps of a short drive are
+//! few samples: of a perfect filter too, the share of steps in the band is 95 % only on the average over long drives or many seeds.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use nalgebra::{Matrix3, Vector3};
+use zenav_edge::estimator::{Estimator, Tally};
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::Correction;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+use zenav_sim::{RobotSpec, Simulation, World};
+
+use super::sim_rig::{SimRigError, robot};
+use super::worlds::Rng;
+
+/// How well the start is known: m and rad.
+const START: (f64, f64) = (0.05, 0.05);
+/// Crookedness of the wheels' radii, as a share: what the filter assumes.
+const WHEELS: f64 = 0.01;
+/// The same of their separation.
+const SEPARATION: f64 = 0.02;
+/// Bias of the gyro, rad/s: what the filter assumes.
+const GYRO_BIAS: f64 = 0.001;
+/// What a wheel slips, m for each square root of a metre: the robot knows it.
+const SLIP: f64 = 1e-3;
+/// Errors of corrections from off board: m and rad.
+const CORRECTION: (f64, f64) = (0.03, 0.02);
+/// Steps between two corrections.
+const CORRECTED: usize = 25;
+
+/// How the sensors are.
+#[derive(Clone, Copy, Debug)]
+pub struct Conditions {
+    /// Name in the table.
+    pub name: &'static str,
+    /// GPS comes this late, s.
+    pub gps_latency: f64,
+    /// Gyro and compass come this late, s.
+    pub imu_latency: f64,
+    /// Share of GPS, gyro and compass readings that are lost.
+    pub dropout: f64,
+    /// Corrections come this late, s, from and to: they overtake one another.
+    pub corrected: Option<(f64, f64)>,
+    /// GPS is lost altogether between these seconds of every minute.
+    pub gps_lost: Option<(f64, f64)>,
+    /// Gyro and compass are.
+    pub imu_lost: Option<(f64, f64)>,
+}
+
+const INTIME: Conditions = Conditions {
+    name: "all sensors",
+    gps_latency: 0.0,
+    imu_latency: 0.0,
+    dropout: 0.0,
+    corrected: None,
+    gps_lost: None,
+    imu_lost: None,
+};
+
+/// What is looked at.
+pub const CONDITIONS: [Conditions; 5] = [
+    INTIME,
+    Conditions {
+        name: "GPS 0.5 s late",
+        gps_latency: 0.5,
+        ..INTIME
+    },
+    Conditions {
+        name: "late and missing",
+        gps_latency: 0.3,
+        imu_latency: 0.06,
+        dropout: 0.2,
+        corrected: Some((0.2, 1.5)),
+        ..INTIME
+    },
+    Conditions {
+        name: "GPS lost for 30 s",
+        gps_lost: Some((15.0, 45.0)),
+        ..INTIME
+    },
+    Conditions {
+        name: "IMU lost for 30 s",
+        imu_lost: Some((15.0, 45.0)),
+        ..INTIME
+    },
+];
+
+/// Sums over drives, step by step.
+#[derive(Clone, Debug, Default)]
+pub struct Sums {
+    /// NEES of (x, y, yaw).
+    pub nees: Vec<f64>,
+    /// NIS of compass, GPS and corrections, with how many drives had one in the step.
+    pub nis: [Vec<(f64, u32)>; 3],
+    /// Steps at which the position error was within three standard deviations, and all.
+    pub within: (u32, u32),
+    /// Largest position error, m.
+    pub worst: f64,
+    /// The largest position error that the covariance allowed for when it was largest: three standard deviations, m.
+    pub allowed: f64,
+    /// What became of the inputs.
+    pub tally: Tally,
+    /// Time that each step of the filter took, s.
+    pub took: Vec<f64>,
+}
+
+/// Corrections on their way, and when they arrive.
+#[derive(Default)]
+struct OffBoard {
+    waiting: VecDeque<(Stamp, Correction)>,
+}
+
+impl OffBoard {
+    fn measure(&mut self, now: Stamp, truth: Pose2, (least, most): (f64, f64), dice: &mut Rng) {
+        let (position, yaw) = CORRECTION;
+        let correction = Correction {
+            stamp: now,
+            boot_id: String::new(),
+            map_from_base: Pose2::new(
+                truth.x + position * dice.gauss(),
+                truth.y + position * dice.gauss(),
+                truth.yaw + yaw * dice.gauss(),
+            ),
+            covariance: Matrix3::from_diagonal(&Vector3::new(position * position, position * position, yaw * yaw))
+                .as_slice()
+                .try_into()
+                .unwrap_or_default(),
+        };
+        self.waiting
+            .push_back((now.plus_secs(dice.between(least, most)), correction));
+    }
+
+    fn arrived(&mut self, now: Stamp) -> Vec<Correction> {
+        let (arrived, waiting) = std::mem::take(&mut self.waiting)
+            .into_iter()
+            .partition(|(due, _)| *due <= now);
+        self.waiting = waiting;
+        let arrived: VecDeque<(Stamp, Correction)> = arrived;
+        arrived.into_iter().map(|(_, correction)| correction).collect()
+    }
+}
+
+/// Drives for `secs` and adds up. `clock` tells the time since any fixed moment.
+///
+/// # Errors
+/// [`SimRigError`] for a robot or world that cannot be.
+pub fn drive(
+    sums: &mut Sums,
+    conditions: &Conditions,
+    seed: u64,
+    secs: f64,
+    clock: &dyn Fn() -> Duration,
+) -> Result<(), SimRigError> {
+    let mut dice = Rng::new(seed, 3);
+    let mut believed: RobotModel = robot("tiago")?;
+    believed.drive.errors.slip = SLIP;
+    let mut model = believed.clone();
+    model.drive.errors.wheel_radius = [0.0; 2].map(|_| WHEELS * dice.gauss());
+    model.drive.errors.wheel_separation = SEPARATION * dice.gauss();
+    model.imu.gyro_bias = GYRO_BIAS * dice.gauss();
+    (model.imu.latency, model.imu.dropout) = (conditions.imu_latency, conditions.dropout);
+    if let Some(gps) = &mut model.gps {
+        (gps.latency, gps.dropout) = (conditions.gps_latency, conditions.dropout);
+    }
+    let world = World::shipped("empty")?;
+    let start = world.start();
+    let spec = RobotSpec {
+        id: Id::robot("robot")?,
+        model: model.clone(),
+        start,
+    };
+    let mut sim = Simulation::new(&world, vec![spec], seed)?;
+    let guess = Pose2::new(
+        start.x + START.0 * dice.gauss(),
+        start.y + START.0 * dice.gauss(),
+        start.yaw + START.1 * dice.gauss(),
+    );
+    let mut estimator = Estimator::new(&believed, guess, START.0, START.1);
+    let mut off_board = OffBoard::default();
+    let mut wheels = [0.0; 2];
+    for tick in 0..(secs * 50.0) as usize {
+        if tick % 100 == 0 {
+            let (v, w) = (dice.between(0.0, 0.5), dice.between(-0.6, 0.6));
+            wheels = model.drive.wheels(Twist2::new(v, w));
+        }
+        sim.drive(0, wheels);
+        sim.step();
+        let mut readings = sim.readings(0);
+        let second = readings.stamp.as_secs() % 60.0;
+        let lost = |times: Option<(f64, f64)>| times.is_some_and(|(from, to)| second >= from && second < to);
+        if lost(conditions.gps_lost) {
+            readings.gps = None;
+        }
+        if lost(conditions.imu_lost) {
+            readings.imu = None;
+        }
+        let truth = sim.truth(0).map_from_base;
+        if let Some(late) = conditions.corrected.filter(|_| tick % CORRECTED == 0) {
+            off_board.measure(readings.stamp, truth, late, &mut dice);
+        }
+        let corrections = off_board.arrived(readings.stamp);
+        let before = clock();
+        estimator.step(&readings, &corrections);
+        sums.took.push(clock().saturating_sub(before).as_secs_f64());
+        sums.add(tick, &estimator, truth);
+    }
+    let (sum, tally) = (&mut sums.tally, estimator.tally());
+    sum.fused += tally.fused;
+    sum.outliers += tally.outliers;
+    sum.too_late += tally.too_late;
+    sum.repeated += tally.repeated;
+    sum.broken += tally.broken;
+    Ok(())
+}
+
+/// Time that each step takes, s, when a correction comes with it that is nearly as late as the window allows: all that came since is
+/// applied again.
+///
+/// # Errors
+/// [`SimRigError`] for a robot or world that cannot be.
+pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, SimRigError> {
+    const LATE: f64 = 1.95;
+    let model: RobotModel = robot("tiago")?;
+    let world = World::shipped("empty")?;
+    let start = world.start();
+    let id = Id::robot("robot")?;
+    let spec = RobotSpec {
+        id,
+        model: model.clone(),
+        start,
+    };
+    let mut sim = Simulation::new(&world, vec![spec], 1)?;
+    let mut estimator = Estimator::new(&model, start, START.0, START.1);
+    sim.drive(0, [2.0, 2.5]);
+    let mut took = Vec::new();
+    let mut dice = Rng::new(1, 3);
+    let mut off_board = OffBoard::default();
+    for _ in 0..500 {
+        sim.step();
+        let readings = sim.readings(0);
+        off_board.measure(readings.stamp, sim.truth(0).map_from_base, (LATE, LATE), &mut dice);
+        let corrections = off_board.arrived(readings.stamp);
+        let before = clock();
+        estimator.step(&readings, &corrections);
+        if !corrections.is_empty() {
+            took.push(clock().saturating_sub(before).as_secs_f64());
+        }
+    }
+    Ok(took)
+}
+
+impl Sums {
+    /// Adds a step of a drive.
+    fn add(&mut self, tick: usize, estimator: &Estimator, truth: Pose2) {
+        let estimate = estimator.map_from_base();
+        let covariance = Matrix3::from_row_slice(&estimator.covariance());
+        let error = Vector3::new(
+            estimate.x - truth.x,
+            estimate.y - truth.y,
+            wrap_angle(estimate.yaw - truth.yaw),
+        );
+        self.within.1 += 1;
+        let Some(inverse) = covariance.try_inverse() else {
+            return;
+        };
+        let nees = (error.transpose() * inverse * error)[0];
+        match self.nees.get_mut(tick) {
+            Some(sum) => *sum += nees,
+            None => self.nees.push(nees),
+        }
+        for (sums, nis) in self.nis.iter_mut().zip(estimator.nis()) {
+            if sums.len() <= tick {
+                sums.push((0.0, 0));
+            }
+            if let (Some(sum), Some(nis)) = (sums.get_mut(tick), nis) {
+                *sum = (sum.0 + nis, sum.1 + 1);
+            }
+        }
+        let off = error.x.hypot(error.y);
+        let allowed = 3.0 * (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+        self.within.0 += u32::from(off <= allowed);
+        self.worst = self.worst.max(off);
+        self.allowed = self.allowed.max(allowed);
+    }
+}
+
+/// The two-sided 95 % band of a mean of `runs` chi-square values with `freedom` degrees (Wilson and Hilferty 1931).
+#[must_use]
+pub fn band(freedom: f64, runs: f64) -> (f64, f64) {
+    let all = freedom * runs;
+    let spread = 2.0 / (9.0 * all);
+    let at = |sigmas: f64| freedom * (1.0 - spread + sigmas * spread.sqrt()).powi(3);
+    (at(-1.96), at(1.96))
+}
+
+/// Mean of each step at which about as many drives as usual had a reading, and how many those are. Readings that come at scattered times
+/// are taken together, in their order, until there are as many as `runs`.
+#[must_use]
+pub fn means(sums: &[(f64, u32)], runs: u64) -> (Vec<f64>, f64) {
+    let usual = sums.iter().map(|(_, readings)| *readings).max().unwrap_or(0);
+    // Late and lost readings: no step has one of most drives.
+    let pool = u64::from(usual) * 2 < runs;
+    let mut pooled: Vec<(f64, u32)> = Vec::new();
+    if pool {
+        let mut sum = (0.0, 0);
+        for step in sums {
+            sum = (sum.0 + step.0, sum.1 + step.1);
+            if u64::from(sum.1) >= runs {
+                pooled.push(std::mem::take(&mut sum));
+            }
+        }
+    } else {
+        pooled.extend(
+            sums.iter()
+                .filter(|(_, readings)| f64::from(*readings) > 0.7 * f64::from(usual)),
+        );
+    }
+    let readings = pooled.iter().map(|(_, readings)| f64::from(*readings)).sum::<f64>();
+    let means: Vec<f64> = pooled
+        .iter()
+        .map(|(sum, readings)| sum / f64::from(*readings))
+        .collect();
+    let each = readings / means.len().max(1) as f64;
+    (means, each)
+}
+
+/// Share of steps whose mean lies within the band, and the mean over all.
+#[must_use]
+pub fn share(means: &[f64], (low, high): (f64, f64)) -> (f64, f64) {
+    let inside = means.iter().filter(|mean| (low..=high).contains(*mean)).count();
+    let count = means.len().max(1) as f64;
+    (inside as f64 / count, means.iter().sum::<f64>() / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_band_of_a_hundred_runs_is_that_of_the_tables() {
+        let (low, high) = band(3.0, 100.0);
+        assert!((low - 2.54).abs() < 0.01 && (high - 3.50).abs() < 0.01, "{low} {high}");
+    }
+}
