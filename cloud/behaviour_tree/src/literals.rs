@@ -10,7 +10,9 @@ use super::value::Value;
 /// A pose as a tree has it: m, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct Pose {
+    /// Position, m.
     pub x: f64,
+    /// Position, m.
     pub y: f64,
     /// Where one is wanted.
     #[serde(default)]

@@ -99,10 +99,10 @@ fn house() -> OccupancyGrid {
 }
 
 /// A way, and where a robot at rest starts on it: along its first leg.
-type Path = (Vec<Point2<f64>>, Pose2);
+type PlannedPath = (Vec<Point2<f64>>, Pose2);
 
 /// Ways between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
-fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Path> {
+fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<PlannedPath> {
     let spec = *space.spec();
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
     let mut searcher = Searcher::new(space.free()).unwrap();
@@ -136,7 +136,7 @@ fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Path> {
 }
 
 /// A way of `length` (m), from one drawn place to the next.
-fn tour(space: &ConfigurationSpace, length: f64) -> Option<Path> {
+fn tour(space: &ConfigurationSpace, length: f64) -> Option<PlannedPath> {
     let ways = drawn(space, 20, true);
     let start = ways.first()?.1;
     let points = ways.iter().flat_map(|(way, _)| way.iter().copied());
