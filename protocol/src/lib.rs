@@ -5,6 +5,7 @@
 //! | [`geometry`] | poses, twists, angles (REP-103) |
 //! | [`polygon`] | outlines: edges, area, inside or not |
 //! | [`grid`] | the grid convention, occupancy values, the one ray walk |
+//! | [`trajectory`] | a path in time: sample, splice, nearest ahead |
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key |
 //! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
@@ -44,6 +45,7 @@ mod robot_check;
 pub mod settings;
 pub mod time;
 pub mod topics;
+pub mod trajectory;
 pub mod wall_following;
 
 /// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.

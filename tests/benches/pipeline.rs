@@ -395,7 +395,7 @@ impl Driven {
                 },
                 valid_for: 5.0,
                 waypoints: vec![Point2::new(pose.x + 0.3, pose.y)],
-                trajectory: Vec::new(),
+                trajectory: Default::default(),
                 splice: None,
                 statistics: PlanStatistics::default(),
             });

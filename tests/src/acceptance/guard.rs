@@ -4,7 +4,7 @@
 use nalgebra::Point2;
 use zenav_edge::Inbox;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{LeaseRole, Teleop, TrajectoryPoint};
+use zenav_protocol::messages::{LeaseRole, Teleop, Trajectory, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 use zenav_sim::{Simulation, World};
@@ -153,7 +153,7 @@ pub fn drive_watched(seed: u64, mut watch: impl FnMut(&SimRig)) -> Result<Outcom
             Command::ThroughWalls => {
                 let to = |dice: &mut Rng| Point2::new(dice.between(-HALF, HALF), dice.between(-HALF, HALF));
                 let waypoints = (0..4).map(|_| to(&mut dice)).collect();
-                ground.plan = Some(ground.plan(waypoints, Vec::new()));
+                ground.plan = Some(ground.plan(waypoints, Trajectory::default()));
                 DURATION
             }
             _ => DURATION,
@@ -217,13 +217,7 @@ fn somebody_stands_behind(sim: &Simulation, model: &RobotModel, start: Pose2) ->
 }
 
 /// A turn on the spot and a straight way that keeps clear of everything.
-fn benign_way(
-    dice: &mut Rng,
-    world: &World,
-    sim: &Simulation,
-    model: &RobotModel,
-    start: Pose2,
-) -> Option<Vec<TrajectoryPoint>> {
+fn benign_way(dice: &mut Rng, world: &World, sim: &Simulation, model: &RobotModel, start: Pose2) -> Option<Trajectory> {
     let reach = model.footprint.circumscribed_radius();
     (0..100).find_map(|_| {
         let goal = place(dice, sim, model, BENIGN_CLEARANCE)?;
@@ -244,7 +238,7 @@ fn benign_way(
 }
 
 /// Points 20 ms apart: turn on the spot, then straight on, each from rest to rest with nine tenths of what the robot can.
-fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<TrajectoryPoint> {
+fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Trajectory {
     let turn = wrap_angle(yaw - start.yaw);
     let acceleration = 0.7 * drive.acceleration();
     let spin = Ramp::new(
@@ -272,7 +266,7 @@ fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<Trajec
             w: turn.signum() * w,
         });
     }
-    points
+    points.into()
 }
 
 /// From rest to rest over a way: speeds up, holds, slows down.

@@ -166,7 +166,7 @@ impl SimRig {
 
     /// A plan from here and now: motion number one.
     #[must_use]
-    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Vec<TrajectoryPoint>) -> Plan {
+    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Trajectory) -> Plan {
         Plan {
             goal_id: "goal".to_owned(),
             epoch: 1,

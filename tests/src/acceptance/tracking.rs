@@ -6,7 +6,7 @@ use zenav_edge::Inbox;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
+use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
 use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
 use zenav_sim::World;
 use zenav_smoothing::shortcut::shortcut;
@@ -40,7 +40,7 @@ pub struct Way {
     /// Corner points.
     pub corners: Vec<Point2<f64>>,
     /// The smoothed way with its time law.
-    pub trajectory: Vec<TrajectoryPoint>,
+    pub trajectory: Trajectory,
     /// Energy that it will draw by the robot's model, J.
     pub forecast_j: f64,
 }
@@ -183,7 +183,7 @@ pub fn drive(
     ground.run(1.0);
     ground.plan = Some(ground.plan(way.corners.clone(), way.trajectory.clone()));
     let (begun, drawn) = (ground.sim.now(), ground.truth().drawn_j);
-    let planned = way.trajectory.last().map_or(0.0, |point| point.t);
+    let planned = way.trajectory.end_time();
     let mut errors = Vec::new();
     let mut secs = None;
     let (mut dice, mut ticks) = (Rng::new(seed, 3), 0_u64);
@@ -194,7 +194,8 @@ pub fn drive(
             inbox.corrections.push(correction(&ground, &mut dice));
         }
         ground.tick(inbox, |_| {});
-        errors.push(off_path(&way.trajectory, ground.truth().map_from_base.position()));
+        let position = ground.truth().map_from_base.position();
+        errors.push(way.trajectory.nearest_ahead(0.0, position, f64::INFINITY).distance);
         if ground.finished() {
             secs = Some(ground.sim.now().secs_since(begun));
             break;
@@ -227,25 +228,6 @@ fn correction(ground: &SimRig, dice: &mut Rng) -> Correction {
         ),
         covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
     }
-}
-
-/// Distance of a place from a path, m.
-fn off_path(path: &[TrajectoryPoint], place: Point2<f64>) -> f64 {
-    let legs = path.windows(2).filter_map(|leg| match leg {
-        [from, to] => Some((from.pose().position(), to.pose().position())),
-        _ => None,
-    });
-    let distances = legs.map(|(from, to)| {
-        let (along, off) = (to - from, place - from);
-        let squared = along.norm_squared();
-        let share = if squared > 0.0 {
-            (off.dot(&along) / squared).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        (off - along * share).norm()
-    });
-    distances.fold(f64::INFINITY, f64::min)
 }
 
 /// The value that a share of all does not exceed.
