@@ -19,8 +19,12 @@
 //! | [`codec`] | JSON and CBOR |
 //! | [`lease`] | lease arbiter: who may command a robot |
 //! | [`map_replica`], [`padding`] | a copy of a map on another machine |
+//! | [`settings`] | settings: one declaration for each, with default, unit and bounds |
 //! | [`config_text`] | configuration files: bounds, lines, numbers |
 //! | `bus` | typed Zenoh (feature `bus`) |
+
+// `settings!` names this crate by its name, in here too.
+extern crate self as zenav_protocol;
 
 #[cfg(feature = "bus")]
 pub mod bus;
@@ -39,6 +43,7 @@ pub mod polygon;
 pub mod readings;
 pub mod robot;
 mod robot_check;
+pub mod settings;
 pub mod time;
 pub mod topics;
 pub mod wall_following;
