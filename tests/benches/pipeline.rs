@@ -19,7 +19,7 @@ use rand_pcg::Pcg64Mcg;
 use zenav_cloud::planning::worker::PlanWorker;
 use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
-use zenav_mapping::{Mapper, MapperConfig};
+use zenav_mapping::{Mapper, MappingSettings};
 use zenav_planning::{Budget, PlanOptions, Planner, Query, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::Cell;
@@ -106,13 +106,7 @@ fn recorded() -> (Vec<Scan>, Vec<Readings>) {
 }
 
 fn mapper() -> Mapper {
-    Mapper::new(
-        MapperConfig {
-            footprint: Some(model().footprint),
-            ..MapperConfig::default()
-        },
-        "bench",
-    )
+    Mapper::new(MappingSettings::default(), "bench").with_footprint(model().footprint)
 }
 
 /// The kitchen as mapped from the recorded scans.
