@@ -1,10 +1,13 @@
-//! What goes into one control tick, and what comes out? Already typed, already decoded: no bus in here.
+//! Control I/O. What goes into one control tick, and what comes out of it? Typed and decoded already: no bus in here.
 
 use std::mem::discriminant;
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    Battery, Bump, Correction, EdgeState, Event, Gps, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate, Refusal, Scan, Teleop,
+};
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
-/// Names an ask, so that its answer finds the way back.
+/// Names a request, so that its reply finds the way back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
@@ -19,50 +22,14 @@ pub struct Inbox {
     pub teleops: Vec<Teleop>,
     /// Pose measurements made off board.
     pub corrections: Vec<Correction>,
-    /// Asks that wait for an answer.
-    pub questions: Vec<(Ticket, Question)>,
+    /// Requests that wait for a reply.
+    pub requests: Vec<(Ticket, EdgeRequest)>,
     /// Control ticks that came too late, since start.
     pub missed_ticks: u64,
     /// How much later than its deadline this tick began, where somebody measures it.
     pub late: Option<std::time::Duration>,
     /// Brake now, whatever else: the edge shuts down.
     pub halt: bool,
-}
-
-/// An ask to the edge.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Question {
-    /// Who may command.
-    Lease(LeaseRequest),
-    /// Stop and latch.
-    Stop(StopRequest),
-    /// Allow a new plan.
-    Resume(ResumeRequest),
-    /// Mode and policy.
-    Mode(ModeRequest),
-    /// Gains.
-    Param(ParamRequest),
-    /// Motions of the edge's own.
-    Maneuver(BehaviourRequest),
-    /// Who is there.
-    Info(InfoRequest),
-}
-
-/// The answer to a [`Question`] of the same name.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Answer {
-    /// A lease.
-    Lease(LeaseReply),
-    /// Whether the stop is latched: to stop and resume.
-    Stop(StopReply),
-    /// Mode and policy.
-    Mode(ModeReply),
-    /// Gains.
-    Param(ParamReply),
-    /// How a behaviour goes.
-    Maneuver(BehaviourReply),
-    /// Who is there.
-    Info(Box<InfoReply>),
 }
 
 /// What must outlive a restart of the edge.
@@ -120,8 +87,8 @@ pub struct Outbox {
     pub wheels: [f64; 2],
     /// What to publish, in order.
     pub publications: Vec<Publication>,
-    /// What to store **before** the answers go out.
+    /// What to store **before** the replies go out.
     pub persist: Option<Persisted>,
-    /// Answers.
-    pub answers: Vec<(Ticket, Result<Answer, Refusal>)>,
+    /// Replies to asks.
+    pub replies: Vec<(Ticket, Result<EdgeReply, Refusal>)>,
 }

@@ -63,7 +63,7 @@ pub mod wheel_coordination;
 
 pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
-pub use control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+pub use control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
 pub use pilot::Pilot;
 pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};

@@ -125,9 +125,9 @@ impl Pilot {
             self.punctuality.note(late);
         }
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
-        for (ticket, question) in inbox.questions {
-            let answer = self.answer(now, question);
-            out.answers.push((ticket, answer));
+        for (ticket, request) in inbox.requests {
+            let reply = self.answer(now, request);
+            out.replies.push((ticket, reply));
         }
         for heartbeat in &inbox.heartbeats {
             self.authority.heartbeat(now, heartbeat);

@@ -1,12 +1,15 @@
-//! How are asks to the robot answered? Every one of them works with no cloud.
+//! Requests. How does the robot answer asks? Each of them works without a cloud.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, BehaviourAction, BehaviourReply, BehaviourReport, BehaviourRequest, BehaviourState, InfoReply, InfoRequest, LeaseReply,
+    LeaseRequest, ModeReply, ModeRequest, ParamReply, ParamRequest, Refusal, ResumeRequest, StopReply, StopRequest,
+};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::authority::Decision;
-use crate::control_io::{Answer, Question};
 use crate::maneuvers::Maneuver;
 use crate::nearest_free::{backs_into_the_unknown, nearest_free};
 use crate::params;
@@ -16,44 +19,50 @@ use crate::pilot::Pilot;
 const LONGEST_ID: usize = 128;
 
 impl Pilot {
-    /// Answers one ask.
-    pub(crate) fn answer(&mut self, now: Stamp, question: Question) -> Result<Answer, Refusal> {
-        match question {
-            Question::Lease(request) => {
-                let ruling = self.authority.lease(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Lease)
-            }
-            Question::Stop(request) => {
-                let ruling = self.authority.stop(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Stop)
-            }
-            Question::Resume(request) => {
-                let ruling = self.authority.resume(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Stop)
-            }
-            Question::Mode(request) => {
-                let on_lost = self.authority.set_policy(now, &request)?;
-                Ok(Answer::Mode(ModeReply {
-                    mode: self.mode(),
-                    on_lost,
-                }))
-            }
-            Question::Param(request) => self.param(now, &request).map(Answer::Param),
-            Question::Maneuver(request) => self
-                .behaviour(now, &request)
-                .map(|report| Answer::Maneuver(BehaviourReply { report })),
-            Question::Info(InfoRequest {}) => Ok(Answer::Info(Box::new(self.info(now)))),
+    /// Answers one request. A new ask of the edge's is an arm here.
+    pub(crate) fn answer(&mut self, now: Stamp, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
+        match request {
+            EdgeRequest::Lease(request) => self.lease(now, &request).map(EdgeReply::Lease),
+            EdgeRequest::Stop(request) => self.stop(now, &request).map(EdgeReply::Stop),
+            EdgeRequest::Resume(request) => self.resume(now, &request).map(EdgeReply::Resume),
+            EdgeRequest::Mode(request) => self.set_mode(now, &request).map(EdgeReply::Mode),
+            EdgeRequest::Param(request) => self.param(now, &request).map(EdgeReply::Param),
+            EdgeRequest::Behaviour(request) => self.maneuver(now, &request).map(EdgeReply::Behaviour),
+            EdgeRequest::Info(InfoRequest {}) => Ok(EdgeReply::Info(self.info(now))),
         }
     }
 
-    fn carry_out<R>(&mut self, now: Stamp, ruling: Decision<R>) -> Result<R, Refusal> {
-        if let Some(reason) = ruling.void {
+    fn lease(&mut self, now: Stamp, request: &LeaseRequest) -> Result<LeaseReply, Refusal> {
+        let decision = self.authority.lease(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn stop(&mut self, now: Stamp, request: &StopRequest) -> Result<StopReply, Refusal> {
+        let decision = self.authority.stop(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn resume(&mut self, now: Stamp, request: &ResumeRequest) -> Result<StopReply, Refusal> {
+        let decision = self.authority.resume(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn set_mode(&mut self, now: Stamp, request: &ModeRequest) -> Result<ModeReply, Refusal> {
+        let on_lost = self.authority.set_policy(now, request)?;
+        Ok(ModeReply {
+            mode: self.mode(),
+            on_lost,
+        })
+    }
+
+    fn carry_out<R>(&mut self, now: Stamp, decision: Decision<R>) -> Result<R, Refusal> {
+        if let Some(reason) = decision.void {
             self.discard(now, reason);
         }
-        if ruling.holder_changed {
+        if decision.holder_changed {
             self.forget_discarded();
         }
-        ruling.answer
+        decision.answer
     }
 
     fn param(&mut self, now: Stamp, request: &ParamRequest) -> Result<ParamReply, Refusal> {
@@ -69,7 +78,11 @@ impl Pilot {
         params::read(&self.gains, &self.wall_following, request.name.as_deref())
     }
 
-    fn behaviour(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {
+    fn maneuver(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<BehaviourReply, Refusal> {
+        self.maneuver_report(now, request).map(|report| BehaviourReply { report })
+    }
+
+    fn maneuver_report(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {
         if request.id.is_empty() || request.id.len() > LONGEST_ID {
             return Err(Refusal::bad_request(format!("`id`: expected 1 to {LONGEST_ID} bytes")));
         }

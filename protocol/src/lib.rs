@@ -42,4 +42,4 @@ pub mod topics;
 pub mod wall_following;
 
 /// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
-pub const SCHEMA_VERSION: u32 = 1;
+pub const SCHEMA_VERSION: u32 = 2;

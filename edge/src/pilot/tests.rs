@@ -7,7 +7,9 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::*;
 
 use super::rig::{ROOM, Rig};
-use crate::control_io::{Answer, Persisted, Question};
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
+
+use crate::control_io::Persisted;
 
 fn fresh() -> Rig {
     Rig::new(Persisted::default())
@@ -80,7 +82,7 @@ fn with_the_heartbeats_gone_the_robot_is_at_rest_by_the_expiry() {
 #[test]
 fn the_policy_stop_brakes_as_soon_as_the_lease_is_lost() {
     let (mut rig, epoch, _) = driving();
-    rig.ask(Question::Mode(ModeRequest {
+    rig.ask(EdgeRequest::Mode(ModeRequest {
         on_lost: Some(LostPolicy::Stop),
         epoch: Some(epoch),
     }))
@@ -156,14 +158,14 @@ fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
 fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     let (mut rig, epoch, mut plan) = driving();
     assert_eq!(
-        rig.ask(Question::Stop(StopRequest::default())),
-        Ok(Answer::Stop(StopReply { stopped: true }))
+        rig.ask(EdgeRequest::Stop(StopRequest::default())),
+        Ok(EdgeReply::Stop(StopReply { stopped: true }))
     );
     rig.run(1.0);
     assert!(rig.at_rest());
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let stopped = rig.pose;
-    rig.ask(Question::Resume(ResumeRequest::default())).unwrap();
+    rig.ask(EdgeRequest::Resume(ResumeRequest::default())).unwrap();
     rig.send(plan.clone());
     // Also a renewal by a mission that has not noticed: the motion is gone for good.
     plan.revision.counter = 5;
@@ -181,7 +183,7 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
 fn a_stop_survives_a_restart_and_epochs_go_on() {
     let mut rig = fresh();
     rig.mission();
-    rig.ask(Question::Stop(StopRequest { by: Some("me".into()) })).unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest { by: Some("me".into()) })).unwrap();
     let mut rig = Rig::new(rig.stored);
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let epoch = rig.mission();
@@ -370,7 +372,7 @@ fn a_behaviour_runs_once_for_its_id() {
     let mut rig = fresh();
     let epoch = rig.mission();
     let spin = |id: &str| {
-        Question::Maneuver(BehaviourRequest {
+        EdgeRequest::Behaviour(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::Spin { angle: 1.0 },
             epoch: Some(epoch),
@@ -379,7 +381,7 @@ fn a_behaviour_runs_once_for_its_id() {
     rig.ask(spin("s1")).unwrap();
     rig.run(4.0);
     assert!((rig.pose.yaw - 1.0).abs() < 0.05, "{:?}", rig.pose);
-    let Ok(Answer::Maneuver(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
+    let Ok(EdgeReply::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
         panic!()
     };
     assert_eq!(report.state, BehaviourState::Succeeded);
@@ -399,7 +401,7 @@ fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
     rig.run(0.3);
     let epoch = rig.mission();
     let to_free = |id: &str, within| {
-        Question::Maneuver(BehaviourRequest {
+        EdgeRequest::Behaviour(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::ToFree { clearance: 0.2, within },
             epoch: Some(epoch),

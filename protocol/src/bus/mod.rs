@@ -6,6 +6,7 @@
 //! | `router` | the router itself |
 //! | `publish`, `subscribe` | topics: publishers, the newest value, all values in order |
 //! | `ask`, `serve` | questions with a deadline, and those who answer |
+//! | `serve_part` | all asks of one part, in its core's own type |
 //! | `alive` | who is there |
 //! | `raw` | bytes, for tools that know no types |
 //! | `clock`, `shutdown` | time and the end, the only ones a service gets |
@@ -26,6 +27,7 @@ mod publish;
 mod raw;
 mod router;
 mod serve;
+mod serve_part;
 mod session;
 mod shutdown;
 mod subscribe;
@@ -37,6 +39,7 @@ pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use router::{Router, RouterConfig};
 pub use serve::{Request, Server};
+pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};
 pub use shutdown::Shutdown;
 pub use subscribe::{Latest, Received, Subscription};
