@@ -3,7 +3,8 @@
 use std::mem::discriminant;
 
 use zenav_protocol::messages::{
-    Battery, Bump, Correction, EdgeState, Event, Gps, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate, Refusal, Scan, Teleop,
+    Battery, Bump, Correction, EdgeState, Event, Gps, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate,
+    Refusal, Scan, Teleop,
 };
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
@@ -14,32 +15,32 @@ pub struct Ticket(pub u64);
 /// What arrived since the last tick, in the order of arrival.
 #[derive(Clone, Debug, Default)]
 pub struct Inbox {
-    /// Plans.
+    /// New and renewed plans.
     pub plans: Vec<Plan>,
     /// Renewals of the lease.
     pub heartbeats: Vec<Heartbeat>,
-    /// Twists by hand.
+    /// Teleop twists.
     pub teleops: Vec<Teleop>,
     /// Pose measurements made off board.
     pub corrections: Vec<Correction>,
     /// Requests that wait for a reply.
     pub requests: Vec<(Ticket, EdgeRequest)>,
-    /// Control ticks that came too late, since start.
+    /// Control ticks missed since start.
     pub missed_ticks: u64,
-    /// How much later than its deadline this tick began, where somebody measures it.
+    /// How late this tick began, where it is measured.
     pub late: Option<std::time::Duration>,
-    /// Brake now, whatever else: the edge shuts down.
+    /// Brake now: the edge shuts down.
     pub halt: bool,
 }
 
-/// What must outlive a restart of the edge.
+/// State that must outlive a restart of the edge.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Persisted {
-    /// The greatest epoch that was ever granted.
+    /// The highest epoch ever granted.
     pub epoch: u64,
-    /// Whether the robot is stopped by hand.
+    /// Whether the stop is latched.
     pub stopped: bool,
-    /// Who keeps the robot's goals.
+    /// Which mission store leads.
     #[serde(default)]
     pub leader: Option<Leader>,
 }
@@ -47,7 +48,7 @@ pub struct Persisted {
 /// Something to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
-    /// A sweep with the poses at its own stamp.
+    /// A scan with the poses at its own stamp.
     Scan(Scan),
     /// Dead reckoning.
     Odometry(Odometry),
@@ -55,22 +56,22 @@ pub enum Publication {
     Imu(Imu),
     /// Position by satellites or beacons.
     Gps(Gps),
-    /// Contact.
+    /// Bumper contact.
     Bump(Bump),
-    /// Energy.
+    /// Battery charge and energy drawn.
     Battery(Battery),
-    /// The estimate.
+    /// The pose estimate.
     Pose(PoseEstimate),
-    /// The state.
+    /// State of the edge.
     State(Box<EdgeState>),
-    /// Something that happened.
+    /// An event of the event log.
     Event(Event),
     /// Shapes to draw.
     Marker(Marker),
 }
 
 impl Publication {
-    /// Whether nobody needs it any more who gets a newer one: markers of two names are two things.
+    /// Whether a newer message makes this one obsolete. Markers are told apart by name.
     #[must_use]
     pub fn is_replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
@@ -80,7 +81,7 @@ impl Publication {
     }
 }
 
-/// What one control tick gave.
+/// The output of one control tick.
 #[derive(Clone, Debug, Default)]
 pub struct Outbox {
     /// Wanted wheel speeds (left, right; rad/s).

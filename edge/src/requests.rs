@@ -3,19 +3,20 @@
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    BasedOn, BehaviourAction, BehaviourReply, BehaviourReport, BehaviourRequest, BehaviourState, InfoReply, InfoRequest, LeaseReply,
-    LeaseRequest, ModeReply, ModeRequest, ParamReply, ParamRequest, Refusal, ResumeRequest, StopReply, StopRequest,
+    BasedOn, BehaviourAction, BehaviourReply, BehaviourReport, BehaviourRequest, BehaviourState, InfoReply,
+    InfoRequest, LeaseReply, LeaseRequest, ModeReply, ModeRequest, ParamReply, ParamRequest, Refusal, ResumeRequest,
+    StopReply, StopRequest,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::authority::Decision;
 use crate::maneuvers::Maneuver;
-use crate::nearest_free::{backs_into_the_unknown, nearest_free};
+use crate::maneuvers::nearest_free::{drives_into_unknown, nearest_free};
 use crate::params;
 use crate::pilot::Pilot;
 
-/// Longest id of a behaviour's execution.
+/// Longest id of a maneuver's execution, bytes.
 const LONGEST_ID: usize = 128;
 
 impl Pilot {
@@ -56,7 +57,7 @@ impl Pilot {
     }
 
     fn carry_out<R>(&mut self, now: Stamp, decision: Decision<R>) -> Result<R, Refusal> {
-        if let Some(reason) = decision.void {
+        if let Some(reason) = decision.discard_reason {
             self.discard(now, reason);
         }
         if decision.holder_changed {
@@ -73,28 +74,29 @@ impl Pilot {
             self.authority.admit(now, request.epoch)?;
             let reach = self.config.model.footprint.circumscribed_radius();
             params::write(&mut self.gains, &mut self.wall_following, reach, name, value)?;
-            self.guard.margin = self.gains.guard_margin;
+            self.collision_monitor.margin = self.gains.guard_margin;
         }
         params::read(&self.gains, &self.wall_following, request.name.as_deref())
     }
 
     fn maneuver(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<BehaviourReply, Refusal> {
-        self.maneuver_report(now, request).map(|report| BehaviourReply { report })
+        self.maneuver_report(now, request)
+            .map(|report| BehaviourReply { report })
     }
 
     fn maneuver_report(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {
         if request.id.is_empty() || request.id.len() > LONGEST_ID {
             return Err(Refusal::bad_request(format!("`id`: expected 1 to {LONGEST_ID} bytes")));
         }
-        let known = self.behaviours.report(&request.id).cloned();
+        let known = self.maneuvers.report(&request.id).cloned();
         match request.action {
             BehaviourAction::Report => return Ok(known),
             BehaviourAction::Cancel => {
                 self.authority.admit(now, request.epoch)?;
-                if self.behaviours.running() == Some(request.id.as_str()) {
-                    self.behaviours.cancel(now, "canceled", &mut self.journal);
+                if self.maneuvers.running() == Some(request.id.as_str()) {
+                    self.maneuvers.cancel(now, "canceled", &mut self.events);
                 }
-                return Ok(self.behaviours.report(&request.id).cloned());
+                return Ok(self.maneuvers.report(&request.id).cloned());
             }
             _ if known.is_some() => return Ok(known),
             _ => self.authority.admit(now, request.epoch)?,
@@ -102,41 +104,43 @@ impl Pilot {
         if self.authority.is_stopped() {
             return Err(Refusal::rejected("the robot is stopped"));
         }
-        if let Some(running) = self.behaviours.running() {
+        if let Some(running) = self.maneuvers.running() {
             return Err(Refusal::Busy {
-                reason: format!("the behaviour {running} runs"),
+                reason: format!("maneuver {running} is running"),
             });
         }
         let odom_from_base = self.estimator.odom_from_base();
-        let way_to_free = |clearance, within| {
-            let points: Vec<_> = self.around.in_base(odom_from_base).collect();
+        let escape = |clearance, within| {
+            let points: Vec<_> = self.obstacles.in_base(odom_from_base).collect();
             let is_free = |base_from_there: Pose2, twist, secs| {
                 let there = odom_from_base * base_from_there;
-                self.guard.free_time(twist, secs, &self.around, there).is_none()
-                    && !backs_into_the_unknown(&self.config.model.footprint, &self.around, there, twist, secs)
+                self.collision_monitor
+                    .free_time(twist, secs, &self.obstacles, there)
+                    .is_none()
+                    && !drives_into_unknown(&self.config.model.footprint, &self.obstacles, there, twist, secs)
             };
             nearest_free(&self.config.model.footprint, &points, clearance, within, is_free)
         };
-        let behaviour = Maneuver::begin(
+        let maneuver = Maneuver::begin(
             &request.id,
             &request.action,
             now,
             odom_from_base,
             &self.config.model.drive,
-            way_to_free,
+            escape,
         )
         .map_err(Refusal::bad_request)?;
-        self.discard_plan(now, "a behaviour was started");
-        let blocked = behaviour.sweep().and_then(|(twist, secs)| {
-            self.guard
-                .free_time(twist, secs, &self.around, self.estimator.odom_from_base())
+        self.discard_plan(now, "a maneuver was started");
+        let blocked = maneuver.sweep().and_then(|(twist, secs)| {
+            self.collision_monitor
+                .free_time(twist, secs, &self.obstacles, self.estimator.odom_from_base())
         });
         Ok(Some(match blocked {
             Some(_) => {
-                let report = behaviour.report(BehaviourState::Failed, Some("something is in the way"));
-                self.behaviours.refuse(now, report, &mut self.journal)
+                let report = maneuver.report(BehaviourState::Failed, Some("obstacle in the way"));
+                self.maneuvers.refuse(now, report, &mut self.events)
             }
-            None => self.behaviours.start(behaviour),
+            None => self.maneuvers.start(maneuver),
         }))
     }
 
@@ -148,10 +152,10 @@ impl Pilot {
             robot: self.config.robot.to_string(),
             boot: Some(BasedOn {
                 stamp: now,
-                boot_id: self.journal.boot_id().to_owned(),
+                boot_id: self.events.boot_id().to_owned(),
             }),
             model: Some(self.config.model.clone()),
-            pacing: Some(self.punctuality.pacing()),
+            pacing: Some(self.loop_timing.pacing()),
             ..InfoReply::default()
         }
     }

@@ -24,9 +24,9 @@ use crate::handoff::{Bundle, Handoff};
 use crate::pilot::Pilot;
 use crate::state_file::{StateError, StateFile};
 
-/// Messages of a topic that wait in the bus.
+/// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
-/// Time for the last messages and answers at the end.
+/// Time for the last messages and replies at shutdown.
 const DRAIN: Duration = Duration::from_secs(2);
 
 /// How an edge is run.
@@ -34,31 +34,31 @@ const DRAIN: Duration = Duration::from_secs(2);
 pub struct ServiceConfig {
     /// The robot.
     pub edge: EdgeConfig,
-    /// Folder of the stored epoch and stop latch.
+    /// Folder of the persisted epoch and stop latch.
     pub state_dir: PathBuf,
-    /// Simulated time against wall time; 1 for a real body.
+    /// Rate of simulated time against wall time; 1 for a real body.
     pub speed: f64,
-    /// Whether this edge publishes its body's time as the clock of all: one edge of a simulated world does.
+    /// Whether this edge publishes its body's time as the simulated clock: one edge of a simulated world does.
     pub gives_the_time: bool,
 }
 
 /// Why an edge did not start or ended early.
 #[derive(Debug, Error)]
 pub enum EdgeError {
-    /// The bus.
+    /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The stored state.
+    /// The persisted state cannot be used.
     #[error(transparent)]
     State(#[from] StateError),
     /// The control thread could not be started.
     #[error("no control thread: {0}")]
     Thread(std::io::Error),
-    /// The speed is not one.
+    /// The speed is not a positive number.
     #[error("speed {0}: expected a positive number")]
     Speed(f64),
-    /// The control thread broke off; the wheels were stopped.
-    #[error("the control thread broke off")]
+    /// The control thread panicked; the wheels were stopped.
+    #[error("the control thread panicked")]
     Panicked,
 }
 
@@ -74,7 +74,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     let robot = config.edge.robot.to_string();
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;
-    // A new boot counts only if the next one can be told from it: find out now whether the folder can be written.
+    // Fail now if the folder cannot be written: later an epoch or a stop could not be persisted.
     file.save(&stored)?;
 
     let handoff = Arc::new(Handoff::default());
@@ -108,7 +108,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     tracing::info!(robot, "edge is up");
 
     let result = supervise(ended, &halt, &shutdown).await;
-    tracing::info!(robot, "the robot is stopped, the edge ends");
+    tracing::info!(robot, "robot stopped, edge ends");
     drop(alive);
     intake.shutdown().await;
     handoff.close();
@@ -116,7 +116,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     result
 }
 
-/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread broke off.
+/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread panicked.
 async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown: &Shutdown) -> Result<(), EdgeError> {
     tokio::select! {
         early = &mut ended => return early.map_err(|_| EdgeError::Panicked),
@@ -144,7 +144,7 @@ fn spawn_control(
     Ok(ended)
 }
 
-/// A name for this life of the edge that no other one has.
+/// A unique id of this boot.
 fn new_boot_id() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     format!("{:x}-{:x}", since.as_nanos(), std::process::id())
@@ -251,9 +251,9 @@ async fn persist_then_reply(file: StateFile, handoff: Arc<Handoff>) {
                     None
                 }
                 Err(reason) => {
-                    tracing::error!(reason, "done, but not stored");
+                    tracing::error!(reason, "done, but not persisted");
                     Some(Refusal::Internal {
-                        reason: format!("done, but not stored: {reason}"),
+                        reason: format!("done, but not persisted: {reason}"),
                     })
                 }
             },

@@ -13,7 +13,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::codec::Encoding;
-use crate::messages::{AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PlanReply, PlanRequest, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, WheelSpeeds};
+use crate::messages::{
+    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
+    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan,
+    PlanReply, PlanRequest, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock,
+    SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, WheelSpeeds,
+};
 use crate::readings::Readings;
 
 /// How a topic is carried.

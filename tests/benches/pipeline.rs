@@ -336,7 +336,10 @@ impl Driven {
             start: START,
         };
         let simulation = Simulation::new(&world, vec![spec], 1).unwrap();
-        let requests = vec![(zenav_edge::Ticket(1), zenav_protocol::topics::EdgeRequest::Lease(request))];
+        let requests = vec![(
+            zenav_edge::Ticket(1),
+            zenav_protocol::topics::EdgeRequest::Lease(request),
+        )];
         let out = pilot.step(
             now,
             &simulation.readings(0),

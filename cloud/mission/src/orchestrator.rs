@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::config::MissionConfig;
 use super::context::{Context, GoalInHand};

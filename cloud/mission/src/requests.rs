@@ -22,7 +22,8 @@ impl Mission {
             MissionRequest::Goal(request) => self.submit(request).map(MissionReply::Goal),
             MissionRequest::Cancel(request) => {
                 let id = request.request_id.clone();
-                self.once(id, |mission| mission.cancel(request.id)).map(MissionReply::Cancel)
+                self.once(id, |mission| mission.cancel(request.id))
+                    .map(MissionReply::Cancel)
             }
             MissionRequest::Pause(request) => {
                 let id = request.request_id.clone();

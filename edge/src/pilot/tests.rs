@@ -28,7 +28,7 @@ fn driving() -> (Rig, u64, Plan) {
 }
 
 #[test]
-fn a_low_battery_is_told_once_until_it_has_been_charged() {
+fn a_low_battery_is_reported_once_until_it_has_been_charged() {
     let mut rig = fresh();
     let told = |rig: &Rig| {
         let low = |event: &&EventKind| matches!(event, EventKind::BatteryLow { .. });
@@ -183,7 +183,8 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
 fn a_stop_survives_a_restart_and_epochs_go_on() {
     let mut rig = fresh();
     rig.mission();
-    rig.ask(EdgeRequest::Stop(StopRequest { by: Some("me".into()) })).unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest { by: Some("me".into()) }))
+        .unwrap();
     let mut rig = Rig::new(rig.stored);
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let epoch = rig.mission();
@@ -222,11 +223,11 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
     rig.run(1.0);
     assert!(rig.at_rest(), "the dead-man's switch");
-    assert_eq!(stops_for(&rig, "no command follows"), 1);
+    assert_eq!(stops_for(&rig, "teleop timed out"), 1);
 }
 
 #[test]
-fn a_recorded_drive_does_not_override_a_later_stop_and_is_told_of_once() {
+fn a_replayed_teleop_drive_does_not_override_a_later_stop_and_is_reported_once() {
     let (mut rig, _, _) = driving();
     rig.run(1.0);
     rig.lease("me", LeaseRole::Operator, "o").unwrap();
@@ -257,14 +258,14 @@ fn a_recorded_drive_does_not_override_a_later_stop_and_is_told_of_once() {
     assert_eq!(told.len(), 2, "once for each cause: {told:?}");
 }
 
-/// How often the guard has told that it stops for this reason.
+/// How often the collision monitor reported a stop for this reason.
 fn stops_for(rig: &Rig, because: &str) -> usize {
     let tells = |event: &&EventKind| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains(because));
     rig.events.iter().filter(tells).count()
 }
 
 #[test]
-fn a_bump_stops_and_is_told() {
+fn a_bump_stops_the_robot_and_is_reported() {
     let (mut rig, _, _) = driving();
     rig.bump = Some(0.0);
     rig.run(1.5);
@@ -368,7 +369,7 @@ fn waypoints_are_driven_while_renewed() {
 }
 
 #[test]
-fn a_behaviour_runs_once_for_its_id() {
+fn a_maneuver_runs_once_for_its_id() {
     let mut rig = fresh();
     let epoch = rig.mission();
     let spin = |id: &str| {
@@ -431,7 +432,7 @@ fn a_blind_robot_stops() {
     rig.scanning = false;
     rig.run(1.5);
     assert!(rig.at_rest());
-    assert_eq!(stops_for(&rig, "scan is too old"), 1);
+    assert_eq!(stops_for(&rig, "scan too old"), 1);
 }
 
 /// Everything that may be wrong with a plan.

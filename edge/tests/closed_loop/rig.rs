@@ -5,8 +5,8 @@ use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Ticke
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
-use zenav_protocol::topics::EdgeRequest;
 use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
 pub struct Rig {

@@ -89,7 +89,8 @@ impl<P: PartAsks> AskVisitor<P> for Declaring<'_, P> {
         R: Serialize + Send + Sync + 'static,
     {
         let server = self.bus.serve(&ask, self.chunks)?;
-        self.servers.push(PartServer(Box::new(Serving { server, request, reply })));
+        self.servers
+            .push(PartServer(Box::new(Serving { server, request, reply })));
         Ok(())
     }
 }

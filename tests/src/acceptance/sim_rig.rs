@@ -7,8 +7,8 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::{Id, InvalidId};
 use zenav_protocol::messages::*;
 use zenav_protocol::readings::Readings;
-use zenav_protocol::topics::EdgeRequest;
 use zenav_protocol::robot::{RobotError, RobotModel, shipped};
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, SimError, Simulation, Truth, World, WorldError};
 
 /// Why a proving ground cannot be laid out.

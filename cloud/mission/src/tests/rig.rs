@@ -10,9 +10,9 @@ use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
-use zenav_protocol::topics::{MissionReply, MissionRequest};
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 use crate::records::{Record, Restored, StoredGoal};
@@ -300,7 +300,7 @@ pub struct Rig {
     /// Time from an ask to its answer, s.
     pub latency: f64,
     waiting: Vec<(Stamp, Ticket, Result<Answer, NoAnswer>)>,
-    requests: Vec<(Client, Request)>,
+    requests: Vec<(Client, MissionRequest)>,
     next_client: u64,
     /// Does the remote actions on the key `kitchen/gripper`.
     pub remote: Option<RemoteServer>,

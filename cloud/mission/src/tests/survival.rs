@@ -46,8 +46,7 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
-    rig.answer(MissionRequest::Pause(PauseRequest::default()))
-        .unwrap();
+    rig.answer(MissionRequest::Pause(PauseRequest::default())).unwrap();
     rig.kill();
     rig.start();
     let before = rig.plans.len();
