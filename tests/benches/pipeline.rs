@@ -344,7 +344,7 @@ impl Driven {
             now,
             &simulation.readings(0),
             Inbox {
-                questions,
+                requests,
                 ..Inbox::default()
             },
         );
