@@ -334,7 +334,10 @@ impl Driven {
             start: START,
         };
         let simulation = Simulation::new(&world, vec![spec], 1).unwrap();
-        let questions = vec![(zenav_edge::Ticket(1), zenav_edge::Question::Lease(request))];
+        let requests = vec![(
+            zenav_edge::Ticket(1),
+            zenav_protocol::topics::EdgeRequest::Lease(request),
+        )];
         let out = pilot.step(
             now,
             &simulation.readings(0),
@@ -343,7 +346,7 @@ impl Driven {
                 ..Inbox::default()
             },
         );
-        let Some((_, Ok(zenav_edge::Answer::Lease(reply)))) = out.answers.first() else {
+        let Some((_, Ok(zenav_protocol::topics::EdgeReply::Lease(reply)))) = out.replies.first() else {
             panic!("no lease")
         };
         let epoch = reply.epoch;

@@ -2,12 +2,13 @@
 
 use std::time::Duration;
 
-use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Question, Ticket};
+use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::{Id, InvalidId};
 use zenav_protocol::messages::*;
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::{RobotError, RobotModel, shipped};
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, SimError, Simulation, Truth, World, WorldError};
 
 /// Why a proving ground cannot be laid out.
@@ -99,7 +100,7 @@ impl SimRig {
         let request = LeaseRequest::new("holder".to_owned(), role, LeaseAction::Acquire, "1".to_owned());
         ground.tick(
             Inbox {
-                questions: vec![(Ticket(1), Question::Lease(request))],
+                requests: vec![(Ticket(1), EdgeRequest::Lease(request))],
                 ..Inbox::default()
             },
             |_| {},
