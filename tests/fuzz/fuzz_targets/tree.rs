@@ -1,0 +1,11 @@
+//! Bytes from anywhere as a tree file: read, checked, and if it is a tree, run against leaves that succeed.
+//!
+//! In `tests`: `cargo +nightly fuzz run tree -- -dict=fuzz/tree.dict -max_len=65536` (`cargo install cargo-fuzz`). The ordinary tests
+//! run the corpus.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = zenav_behaviour_tree::samples::exercise(bytes);
+});
