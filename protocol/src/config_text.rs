@@ -6,6 +6,8 @@ use nalgebra::Point2;
 use serde::{Deserialize, Deserializer, Serialize};
 use thiserror::Error;
 
+use crate::settings::Bounds;
+
 /// Two numbers, and no third: a reader that takes the first two of `[1, 2, 3]` would hide a mistake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<f64>")]
@@ -35,10 +37,10 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
 
 /// A setting with a value that it cannot have.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("`{name}` {problem}")]
+#[error("`{key}` {problem}")]
 pub struct OutOfBounds {
-    /// The setting's key.
-    pub name: &'static str,
+    /// The setting's key, the sections before it joined by dots.
+    pub key: String,
     /// What it is, and what was expected.
     pub problem: String,
 }
@@ -46,19 +48,25 @@ pub struct OutOfBounds {
 impl OutOfBounds {
     /// A value that lies outside of its bounds.
     #[must_use]
-    pub fn outside(name: &'static str, value: f64, least: f64, most: f64) -> Self {
-        Self {
-            name,
-            problem: format!("is {}: expected {least} to {most}", Number(value)),
-        }
+    pub fn outside(key: &str, value: f64, bounds: &Bounds, unit: &str) -> Self {
+        Self::unlike(key, value, format!("{bounds} {unit}").trim_end())
     }
 
     /// A value that is something else than was expected.
     #[must_use]
-    pub fn unlike(name: &'static str, value: f64, expected: impl fmt::Display) -> Self {
+    pub fn unlike(key: &str, value: f64, expected: impl fmt::Display) -> Self {
         Self {
-            name,
+            key: key.to_owned(),
             problem: format!("is {}: expected {expected}", Number(value)),
+        }
+    }
+
+    /// The same, said by the section around.
+    #[must_use]
+    pub fn within(self, section: &str) -> Self {
+        Self {
+            key: format!("{section}.{}", self.key),
+            ..self
         }
     }
 }
