@@ -1,8 +1,9 @@
-//! Does every command of the README and of `docs/` do what the page says? Each ```` ```sh ```` block is run as it stands, in a folder of its
-//! page, with the ports replaced by free ones; `CONTRIBUTING.md` has the conventions.
+//! Does every command of the README and of `docs/` do what the page says? Each ```` ```sh ```` block is run as it stands, beside one
+//! `zenav up`, with the ports replaced by free ones; `CONTRIBUTING.md` has the conventions.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
@@ -16,8 +17,18 @@ use zenav_tests::process::{Process, free_endpoint, run};
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// Longest run of a command.
 const LIMIT: Duration = Duration::from_secs(120);
-/// Longest wait for what keeps running to be ready.
-const READY: Duration = Duration::from_secs(30);
+/// Longest wait for the deployment.
+const READY: Duration = Duration::from_secs(60);
+/// Simulated seconds a second.
+const SPEED: u32 = 6;
+/// What keeps running by itself.
+const PARTS: [&str; 5] = [
+    "zenav up",
+    "zenav router",
+    "zenav edge",
+    "zenav cloud",
+    "zenav sim serve",
+];
 /// Ports that the pages name.
 const ROUTER_PORT: &str = "7447";
 const ROBOT_PORT: &str = "7450";
@@ -27,8 +38,10 @@ const ROBOT_PORT: &str = "7450";
 struct Block {
     line: usize,
     language: String,
-    /// What the comment above the fence says: `<!-- not run: REASON -->`, `<!-- file: NAME -->`.
-    comment: Option<(String, String)>,
+    /// The file that it is to be: `# NAME` or `<!-- NAME -->` in its first line, or `<!-- file: NAME -->` above the fence.
+    file: Option<String>,
+    /// Why it is not run: `# not run: REASON` in its first lines.
+    not_run: Option<String>,
     text: String,
 }
 
@@ -45,19 +58,37 @@ fn blocks(page: &str) -> Vec<Block> {
             .iter()
             .take_while(|line| !line.starts_with("```"))
             .count();
+        let inside = &lines[at + 1..at + 1 + length];
         let above = lines[..at].last().copied().unwrap_or_default();
-        let comment = above.strip_prefix("<!-- ").and_then(|rest| rest.strip_suffix(" -->"));
+        let above = above
+            .strip_prefix("<!-- file: ")
+            .and_then(|rest| rest.strip_suffix(" -->"));
+        let remarks = inside.iter().map_while(|line| remark(line));
+        let not_run = remarks.clone().find_map(|remark| remark.strip_prefix("not run: "));
+        let named = remarks.clone().next().filter(|name| is_file_name(name));
         found.push(Block {
             line: at + 1,
             language: language.to_owned(),
-            comment: comment
-                .and_then(|comment| comment.split_once(": "))
-                .map(|(key, value)| (key.to_owned(), value.to_owned())),
-            text: lines[at + 1..at + 1 + length].join("\n"),
+            file: above.or(named).map(str::to_owned),
+            not_run: not_run.map(str::to_owned),
+            text: inside.join("\n"),
         });
         at += length + 2;
     }
     found
+}
+
+/// What a line says that is nothing but a comment.
+fn remark(line: &str) -> Option<&str> {
+    let xml = line.strip_prefix("<!-- ").and_then(|rest| rest.strip_suffix(" -->"));
+    xml.or_else(|| line.strip_prefix("# "))
+}
+
+fn is_file_name(text: &str) -> bool {
+    let is_plain = text
+        .chars()
+        .all(|letter| letter.is_ascii_alphanumeric() || "_-.".contains(letter));
+    is_plain && text.contains('.') && !text.starts_with('.')
 }
 
 /// A command of a block, and what is expected of it.
@@ -65,7 +96,7 @@ fn blocks(page: &str) -> Vec<Block> {
 struct Command {
     line: usize,
     script: String,
-    /// `# keeps running`: it goes on until the page's end.
+    /// `# keeps running`, or a part that does by itself: it goes on until the page's end.
     keeps_running: bool,
     /// `# exits N`.
     exits: i32,
@@ -90,17 +121,22 @@ fn commands(block: &Block) -> Vec<Command> {
             script = format!("{begun} ");
             continue;
         }
-        let comment = script.rsplit_once(" # ").map_or("", |(_, comment)| comment).trim();
+        let (code, comment) = script.rsplit_once(" # ").unwrap_or((&script, ""));
+        let (code, comment) = (code.trim().to_owned(), comment.trim().to_owned());
         let exits = comment
             .strip_prefix("exits ")
             .and_then(|rest| rest.split([' ', ':']).next());
+        let is_part = PARTS
+            .iter()
+            .any(|part| code == *part || code.starts_with(&format!("{part} ")));
         found.push(Command {
             line: block.line + 1 + number,
-            keeps_running: comment.starts_with("keeps running"),
+            keeps_running: is_part || comment.starts_with("keeps running"),
             exits: exits.map_or(0, |code| code.parse().expect("a number after `exits`")),
             output: Vec::new(),
-            script: std::mem::take(&mut script),
+            script: code,
         });
+        script.clear();
     }
     found
 }
@@ -129,30 +165,28 @@ fn is_in(expected: &[String], output: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// A folder in which a page's commands run.
-struct Page {
-    name: String,
+/// Where the commands of all pages run, beside one `zenav up`.
+struct Place {
     folder: tempfile::TempDir,
     router: String,
-    running: Vec<Process>,
+    /// Demonstrations that have run: they take long, and two pages may show the same.
+    shown: BTreeSet<String>,
 }
 
-impl Page {
-    fn new(name: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let page = Self {
-            name: name.to_owned(),
-            folder,
+impl Place {
+    fn new() -> Self {
+        let place = Self {
+            folder: tempfile::tempdir().unwrap(),
             router: free_endpoint(),
-            running: Vec::new(),
+            shown: BTreeSet::new(),
         };
-        let (router, robot) = (page.router.as_str(), free_endpoint());
+        let (router, robot) = (place.router.as_str(), free_endpoint());
         let mut ports = String::new();
         for (port, endpoint) in [(ROUTER_PORT, router), (ROBOT_PORT, &robot)] {
             let free = endpoint.rsplit(':').next().unwrap();
             let _ = write!(ports, "s/:{port}\\b/:{free}/g;");
         }
-        // Arguments keep their spaces: each is rewritten by itself. Commands that connect by default are told where to.
+        // Each argument is rewritten by itself and keeps its spaces. Commands that connect by default are told where to.
         let zenav = format!(
             r#"#!/bin/sh
 count=$#
@@ -161,27 +195,30 @@ while [ "$count" -gt 0 ]; do
     shift
     count=$((count - 1))
 done
-case " $* " in *" --connect "*) connects=yes ;; *) connects= ;; esac
+has() {{ case " $all " in *" $1 "*) true ;; *) false ;; esac }}
+all="$*"
 case "$1 $2" in
     "up "*) [ -n "$2" ] || export ZENAV_ROBOTS__{upper}__LISTEN={robot}
-        export ZENAV_ROUTER__LISTEN='["{router}"]' ZENAV_BUS__CONNECT={router} ZENAV_SIMULATION__SPEED=4 ;;
-    "router "* | "sim serve") set -- "$@" --listen {router} ;;
-    "edge "* | "cloud "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch" | "map show" | "map save")
-        [ -n "$connects" ] || set -- "$@" --connect {router} ;;
+        export ZENAV_ROUTER__LISTEN='["{router}"]' ZENAV_BUS__CONNECT={router} ZENAV_SIMULATION__SPEED={SPEED} ;;
+    "demo "*) has --speed || set -- "$@" --speed {SPEED} ;;
+    "router "* | "sim serve") has --listen || set -- "$@" --listen {router} ;;
+    "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
+    "edge "* | "cloud "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch")
+        has --connect || set -- "$@" --connect {router} ;;
 esac
 exec {ZENAV} "$@"
 "#,
             upper = ROBOT.to_uppercase(),
         );
-        let cargo = "#!/bin/sh\n[ \"$1 $2 $3\" = 'run --release --' ] || { echo \"only cargo run --release -- is run here\"; exit 1; }\nshift 3\nexec zenav \"$@\"\n";
-        let bin = page.bin();
+        let cargo = "#!/bin/sh\n[ \"$1 $2 $3\" = 'run --release --' ] || { echo 'only cargo run --release -- is run here'; exit 1; }\nshift 3\nexec zenav \"$@\"\n";
+        let bin = place.bin();
         std::fs::create_dir(&bin).unwrap();
         for (command, script) in [("zenav", zenav.as_str()), ("cargo", cargo)] {
             let file = bin.join(command);
             std::fs::write(&file, script).unwrap();
             std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
         }
-        page
+        place
     }
 
     fn bin(&self) -> PathBuf {
@@ -192,15 +229,40 @@ exec {ZENAV} "$@"
         format!("PATH={}:$PATH\nset -e\n{command}", self.bin().display())
     }
 
-    async fn run(&mut self, block: &Block) {
+    fn start(&self, command: &str) -> Process {
+        let script = self.script(&format!("exec {command}"));
+        Process::start("sh", &["-c", &script], self.folder.path())
+    }
+
+    /// The deployment that all pages talk to, once its mission commands the robot.
+    async fn up(&self) -> Process {
+        let up = self.start("zenav up");
+        let opening = Bus::open(BusConfig::service("docs", &self.router));
+        let bus = tokio::time::timeout(READY, opening)
+            .await
+            .expect("the router listens")
+            .unwrap();
+        let mut robot = Observer::new(&bus, ROBOT);
+        robot
+            .until("a mission commands the robot", READY, |state| state.lease.live)
+            .await;
+        bus.close().await;
+        up
+    }
+
+    /// Runs a block; returns what goes on running.
+    fn run(&mut self, page: &str, block: &Block) -> Vec<Process> {
+        let mut running = Vec::new();
         for command in commands(block) {
-            let at = format!("{}:{}: {}", self.name, command.line, command.script);
+            let at = format!("{page}:{}: {}", command.line, command.script);
+            let is_running = command.script == "zenav up";
+            let is_demo = command.script.contains(" demo ");
+            if is_running || (is_demo && !self.shown.insert(command.script.clone())) {
+                continue;
+            }
             eprintln!("{at}");
             if command.keeps_running {
-                let script = self.script(&format!("exec {}", command.script));
-                self.running
-                    .push(Process::start("sh", &["-c", &script], self.folder.path()));
-                self.wait(&at, command.script.starts_with("zenav up")).await;
+                running.push(self.start(&command.script));
                 continue;
             }
             let script = self.script(&command.script);
@@ -213,23 +275,7 @@ exec {ZENAV} "$@"
             let found = is_in(&command.output, &stdout);
             assert!(found.is_ok(), "{at}: {}\n{stdout}\n{stderr}", found.unwrap_err());
         }
-        for process in &mut self.running {
-            process.assert_running();
-        }
-    }
-
-    /// Until somebody answers at the router, and a mission leads where a whole deployment was started.
-    async fn wait(&mut self, at: &str, is_deployment: bool) {
-        let opening = Bus::open(BusConfig::service("docs", &self.router));
-        let opened = tokio::time::timeout(READY, opening).await;
-        let bus = opened.unwrap_or_else(|_| panic!("{at}: nobody listens")).unwrap();
-        if is_deployment {
-            let mut robot = Observer::new(&bus, ROBOT);
-            robot
-                .until("a mission commands the robot", READY, |state| state.lease.live)
-                .await;
-        }
-        bus.close().await;
+        running
     }
 }
 
@@ -256,42 +302,48 @@ fn pages() -> Vec<PathBuf> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_command_of_the_docs_does_what_its_page_says() {
-    let (mut run, mut left_out) = (0, Vec::new());
+    let mut place = Place::new();
+    let mut up = place.up().await;
+    let (mut run, mut not_run) = (0, Vec::new());
     for path in pages() {
         let text = std::fs::read_to_string(&path).unwrap();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        let mut page = Page::new(&name);
+        let mut running = Vec::new();
         for block in blocks(&text) {
-            match &block.comment {
-                Some((key, reason)) if key == "not run" => left_out.push(format!("{name}:{}: {reason}", block.line)),
-                Some((key, file)) if key == "file" => {
-                    assert!(!file.contains(['/', '\\']), "{name}: a file in the folder: {file}");
-                    std::fs::write(page.folder.path().join(file), &block.text).unwrap();
-                }
-                _ if block.language == "sh" => {
-                    page.run(&block).await;
-                    run += 1;
-                }
-                _ => {}
+            if let Some(file) = &block.file {
+                std::fs::write(place.folder.path().join(file), &block.text).unwrap();
+            } else if let Some(reason) = &block.not_run {
+                not_run.push(format!("{name}:{}: {reason}", block.line));
+            } else if block.language == "sh" {
+                running.extend(place.run(&name, &block));
+                run += 1;
             }
         }
+        running.iter_mut().for_each(Process::assert_running);
     }
-    eprintln!("{run} blocks run; {} not run:\n{}", left_out.len(), left_out.join("\n"));
+    up.assert_running();
+    eprintln!("{run} blocks run; {} not run:\n{}", not_run.len(), not_run.join("\n"));
     assert!(run > 0, "the docs have commands");
 }
 
 #[test]
 fn blocks_commands_and_outputs_are_read_as_the_conventions_say() {
-    let page = "text\n<!-- file: a.toml -->\n```toml\nx = 1\n```\n```sh\nzenav up   # keeps running, until Ctrl-C\n\nzenav goal \\\nlist\n\
-                #> goal … Succeeded\n# a remark\nzenav x; zenav y # exits 7: refused\n```\n<!-- not run: long -->\n```sh\nz\n```\n";
+    let page = "text\n```toml\n# a.toml\n# not run: it is a file\nx = 1\n```\n```sh\nzenav topic hz edge/scan   # keeps running\n\nzenav goal \\\nlist\n\
+                #> goal … Succeeded\n# a remark\nzenav x; zenav y # exits 7: refused\n```\n```sh\n# not run: long\nz\n```\n\
+                <!-- file: s.json -->\n```json\n{}\n```\n";
     let found = blocks(page);
-    assert_eq!(found.len(), 3);
-    assert_eq!(found[0].comment, Some(("file".to_owned(), "a.toml".to_owned())));
-    assert_eq!(found[2].comment, Some(("not run".to_owned(), "long".to_owned())));
+    assert_eq!(found.len(), 4);
+    assert_eq!(found[0].file.as_deref(), Some("a.toml"));
+    assert_eq!((found[1].file.as_deref(), found[1].not_run.as_deref()), (None, None));
+    assert_eq!(found[2].not_run.as_deref(), Some("long"));
+    assert_eq!(found[3].file.as_deref(), Some("s.json"));
     let commands = commands(&found[1]);
     assert_eq!(commands.len(), 3);
     assert!(commands[0].keeps_running && !commands[1].keeps_running);
-    assert_eq!((commands[1].script.as_str(), commands[1].line), ("zenav goal list", 10));
+    assert_eq!(
+        (commands[1].script.as_str(), commands[1].line),
+        ("zenav goal  list", 11)
+    );
     assert_eq!((commands[2].exits, commands[1].exits), (7, 0));
     let output = &commands[1].output;
     assert_eq!(*output, ["goal … Succeeded"]);

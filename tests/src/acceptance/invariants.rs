@@ -290,6 +290,7 @@ async fn submit(bus: Bus, id: String, x: f64) -> Result<String, String> {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use serde_json::json;
+    use zenav_protocol::messages::PlanStatistics;
 
     use super::*;
 
@@ -305,7 +306,7 @@ mod tests {
         serde_json::from_value(json!({
             "goal_id": goal, "epoch": 1, "revision": {"incarnation": 1, "counter": 1}, "trajectory_id": 1,
             "map": {"id": "m", "revision": 1}, "frame": "map", "based_on": {"stamp": Stamp::from_secs(secs), "boot_id": "boot"},
-            "valid_for": 5.0, "waypoints": [], "trajectory": [], "statistics": {}
+            "valid_for": 5.0, "waypoints": [], "trajectory": [], "statistics": PlanStatistics::default()
         }))
         .unwrap()
     }

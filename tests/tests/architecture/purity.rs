@@ -48,7 +48,10 @@ const SIGNS: &[(Effect, &[&[&str]])] = &[
             &["crate", "bus"],
         ],
     ),
-    (Threads, &[&["std", "thread"], &["thread", "spawn"], &["mpsc"]]),
+    (
+        Threads,
+        &[&["std", "thread"], &["thread", "spawn"], &["std", "sync", "mpsc"]],
+    ),
     (
         Chance,
         &[

@@ -80,6 +80,15 @@ pub fn economy(maps: &[String]) -> Verdict {
                     100.0 * (longer / secs - 1.0),
                     100.0 * (fewer / joules - 1.0)
                 );
+                let more = 100.0 * (longer / secs - 1.0);
+                Row::new(
+                    format!("{} {name}: time, economy over fastest", world.name()),
+                    more,
+                    "%",
+                )
+                .print();
+                let saved = 100.0 * (1.0 - fewer / joules);
+                Row::new(format!("{} {name}: energy saved", world.name()), saved, "%").print();
                 // Where the electronics take the most, as in a small slow robot, the fastest is the cheapest, and both are one.
                 good &= (fewer < joules && longer > secs) || (fewer == joules && longer == secs);
             }
@@ -120,6 +129,7 @@ pub fn track(maps: &[String]) -> Verdict {
                 format!("{reached}/{}", paths.len()),
                 joules / metres,
             );
+            Row::new(format!("{} {name}: path error, p95", world.name()), p95, "cm").print();
             if law == TrackerKind::TimeLaw {
                 least = p95;
                 good &= p95 < 3.0 && reached == paths.len() && paths.len() == PATHS;

@@ -106,6 +106,10 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
                 .sum::<usize>(),
         );
     }
-    println!("{} of {worlds} worlds passed", worlds - failed.min(worlds));
+    let passed = worlds - failed.min(worlds);
+    println!("{passed} of {worlds} worlds passed");
+    Row::new(format!("worlds that pass, of {worlds}"), passed as f64, "").print();
+    let hardest = outcomes.iter().map(|outcome| outcome.hardest).fold(0.0, f64::max);
+    Row::new("hardest contact", hardest, "m/s").print();
     Ok(failed == 0)
 }

@@ -1,6 +1,7 @@
 //! Missions. What becomes of goals when missions die or freeze, and how many robots does one process serve?
 
 use tokio::runtime::Runtime;
+use zenav_fixtures::Row;
 use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::acceptance::invariants::Findings;
 use zenav_tests::acceptance::tracking::percentile;
@@ -55,6 +56,16 @@ pub fn fleet(robots: usize, secs: f64) -> Verdict {
         many.faults[1],
         many.faults[2]
     );
+    let rows = [
+        ("processor", 100.0 * many.load, "% of a core"),
+        ("memory a robot", each, "MiB"),
+        ("heartbeat off by, p50", 1e3 * p50, "ms"),
+        ("heartbeat off by, p99", 1e3 * p99, "ms"),
+        ("heartbeat off by, most", 1e3 * most, "ms"),
+    ];
+    for (name, value, unit) in rows {
+        Row::new(format!("{robots} robots: {name}"), value, unit).print();
+    }
     Ok(many.faults == [0; 3] && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
 }
 
@@ -71,8 +82,14 @@ fn tell(run: impl Future<Output = Result<Findings, String>>) -> Verdict {
         findings.motions,
         findings.violations.len()
     );
+    let succeeded = findings.ends.get("Succeeded").copied().unwrap_or_default();
+    Row::new("goals acknowledged", findings.goals as f64, "").print();
+    Row::new("goals that succeeded, each once", succeeded as f64, "").print();
+    Row::new("violations", findings.violations.len() as f64, "").print();
     if !findings.takeovers.is_empty() {
         let mut secs = |share| percentile(&mut findings.takeovers, share);
+        Row::new("another mission leads, p50", secs(0.5), "s").print();
+        Row::new("another mission leads, longest", secs(1.0), "s").print();
         println!(
             "the other mission led after {:.2} s (p50), {:.2} s (p95), {:.2} s (longest)",
             secs(0.5),
