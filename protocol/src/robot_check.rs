@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::config_text::{OutOfBounds, line_of};
 use crate::robot::{Footprint, RobotModel};
+use crate::settings::Settings as _;
 
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
@@ -51,11 +52,8 @@ impl Wrong {
 }
 
 fn wrong(key: &'static str, value: f64, expected: &str) -> Result<(), Wrong> {
-    let OutOfBounds { problem, .. } = OutOfBounds::unlike(key, value, expected);
-    Err(Wrong {
-        key: key.to_owned(),
-        problem,
-    })
+    let OutOfBounds { key, problem } = OutOfBounds::unlike(key, value, expected);
+    Err(Wrong { key, problem })
 }
 
 impl RobotModel {
@@ -186,11 +184,11 @@ impl RobotModel {
         let reach = self.footprint.circumscribed_radius();
         for (table, check) in [
             ("controller", self.controller.check()),
-            ("wall_following", self.wall_following.check(reach)),
+            ("wall_following", self.wall_following.check_for(reach)),
         ] {
-            check.map_err(|OutOfBounds { name, problem }| Wrong {
-                key: format!("{table}.{name}"),
-                problem,
+            check.map_err(|error| {
+                let OutOfBounds { key, problem } = error.within(table);
+                Wrong { key, problem }
             })?;
         }
         Ok(())

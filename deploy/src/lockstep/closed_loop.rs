@@ -9,7 +9,7 @@ use zenav_cloud::planning::worker::PlanWorker;
 use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_cloud::worker_host::Work as _;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
-use zenav_mapping::{Mapper, MapperConfig};
+use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
@@ -75,19 +75,19 @@ impl ClosedLoop {
     /// Sets the stage; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
-        let mapper_config = MapperConfig {
+        let settings = MappingSettings {
             resolution: config.resolution,
-            footprint: Some(config.edge.model.footprint.clone()),
-            ..MapperConfig::default()
+            ..MappingSettings::default()
         };
         let map = MapRef {
             id: "lockstep".to_owned(),
             revision: 0,
         };
-        let mut mapper = match &config.known_map {
-            Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),
-            None => Mapper::new(mapper_config, map.id),
+        let mapper = match &config.known_map {
+            Some(grid) => Mapper::with_stored(settings, map, grid, Vec::new(), 0),
+            None => Mapper::new(settings, map.id),
         };
+        let mut mapper = mapper.with_footprint(config.edge.model.footprint.clone());
         // Live scans go on into a known map: what moved since must be seen.
         mapper.resume();
         Self {
@@ -220,7 +220,7 @@ impl ClosedLoop {
             MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapper.resume(),
             MapAction::Hold => self.mapper.hold(),
-            MapAction::Forget => self.mapper.forget(),
+            MapAction::Forget => self.mapper.decay_now(),
         }
         let mut reply = self.mapper.reply();
         if request.action != MapAction::Get {

@@ -213,7 +213,7 @@ impl Rig {
         let mut trajectory: Vec<_> = points.collect();
         trajectory.dedup_by(|a, b| a.t - b.t < 1e-6);
         Plan {
-            trajectory,
+            trajectory: trajectory.into(),
             ..self.waypoints(epoch, counter, trajectory_id, &[])
         }
     }
@@ -235,7 +235,7 @@ impl Rig {
             },
             valid_for: 5.0,
             waypoints: points.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            trajectory: Vec::new(),
+            trajectory: Trajectory::default(),
             splice: None,
             statistics: PlanStatistics::default(),
         }

@@ -439,6 +439,7 @@ fn a_blind_robot_stops() {
 fn spoil(plan: &mut Plan, how: usize, index: usize) {
     let index = index % plan.trajectory.len();
     let last = plan.trajectory.len() - 1;
+    let mut points = plan.trajectory.to_vec();
     match how {
         0 => plan.epoch += 1,
         1 => {
@@ -452,16 +453,17 @@ fn spoil(plan: &mut Plan, how: usize, index: usize) {
         4 => plan.valid_for = -1.0,
         5 => plan.valid_for = f64::NAN,
         6 => plan.frame = "odom".into(),
-        7 => plan.trajectory[index].x = f64::NAN,
-        8 => plan.trajectory[index.max(1)].t = 0.0,
-        9 => plan.trajectory[index].v = 3.0,
-        10 => plan.trajectory.iter_mut().for_each(|point| point.y += 1.0),
-        11 => plan.trajectory[last].v = 0.4,
-        12 => plan.trajectory.truncate(0),
-        13 => plan.trajectory[index].w = f64::INFINITY,
+        7 => points[index].x = f64::NAN,
+        8 => points[index.max(1)].t = 0.0,
+        9 => points[index].v = 3.0,
+        10 => points.iter_mut().for_each(|point| point.y += 1.0),
+        11 => points[last].v = 0.4,
+        12 => points.truncate(0),
+        13 => points[index].w = f64::INFINITY,
         14 => plan.based_on.stamp = zenav_protocol::time::Stamp::from_secs(1.0),
-        _ => plan.trajectory[index].x += 40.0,
+        _ => points[index].x += 40.0,
     }
+    plan.trajectory = points.into();
 }
 
 proptest! {

@@ -125,7 +125,7 @@ impl Rig {
         self.sim.truth(0)
     }
 
-    pub fn plan(&self, waypoints: &[(f64, f64)], trajectory: Vec<TrajectoryPoint>) -> Plan {
+    pub fn plan(&self, waypoints: &[(f64, f64)], trajectory: impl Into<Trajectory>) -> Plan {
         Plan {
             goal_id: "g".into(),
             epoch: self.epoch,
@@ -142,7 +142,7 @@ impl Rig {
             },
             valid_for: 5.0,
             waypoints: waypoints.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            trajectory,
+            trajectory: trajectory.into(),
             splice: None,
             statistics: PlanStatistics::default(),
         }

@@ -175,7 +175,7 @@ impl Edge {
                 }
             } else {
                 self.time += DT;
-                let point = sample(&plan.trajectory, self.time);
+                let point = plan.trajectory.sample(self.time);
                 (self.pose, self.velocity) = (point.pose(), point.twist());
                 if plan.trajectory.last().is_none_or(|last| self.time >= last.t) {
                     self.finished = true;
