@@ -343,7 +343,7 @@ impl Driven {
             now,
             &simulation.readings(0),
             Inbox {
-                questions,
+                requests,
                 ..Inbox::default()
             },
         );
