@@ -7,7 +7,6 @@
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
 
-use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
@@ -202,6 +201,7 @@ fn distance(from: Cell, to: Cell) -> u32 {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
