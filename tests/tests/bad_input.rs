@@ -7,12 +7,13 @@ use std::time::Duration;
 use nalgebra::Point2;
 use serde::Serialize;
 use serde_json::Value;
+use zenav_fixtures::robot;
 use zenav_protocol::bus::{Bus, RawReply};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::shipped;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{self, Producer, TABLE};
 use zenav_sim::World;
@@ -281,9 +282,7 @@ fn a_goal_that_cannot_be_and_a_robot_that_is_not_have_their_own_exit_codes() {
     );
     assert!((near.x + 0.6).hypot(near.y + 1.5) < 0.5, "{answer}");
     // In the true world, too.
-    let footprint = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago")
-        .unwrap()
-        .footprint;
+    let footprint = robot("tiago").footprint;
     assert!(
         World::shipped("kitchen").unwrap().clearance(&footprint, near) > 0.0,
         "{answer}"

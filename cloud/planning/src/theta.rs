@@ -7,7 +7,6 @@
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
 
-use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
@@ -200,8 +199,11 @@ fn distance(from: Cell, to: Cell) -> u32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use nalgebra::Point2;
+
     use std::sync::atomic::AtomicBool;
 
+    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;

@@ -63,9 +63,9 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
     loop {
         tokio::select! {
             () = post.shutdown.wait() => return Ok(Turn::Over),
-            request = post.desk.next() => {
+            request = post.requests.next() => {
                 let Some(request) = request else { return Err(BusError::Closed.into()) };
-                post.turn_away(request);
+                post.answer_as_standby(request);
             }
             entry = post.journal.next() => {
                 let Some(entry) = entry else { return Err(BusError::Closed.into()) };

@@ -41,6 +41,7 @@
 //! | `router` | [`Router`] |
 //! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
 //! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
+//! | `serve_part` | all asks of one component, as its core's own request type |
 //! | `alive` | liveliness tokens: which components are there |
 //! | `raw` | untyped bytes, for tools |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
@@ -60,6 +61,7 @@ mod publish;
 mod raw;
 mod router;
 mod serve;
+mod serve_part;
 mod session;
 mod shutdown;
 mod subscribe;
@@ -71,6 +73,7 @@ pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use router::{Router, RouterConfig};
 pub use serve::{Request, Server};
+pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};
 pub use shutdown::Shutdown;
 pub use subscribe::{Latest, Received, Subscription};

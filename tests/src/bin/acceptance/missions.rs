@@ -1,6 +1,7 @@
-//! What becomes of goals when orchestrators die or freeze, and how many robots does one serve?
+//! Missions. What becomes of goals when missions die or freeze, and how many robots does one process serve?
 
 use tokio::runtime::Runtime;
+use zenav_fixtures::Row;
 use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::acceptance::invariants::Findings;
 use zenav_tests::acceptance::tracking::percentile;
@@ -8,30 +9,30 @@ use zenav_tests::acceptance::{fleet, handover, kills};
 
 use crate::{Verdict, zenav};
 
-/// Kills the orchestrator again and again while goals come in.
+/// Kills the mission again and again while goals come in.
 pub fn kills(kills: usize, seed: u64) -> Verdict {
     tell(kills::run(&zenav().to_string_lossy(), kills, seed))
 }
 
-/// How long a frozen leader is held, s.
-const FROZEN: f64 = 20.0;
+/// How long a leader is paused, s.
+const LEADER_PAUSED: f64 = 20.0;
 
-/// How long a standby is held, s.
-const ALONE: f64 = 5.0;
+/// How long a standby is paused, s.
+const STANDBY_PAUSED: f64 = 5.0;
 
-/// Kills the leader of two orchestrators again and again, then freezes it, while goals come in.
+/// Kills the leader of two missions again and again, then pauses it, and its standby, while goals come in.
 pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
-    let mut blows = vec![Fault::Death; deaths];
+    let mut faults = vec![Fault::LeaderKilled; deaths];
     for _ in 0..pauses {
-        blows.extend([Fault::Pause(FROZEN), Fault::Alone(ALONE)]);
+        faults.extend([Fault::LeaderPaused(LEADER_PAUSED), Fault::StandbyPaused(STANDBY_PAUSED)]);
     }
-    tell(handover::run(&zenav().to_string_lossy(), &blows, seed))
+    tell(handover::run(&zenav().to_string_lossy(), &faults, seed))
 }
 
 /// Largest median and 99th percentile of the lateness of a mission's step, s.
 const JITTER: (f64, f64) = (0.01, 0.1);
 
-/// Runs the missions of one robot, then of many, with one orchestrator on one core.
+/// Runs the mission of one robot, then those of many, in one process on one core.
 pub fn fleet(robots: usize, secs: f64) -> Verdict {
     let run = async {
         let alone = fleet::run(&zenav().to_string_lossy(), 1, 10.0).await?;
@@ -55,30 +56,47 @@ pub fn fleet(robots: usize, secs: f64) -> Verdict {
         many.faults[1],
         many.faults[2]
     );
+    let rows = [
+        ("processor", 100.0 * many.load, "% of a core"),
+        ("memory a robot", each, "MiB"),
+        ("heartbeat off by, p50", 1e3 * p50, "ms"),
+        ("heartbeat off by, p99", 1e3 * p99, "ms"),
+        ("heartbeat off by, most", 1e3 * most, "ms"),
+    ];
+    for (name, value, unit) in rows {
+        Row::new(format!("{robots} robots: {name}"), value, unit).print();
+    }
     Ok(many.faults == [0; 3] && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
 }
 
-/// Prints what was found when orchestrators died or froze.
+/// Prints what was found when missions died or froze.
 fn tell(run: impl Future<Output = Result<Findings, String>>) -> Verdict {
     let mut findings = Runtime::new()?.block_on(run)?;
+    let failures = findings.failures();
     println!(
-        "{} kills, {} pauses: {} goals acknowledged, ends {:?}, {} motions, {} faults",
+        "{} kills, {} pauses: {} goals acknowledged, ends {:?}, {} motions, {} violations",
         findings.kills,
         findings.pauses,
         findings.goals,
         findings.ends,
         findings.motions,
-        findings.faults.len()
+        findings.violations.len()
     );
+    let succeeded = findings.ends.get("Succeeded").copied().unwrap_or_default();
+    Row::new("goals acknowledged", findings.goals as f64, "").print();
+    Row::new("goals that succeeded, each once", succeeded as f64, "").print();
+    Row::new("violations", findings.violations.len() as f64, "").print();
     if !findings.takeovers.is_empty() {
         let mut secs = |share| percentile(&mut findings.takeovers, share);
+        Row::new("another mission leads, p50", secs(0.5), "s").print();
+        Row::new("another mission leads, longest", secs(1.0), "s").print();
         println!(
-            "another orchestrator led after {:.2} s (p50), {:.2} s (p95), {:.2} s (longest)",
+            "the other mission led after {:.2} s (p50), {:.2} s (p95), {:.2} s (longest)",
             secs(0.5),
             secs(0.95),
             secs(1.0)
         );
     }
-    findings.faults.iter().for_each(|fault| println!("FAULT {fault}"));
-    Ok(findings.faults.is_empty() && findings.goals > 0)
+    failures.iter().for_each(|failure| println!("FAILED {failure}"));
+    Ok(failures.is_empty())
 }
