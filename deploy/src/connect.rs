@@ -60,7 +60,7 @@ impl LinkArgs {
 /// Where to connect to, and which robot is meant.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RobotArgs {
-    /// Where to connect to.
+    /// Connection.
     #[command(flatten)]
     pub link: LinkArgs,
     /// Robot's name; may be left out when there is one

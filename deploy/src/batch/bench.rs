@@ -53,7 +53,7 @@ struct SimBenchArgs {
     /// Simulated time, s
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
     time: f64,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -134,7 +134,7 @@ enum BenchCommand {
         /// Samples of each way
         #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
         samples: u32,
-        /// Form of what is printed
+        /// Output format
         #[arg(short, long, value_enum, default_value_t)]
         output: Format,
     },

@@ -20,10 +20,10 @@ use crate::output::Format;
 /// Goals: submit, list, watch, cancel.
 #[derive(Debug, clap::Args)]
 pub struct GoalArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     #[command(subcommand)]

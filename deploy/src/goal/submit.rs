@@ -60,7 +60,7 @@ pub(super) struct SubmitArgs {
     /// Distance that counts as reached, m
     #[arg(long, value_name = "M", value_parser = positive)]
     tolerance: Option<f64>,
-    /// What its motions are to be good at, `fastest` or `economy` [default: the deployment's choice]
+    /// Driving profile, `fastest` or `economy` [default: the deployment's choice]
     #[arg(long)]
     profile: Option<DrivingProfile>,
     /// Wait for the end; Ctrl-C detaches (exit 130) and the robot goes on, `goal cancel` ends it

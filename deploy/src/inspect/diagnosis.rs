@@ -238,8 +238,8 @@ fn mode(name: &str, state: &EdgeState) -> Check {
         Check::warn(
             name,
             "mode",
-            format!("{seen}, held by its guard"),
-            "something is too near: clear the way, or drive away by `zenav teleop`",
+            format!("{seen}, held by its collision monitor"),
+            "an obstacle is too near: remove it, or drive away with `zenav teleop`",
         )
     } else {
         Check::ok(name, "mode", seen)

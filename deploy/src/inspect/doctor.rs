@@ -28,7 +28,7 @@ pub struct DoctorArgs {
     /// Which robot; without a name, all.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }

@@ -60,13 +60,13 @@ pub struct RunArgs {
     /// Mean delay from scan to plan, ms
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
-    /// What motions are to be good at, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Write the driven way as CSV `t,x,y,yaw,v,w`
+    /// Write the driven path as CSV `t,x,y,yaw,v,w`
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
-    /// Form of the report
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }

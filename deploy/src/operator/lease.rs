@@ -16,10 +16,10 @@ use crate::output::{self, Format};
 /// The lease.
 #[derive(Debug, clap::Args)]
 pub struct LeaseArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     /// Name to command under [default: operator-USER]

@@ -79,7 +79,7 @@ struct WallFollowArgs {
     /// Folder for the robot file, `report.json` and `tuning.svg`
     #[arg(long, default_value = "zenav-tune")]
     out: PathBuf,
-    /// Form of the report on stdout
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
