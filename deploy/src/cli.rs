@@ -1,4 +1,4 @@
-//! Which commands are there? One enum; each command's arguments and work live in its own module.
+//! Command line. Which commands are there? One enum; each command's arguments and work live in its own module.
 
 use std::process::ExitCode;
 

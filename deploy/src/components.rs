@@ -1,4 +1,4 @@
-//! How do the parts start and end that share a process?
+//! Components. How do parts that share a process start and end?
 //!
 //! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
 

@@ -1,4 +1,4 @@
-//! What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
+//! Launcher. What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
 

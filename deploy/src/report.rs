@@ -1,4 +1,4 @@
-//! How did a scenario go? The report for people and programs, from the simulator's truth.
+//! Report of a scenario. How did it go? The report for people and programs, from the simulator's truth.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

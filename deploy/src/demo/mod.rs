@@ -1,4 +1,4 @@
-//! Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
+//! `zenav demo`. Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
 //!
 //! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
 //! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.

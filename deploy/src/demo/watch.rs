@@ -1,4 +1,4 @@
-//! How did it go? What any client sees of a run, and the referee's truth, gathered into the report.
+//! Observer of a run. How did it go? What any client sees and the simulator's truth, gathered into the report.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! What comes on a key? Printed as it is, or measured: how often, how much.
+//! Listening to keys. What arrives on one? Printed as it is, or measured: how often, how much.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! How are maps looked at, kept and made? From a running robot, from files, from logs.
+//! `zenav map`. How are maps shown, saved, converted and built? From a running robot, from files, from logs.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};

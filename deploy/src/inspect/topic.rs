@@ -1,4 +1,4 @@
-//! Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
+//! `zenav topic`. Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

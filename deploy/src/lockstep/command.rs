@@ -1,4 +1,4 @@
-//! What does `zenav run` do? One goal in a world, from a seed, to its end; the report is the simulator's truth.
+//! `zenav run`: one goal in a world, from a seed, to its end. The report is the simulator's truth.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -81,7 +81,7 @@ pub enum RunOutcome {
     Timeout,
     /// The robot touched something.
     Collision,
-    /// The mission found no way.
+    /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,

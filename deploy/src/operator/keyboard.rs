@@ -1,4 +1,4 @@
-//! Which key means which motion, and for how long? A terminal tells of keys pressed and repeated, never of keys let go.
+//! Keyboard teleoperation. Which key means which motion, and for how long? A terminal tells of keys pressed and repeated, never of keys let go.
 //!
 //! A first press holds until the keyboard's own repetition begins, a repeated one only until the next repetition is due,
 //! so that a key let go stops the robot within a fifth of a second. Pure: time is passed in.

@@ -1,4 +1,4 @@
-//! Who may command a robot? Shown from the robot's own state; taken and given back as an operator.
+//! `zenav lease`. Who may command a robot? Shown from the robot's own state; acquired and released as an operator.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! How is a robot driven by hand in a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
+//! `zenav teleop`. How is a robot driven from a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
 //! from the robot: when the link or this program freezes, the echo grows old and the robot brakes by itself.
 //!
 //! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`; Enter gives control
@@ -40,10 +40,10 @@ const HELP: [&str; 2] = [
     "W A S D (Q E) drive   + - speed   R resume",
 ];
 
-/// Driving by hand.
+/// Keyboard teleoperation.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R lets a stopped robot go. Ctrl-C leaves the robot stopped: `zenav resume` lets it go."
+    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it."
 )]
 pub struct TeleopArgs {
     /// Connection and robot.
@@ -57,7 +57,7 @@ pub struct TeleopArgs {
     turn: Option<f64>,
 }
 
-/// Drives by hand until Ctrl-C.
+/// Drives from the keyboard until Ctrl-C.
 ///
 /// # Errors
 /// [`exit_code::USAGE`] without a terminal; what goes wrong on the way, after the robot was stopped.
@@ -82,7 +82,7 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let stopped = session.leave(&last).await;
         drop(screen);
         stopped?;
-        eprintln!("{robot} is stopped; `zenav resume` lets it go");
+        eprintln!("{robot} is stopped; `zenav resume` releases it");
         driven.map(|()| exit_code::OK)
     })
 }
@@ -153,7 +153,7 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
     receiver
 }
 
-/// One sitting at the keys.
+/// A session at the keyboard.
 struct Session {
     bus: Bus,
     robot: String,
@@ -229,7 +229,7 @@ impl Session {
                 if let Some(held) = self.held.take()
                     && let Err(error) = held.release().await
                 {
-                    self.tell(format!("not given back, it lapses by itself: {error}"));
+                    self.tell(format!("control not released ({error}); it expires by itself"));
                 }
             }
             Command::Move { .. } if self.held.is_none() => self.tell("Space takes control first".to_owned()),
