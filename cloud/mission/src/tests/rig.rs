@@ -16,7 +16,6 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 use crate::records::{Record, Restored, StoredGoal};
-use crate::route::sample;
 use crate::{Mission, MissionConfig};
 use zenav_smoothing::PERIOD;
 use zenav_smoothing::unsmoothed;
