@@ -1,4 +1,4 @@
-//! Which cells admit the robot, and how far is any point from an obstacle?
+//! Configuration space. Which cells admit the robot, and how far is any point from an obstacle?
 
 use std::ops::Range;
 use std::sync::Arc;
