@@ -101,7 +101,7 @@ fn decision(criterion: &mut Criterion) {
                 ("turn", Twist2::new(0.0, w)),
                 ("back", Twist2::new(-v, 0.1 * w)),
             ] {
-                let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+                let mut monitor = CollisionMonitor::new(&model, 0.02);
                 monitor.blind_speed = v;
                 criterion.bench_function(&format!("guard/decision/{name}/{with}/{motion}"), |bencher| {
                     bencher.iter(|| {
