@@ -124,7 +124,7 @@ impl Mapper {
         self
     }
 
-    /// Inserts a scan.
+    /// Inserts a scan, and says what became of it.
     pub fn insert(&mut self, scan: &Scan) -> Insertion {
         if self.held {
             return Insertion::Held;
@@ -261,7 +261,7 @@ impl Mapper {
         self.held = true;
     }
 
-    /// Inserts scans again.
+    /// Resumes a held map: scans are inserted again.
     pub fn resume(&mut self) {
         self.held = false;
     }
