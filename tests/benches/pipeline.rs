@@ -16,7 +16,6 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_behaviour_tree::samples::reactive_tree;
 use zenav_cloud::planning::worker::PlanWorker;
 use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
@@ -34,6 +33,11 @@ use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
 use zenav_smoothing::{SmoothQuery, SmoothSettings, smooth};
 use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
+
+#[path = "../../cloud/behaviour_tree/benches/trees/mod.rs"]
+mod trees;
+
+use trees::reactive_tree;
 
 const ROBOT: &str = "tiago";
 /// From the upper left of the kitchen to its lower left corner, around the table's side.

@@ -6,6 +6,9 @@
 
 use libfuzzer_sys::fuzz_target;
 
+#[path = "../../../cloud/behaviour_tree/tests/exercise/mod.rs"]
+mod exercise;
+
 fuzz_target!(|bytes: &[u8]| {
-    let _ = zenav_behaviour_tree::samples::exercise(bytes);
+    let _ = exercise::exercise(bytes);
 });

@@ -5,7 +5,8 @@
 use serde::Deserialize;
 use serde_json::Value as Json;
 
-use super::value::Value;
+use crate::ports::LiteralRules;
+use crate::value::Value;
 
 /// A pose as a tree has it: m, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -18,6 +19,13 @@ pub struct Pose {
     #[serde(default)]
     pub yaw: Option<f64>,
 }
+
+/// What a tree file may write on ports of Nav2's types.
+pub(super) const RULES: LiteralRules = LiteralRules {
+    fits,
+    form,
+    name: named,
+};
 
 /// Numbers and words of one of Nav2's poses.
 const FIELDS: usize = 9;
@@ -57,7 +65,7 @@ pub fn pose(text: &str) -> Option<Pose> {
 }
 
 /// A pose on the blackboard.
-pub(crate) fn pose_of(value: &Value) -> Option<Pose> {
+pub(super) fn pose_of(value: &Value) -> Option<Pose> {
     match value {
         Value::Text(text) => pose(text),
         Value::Data(data) => pose_of_json(data),
@@ -123,7 +131,7 @@ pub fn nav2_list(text: &str) -> Option<Vec<Pose>> {
 }
 
 /// Whether a text can be the name of a place: it has a letter in it, is no number, and does not look like a list.
-pub(crate) fn is_name(text: &str) -> bool {
+fn is_name(text: &str) -> bool {
     let text = text.trim();
     text.chars().any(char::is_alphabetic)
         && text.parse::<f64>().is_err()
@@ -141,7 +149,7 @@ fn is_list(text: &str, fits: impl Fn(&Json) -> bool) -> Option<bool> {
 }
 
 /// Whether a literal can be a value of the type of this name. Nothing is known of types that are not Nav2's.
-pub(crate) fn fits(kind: &str, text: &str) -> bool {
+fn fits(kind: &str, text: &str) -> bool {
     match kind {
         "PoseStamped" => pose(text).is_some() || is_name(text),
         "Goals" | "vector<PoseStamped>" => {
@@ -171,7 +179,7 @@ pub(crate) fn fits(kind: &str, text: &str) -> bool {
 }
 
 /// How a literal of the type of this name is written.
-pub(crate) fn form(kind: &str) -> Option<&'static str> {
+fn form(kind: &str) -> Option<&'static str> {
     Some(match kind {
         "PoseStamped" => "`x;y`, `x;y;yaw`, the name of a place, or JSON",
         "Goals" | "vector<PoseStamped>" => "poses `x;y` or `x;y;yaw` separated by |, or JSON",
@@ -184,7 +192,7 @@ pub(crate) fn form(kind: &str) -> Option<&'static str> {
 }
 
 /// The first place that a literal of the type of this name takes by its name.
-pub(crate) fn named<'t>(kind: &str, text: &'t str) -> Option<&'t str> {
+fn named<'t>(kind: &str, text: &'t str) -> Option<&'t str> {
     match kind {
         "PoseStamped" => Some(text.trim()).filter(|name| is_name(name) && pose(name).is_none()),
         "Goals" | "vector<PoseStamped>" if json_of(text).is_none() && nav2_list(text).is_none() => {

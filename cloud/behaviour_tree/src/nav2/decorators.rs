@@ -4,11 +4,11 @@
 //!
 //! What they need of a context is [`Travel`]; a simulation has a robot that stands still.
 
-use super::leaf::{Gate, LeafIo, Pass};
-use super::nav2_conditions::goals;
-use super::node::nanos;
-use super::status::Status;
-use super::value::Value;
+use super::conditions::goals;
+use crate::leaf::{Decorator, Enter, LeafIo};
+use crate::node::nanos;
+use crate::status::Status;
+use crate::value::Value;
 
 /// What is known of the robot that a tree drives. Map frame.
 pub trait Travel {
@@ -32,22 +32,22 @@ pub struct Measure {
 }
 
 /// What makes a decorator.
-type MakeGate<C> = fn() -> Box<dyn Gate<C>>;
+pub type MakeDecorator<C> = fn() -> Box<dyn Decorator<C>>;
 
 /// What makes the decorator of that id, if it is one of these.
-pub fn nav2_decorator<C: Travel>(id: &str) -> Option<MakeGate<C>> {
+pub fn decorator<C: Travel>(id: &str) -> Option<MakeDecorator<C>> {
     Some(match id {
-        "DistanceController" => || Box::new(ByDistance),
-        "SpeedController" => || Box::new(BySpeed::default()),
-        "GoalUpdatedController" => || Box::new(OnGoal),
+        "DistanceController" => || Box::new(DistanceController),
+        "SpeedController" => || Box::new(SpeedController::default()),
+        "GoalUpdatedController" => || Box::new(GoalUpdatedController),
         "GoalUpdater" => || Box::new(GoalUpdater),
-        "PathLongerOnApproach" => || Box::new(LongerOnApproach::default()),
+        "PathLongerOnApproach" => || Box::new(PathLongerOnApproach::default()),
         _ => return None,
     })
 }
 
 /// A number on a port, or what a node without it goes by.
-pub(crate) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
+pub(super) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
     match io.get_optional::<f64>(port) {
         Ok(value) => Ok(value.unwrap_or(otherwise)),
         Err(wrong) => Err(wrong.to_string()),
@@ -56,16 +56,16 @@ pub(crate) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64,
 
 /// Ticks the child on activation, while it runs, and when the robot is `distance` (m, straight)
 /// from where the child last succeeded; otherwise `Running`. Without a position: `Failure`.
-struct ByDistance;
+struct DistanceController;
 
-impl<C: Travel> Gate<C> for ByDistance {
-    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Pass {
+impl<C: Travel> Decorator<C> for DistanceController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter {
         let Some(here) = ctx.position() else {
-            return Pass::Answer(io.fail("nobody knows where the robot is"));
+            return Enter::Answer(io.fail("nobody knows where the robot is"));
         };
         let distance = match number(io, "distance", 1.0) {
             Ok(distance) => distance,
-            Err(wrong) => return Pass::Answer(io.fail(wrong)),
+            Err(wrong) => return Enter::Answer(io.fail(wrong)),
         };
         let from: Option<[f64; 2]> = io.recall();
         let first = !io.previous().is_active();
@@ -75,9 +75,9 @@ impl<C: Travel> Gate<C> for ByDistance {
         }
         let come = from.is_some_and(|from| (here[0] - from[0]).hypot(here[1] - from[1]) >= distance);
         if first || child == Status::Running || come {
-            Pass::Tick
+            Enter::TickChild
         } else {
-            Pass::Answer(Status::Running)
+            Enter::Answer(Status::Running)
         }
     }
 
@@ -92,7 +92,7 @@ impl<C: Travel> Gate<C> for ByDistance {
 /// Ticks the child on activation, while it runs, and once a period: `max_rate` at first and after
 /// a new goal, then the rate that the speed stands for at the end of each period.
 #[derive(Default)]
-struct BySpeed {
+struct SpeedController {
     goals: [Option<Value>; 2],
     rhythm: Option<Rhythm>,
 }
@@ -102,8 +102,8 @@ struct Rhythm {
     period: f64,
 }
 
-impl<C: Travel> Gate<C> for BySpeed {
-    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Pass {
+impl<C: Travel> Decorator<C> for SpeedController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter {
         let ports = [
             ("min_rate", 0.1),
             ("max_rate", 1.0),
@@ -114,12 +114,12 @@ impl<C: Travel> Gate<C> for BySpeed {
         for (slot, (port, otherwise)) in numbers.iter_mut().zip(ports) {
             match number(io, port, otherwise) {
                 Ok(value) => *slot = value,
-                Err(wrong) => return Pass::Answer(io.fail(wrong)),
+                Err(wrong) => return Enter::Answer(io.fail(wrong)),
             }
         }
         let [min_rate, max_rate, min_speed, max_speed] = numbers;
         if !(min_rate > 0.0 && max_rate >= min_rate && min_speed >= 0.0 && max_speed > min_speed) {
-            return Pass::Answer(io.abort("expected 0 < min_rate <= max_rate and 0 <= min_speed < max_speed"));
+            return Enter::Answer(io.abort("expected 0 < min_rate <= max_rate and 0 <= min_speed < max_speed"));
         }
         let now = nanos(io.now());
         let goals = goals(io);
@@ -141,28 +141,28 @@ impl<C: Travel> Gate<C> for BySpeed {
             };
         }
         if first || over || child == Status::Running {
-            Pass::Tick
+            Enter::TickChild
         } else {
-            Pass::Answer(Status::Running)
+            Enter::Answer(Status::Running)
         }
     }
 }
 
 /// Ticks the child on activation, when a goal has changed, and while it runs; otherwise `Running`.
-struct OnGoal;
+struct GoalUpdatedController;
 
-impl<C> Gate<C> for OnGoal {
-    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, child: Status) -> Pass {
+impl<C> Decorator<C> for GoalUpdatedController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, child: Status) -> Enter {
         let goals = goals(io);
         let seen: Option<[Option<Value>; 2]> = io.recall();
         let changed = !io.previous().is_active() || seen.as_ref() != Some(&goals);
         if changed && io.remember(&goals).is_err() {
-            return Pass::Answer(io.fail("goal cannot be kept"));
+            return Enter::Answer(io.fail("goal cannot be kept"));
         }
         if changed || child == Status::Running {
-            Pass::Tick
+            Enter::TickChild
         } else {
-            Pass::Answer(Status::Running)
+            Enter::Answer(Status::Running)
         }
     }
 }
@@ -189,8 +189,8 @@ fn stamp(goal: &Value) -> Option<f64> {
     }
 }
 
-impl<C> Gate<C> for GoalUpdater {
-    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, _: Status) -> Pass {
+impl<C> Decorator<C> for GoalUpdater {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, _: Status) -> Enter {
         for (input, output, update) in [
             ("input_goal", "output_goal", "@goal_update"),
             ("input_goals", "output_goals", "@goals_update"),
@@ -205,21 +205,21 @@ impl<C> Gate<C> for GoalUpdater {
             if let Some(chosen) = chosen
                 && let Err(wrong) = io.set(output, chosen)
             {
-                return Pass::Answer(io.fail(wrong.to_string()));
+                return Enter::Answer(io.fail(wrong.to_string()));
             }
         }
-        Pass::Tick
+        Enter::TickChild
     }
 }
 
 /// Ticks the child while the path to the same goal is newly `length_factor` times as long as the
 /// one before, and the robot was within `prox_len` (m of path) of the goal; otherwise `Success`.
 #[derive(Default)]
-struct LongerOnApproach {
+struct PathLongerOnApproach {
     old: Option<Value>,
 }
 
-impl LongerOnApproach {
+impl PathLongerOnApproach {
     fn is_longer<C: Travel>(&self, io: &LeafIo<'_>, ctx: &C, new: &Value) -> Result<bool, String> {
         let Some(old) = self.old.as_ref().filter(|old| *old != new) else {
             return Ok(false);
@@ -233,20 +233,20 @@ impl LongerOnApproach {
     }
 }
 
-impl<C: Travel> Gate<C> for LongerOnApproach {
-    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, _: Status) -> Pass {
+impl<C: Travel> Decorator<C> for PathLongerOnApproach {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, _: Status) -> Enter {
         let new = io.value("path").ok().cloned();
         let longer = match &new {
             Some(new) => self.is_longer(io, ctx, new),
             None => Ok(false),
         };
         match longer {
-            Ok(true) => Pass::Tick,
+            Ok(true) => Enter::TickChild,
             Ok(false) => {
                 self.old = new;
-                Pass::Answer(Status::Success)
+                Enter::Answer(Status::Success)
             }
-            Err(wrong) => Pass::Answer(io.fail(wrong)),
+            Err(wrong) => Enter::Answer(io.fail(wrong)),
         }
     }
 

@@ -4,8 +4,8 @@
 //! Declared, a tree that uses them can be read, checked and drawn; who can do what they are for
 //! registers a leaf of the same id.
 
-use super::ports::{Direction, PortType};
-use super::registry::{Category, NodeSpec};
+use crate::ports::{Direction, PortType};
+use crate::registry::{Category, NodeSpec};
 
 /// A node a line: category, id, ports. A port is `name:type=default`, `>` before an output;
 /// `@server`, `@service` and `@error` are the ports that many share.
@@ -87,7 +87,7 @@ Decorator GoalUpdatedController goal:PoseStamped goals:Goals
 ";
 
 /// Specifications of Nav2's nodes that are not built in.
-pub fn nav2_nodes() -> Vec<NodeSpec> {
+pub fn specs() -> Vec<NodeSpec> {
     NODES.lines().filter_map(node).collect()
 }
 
@@ -132,14 +132,15 @@ fn add_port(spec: NodeSpec, port: &str) -> Option<NodeSpec> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::builtins;
+    use crate::nav2::controls;
 
     #[test]
     fn every_line_is_a_node_whose_defaults_fit_their_ports() {
-        let specs = nav2_nodes();
+        let specs = specs();
         assert_eq!(specs.len(), NODES.lines().count());
+        let built_in = controls::<()>();
         for spec in &specs {
-            assert!(builtins::spec(&spec.id).is_none(), "{} is built in", spec.id);
+            assert!(built_in.spec(&spec.id).is_none(), "{} is built in", spec.id);
             for port in &spec.ports {
                 if let Some(default) = &port.default {
                     assert!(port.kind.parse(default).is_some(), "{} {}", spec.id, port.name);
@@ -150,6 +151,6 @@ mod tests {
 
     #[test]
     fn nav2_has_81_nodes_of_which_eight_are_built_in_and_older_releases_one_more() {
-        assert_eq!(nav2_nodes().len(), 73 + 1);
+        assert_eq!(specs().len(), 73 + 1);
     }
 }

@@ -4,10 +4,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use crate::{
-    Leaf, LeafIo, Measure, NodeSpec, PortType, Registry, Status, Travel, Tree, Value, build, nav2_condition,
-    nav2_decorator, nav2_nodes,
-};
+use crate::nav2::{self, Measure, Travel};
+use crate::{Leaf, LeafIo, NodeSpec, PortType, Status, Tree, Value, build};
 
 /// A robot on a line; paths are texts `from;to;length`, the robot being at the start of all of them.
 #[derive(Default)]
@@ -65,16 +63,9 @@ struct Stand {
 
 impl Stand {
     fn new(body: &str) -> Stand {
-        let mut registry = Registry::new();
+        let mut registry = nav2::registry();
         let planned = NodeSpec::action("T", "answers by a plan").input_or("plan", PortType::Text, "S", "answers");
         registry.leaf(planned, |_| Box::new(Planned)).unwrap();
-        for spec in nav2_nodes() {
-            if let Some(make) = nav2_decorator(&spec.id) {
-                registry.decorator(spec, move |_| make()).unwrap();
-            } else if nav2_condition::<Robot>(&spec.id).is_some() {
-                registry.leaf(spec, |site| nav2_condition(site.id).unwrap()).unwrap();
-            }
-        }
         let text = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{body}</BehaviorTree></root>");
         let tree = build(
             "t.xml",

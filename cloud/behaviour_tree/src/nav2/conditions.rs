@@ -4,46 +4,48 @@
 
 use serde::Deserialize;
 
-use super::leaf::{Leaf, LeafIo};
+use super::decorators::number;
 use super::literals;
-use super::nav2_gates::number;
-use super::ports::parse_ints;
-use super::status::Status;
-use super::value::Value;
+use crate::leaf::{Leaf, LeafIo};
+use crate::ports::parse_ints;
+use crate::status::Status;
+use crate::value::Value;
 
-/// The condition of that id, if the blackboard decides it.
-pub fn nav2_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
-    let codes: &'static [i64] = match id {
-        "GoalUpdated" => return Some(Box::new(GoalUpdated { for_life: false })),
-        "GlobalUpdatedGoal" => return Some(Box::new(GoalUpdated { for_life: true })),
-        "TimeExpired" => return Some(Box::<TimeExpired>::default()),
-        "PathExpiringTimer" => return Some(Box::<PathExpiringTimer>::default()),
-        "InitialPoseReceived" => return Some(Box::new(InitialPoseReceived)),
+/// What makes a condition.
+pub type MakeCondition<C> = fn() -> Box<dyn Leaf<C>>;
+
+/// What makes the condition of that id, if the blackboard and the time decide it.
+pub fn condition<C>(id: &str) -> Option<MakeCondition<C>> {
+    Some(match id {
+        "GoalUpdated" => || Box::new(GoalUpdated { for_life: false }),
+        "GlobalUpdatedGoal" => || Box::new(GoalUpdated { for_life: true }),
+        "TimeExpired" => || Box::<TimeExpired>::default(),
+        "PathExpiringTimer" => || Box::<PathExpiringTimer>::default(),
+        "InitialPoseReceived" => || Box::new(InitialPoseReceived),
         // Unknown, patience exceeded, no progress, no valid control.
-        "WouldAControllerRecoveryHelp" => &[100, 104, 105, 106],
+        "WouldAControllerRecoveryHelp" => || Box::new(CodeIsAmong(&[100, 104, 105, 106])),
         // Unknown, time-out, no valid path; to one pose and through many.
-        "WouldAPlannerRecoveryHelp" => &[200, 207, 208, 300, 307, 308],
+        "WouldAPlannerRecoveryHelp" => || Box::new(CodeIsAmong(&[200, 207, 208, 300, 307, 308])),
         // Unknown, time-out, smoothed path in collision, failed to smooth.
-        "WouldASmootherRecoveryHelp" => &[500, 502, 503, 504],
+        "WouldASmootherRecoveryHelp" => || Box::new(CodeIsAmong(&[500, 502, 503, 504])),
         // Unknown, time-out, no valid route.
-        "WouldARouteRecoveryHelp" => &[400, 404, 405],
-        "AreErrorCodesPresent" => &[],
+        "WouldARouteRecoveryHelp" => || Box::new(CodeIsAmong(&[400, 404, 405])),
+        "AreErrorCodesPresent" => || Box::new(CodeIsAmong(&[])),
         _ => return None,
-    };
-    Some(Box::new(CodeIsAmong(codes)))
+    })
 }
 
 /// The condition of that id, if the blackboard decides it for a robot that stands at the origin.
-pub(crate) fn played_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
+pub(super) fn scripted_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
     Some(match id {
         "IsWithinPathTrackingBounds" => Box::new(WithinBounds),
         "ArePosesNear" => Box::new(PosesNear),
-        other => return nav2_condition(other),
+        other => return condition(other).map(|make| make()),
     })
 }
 
 /// The goal and the goals, from the ports or, as Nav2 does, from entries of these names.
-pub(crate) fn goals(io: &LeafIo<'_>) -> [Option<Value>; 2] {
+pub(super) fn goals(io: &LeafIo<'_>) -> [Option<Value>; 2] {
     ["goal", "goals"].map(|name| io.value(name).ok().or_else(|| io.entry(name)).cloned())
 }
 
@@ -168,7 +170,7 @@ struct Feedback {
 ///
 /// # Errors
 /// A port, or the feedback, is of another type.
-pub fn beside_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
+pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
     if io.value("tracking_feedback").is_err() {
         return Ok(None);
     }
@@ -186,7 +188,7 @@ struct WithinBounds;
 
 impl<C> Leaf<C> for WithinBounds {
     fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
-        match beside_path(io) {
+        match off_path(io) {
             Ok(None) => Status::Success,
             Ok(Some(error)) => io.fail(format!("{error:.2} m beside the path")),
             Err(wrong) => io.fail(wrong),
