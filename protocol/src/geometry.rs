@@ -94,6 +94,25 @@ impl Pose2 {
         (self.x - other.x).hypot(self.y - other.y)
     }
 
+    /// Linear between two poses of one frame, the heading the shorter way round: `share` 0 is this pose, 1 is `to`.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let (from, to) = (Pose2::new(0.0, 0.0, 3.1), Pose2::new(1.0, 2.0, -3.1));
+    /// let middle = from.interpolate(&to, 0.5);
+    /// assert_eq!((middle.x, middle.y), (0.5, 1.0));
+    /// assert!(middle.yaw.abs() > 3.14);
+    /// ```
+    #[must_use]
+    pub fn interpolate(&self, to: &Self, share: f64) -> Self {
+        Self::new(
+            self.x + share * (to.x - self.x),
+            self.y + share * (to.y - self.y),
+            self.yaw + share * wrap_angle(to.yaw - self.yaw),
+        )
+    }
+
     /// The pose after driving `twist` for `secs` along an arc (exact for constant velocities).
     #[must_use]
     pub fn advance(&self, twist: Twist2, secs: f64) -> Self {

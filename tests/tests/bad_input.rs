@@ -145,14 +145,14 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         },
         valid_for: f64::NAN,
         waypoints: vec![Point2::new(f64::NAN, f64::INFINITY)],
-        trajectory: vec![TrajectoryPoint {
+        trajectory: Trajectory::new(vec![TrajectoryPoint {
             t: f64::NAN,
             x: f64::NAN,
             y: 0.0,
             yaw: 0.0,
             v: f64::INFINITY,
             w: 0.0,
-        }],
+        }]),
         splice: Some(Splice {
             trajectory_id: 0,
             time: f64::NAN,

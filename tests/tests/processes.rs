@@ -203,7 +203,7 @@ impl Writer {
             },
             valid_for: 5.0,
             waypoints: vec![Point2::new(pose.x + pose.yaw.cos(), pose.y + pose.yaw.sin())],
-            trajectory: Vec::new(),
+            trajectory: Default::default(),
             splice: None,
             statistics: PlanStatistics::default(),
         }

@@ -7,7 +7,6 @@
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
 
-use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
@@ -200,6 +199,8 @@ fn distance(from: Cell, to: Cell) -> u32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use nalgebra::Point2;
+
     use std::sync::atomic::AtomicBool;
 
     use proptest::prelude::*;

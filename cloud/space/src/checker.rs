@@ -254,7 +254,7 @@ impl StateValidityChecker {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, Occupancy};
+    use zenav_protocol::grid::{Cell, Occupancy};
 
     use super::*;
 
@@ -266,11 +266,7 @@ mod tests {
     };
 
     fn map(marks: &[(u32, u32, i8)]) -> OccupancyGrid {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y, value) in marks {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = *value;
-        }
-        grid
+        zenav_fixtures::map_with(SPEC, marks)
     }
 
     fn checker(grid: &OccupancyGrid, settings: CheckerSettings) -> StateValidityChecker {

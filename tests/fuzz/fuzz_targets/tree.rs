@@ -1,7 +1,7 @@
 //! Bytes from anywhere as a tree file: read, checked, and if it is a tree, run against leaves that succeed.
 //!
-//! In `tests`: `cargo +nightly fuzz run tree -- -dict=fuzz/tree.dict -max_len=65536` (`cargo install cargo-fuzz`). The ordinary tests
-//! run the corpus.
+//! `cargo +nightly fuzz run tree -- -dict=fuzz/tree.dict -max_len=65536` (`cargo install cargo-fuzz`). What the ordinary tests
+//! play of the same is the corpus.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -175,15 +175,15 @@ impl FakeRobot {
         let mut progress = None;
         if let Some((plan, begun)) = &self.plan {
             let time = now.secs_since(*begun);
-            let next = plan.trajectory.partition_point(|point| point.t <= time);
-            if let Some(point) = plan.trajectory.get(next).or(plan.trajectory.last()) {
+            let left = (plan.trajectory.end_time() - time).max(0.0);
+            if !plan.trajectory.is_empty() {
+                let point = plan.trajectory.sample(time);
                 self.pose = point.pose();
-                self.finished = next == plan.trajectory.len();
+                self.finished = left == 0.0;
                 if !self.finished {
-                    self.velocity = Twist2::new(point.v, point.w);
+                    self.velocity = point.twist();
                 }
             }
-            let left = plan.trajectory.last().map_or(0.0, |last| last.t - time).max(0.0);
             progress = Some(PlanProgress {
                 goal_id: plan.goal_id.clone(),
                 epoch: plan.epoch,

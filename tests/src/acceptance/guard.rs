@@ -5,7 +5,7 @@ use nalgebra::Point2;
 use zenav_edge::Inbox;
 use zenav_fixtures::robot;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{LeaseRole, Teleop, TrajectoryPoint};
+use zenav_protocol::messages::{LeaseRole, Teleop, Trajectory, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 use zenav_sim::{Simulation, World};
@@ -167,7 +167,7 @@ pub fn drive_watched(
             Command::ThroughWalls => {
                 let to = |rng: &mut Rng| Point2::new(rng.between(-HALF, HALF), rng.between(-HALF, HALF));
                 let waypoints = (0..4).map(|_| to(&mut rng)).collect();
-                rig.plan = Some(rig.plan(waypoints, Vec::new()));
+                rig.plan = Some(rig.plan(waypoints, Trajectory::default()));
                 DURATION
             }
             _ => DURATION,
@@ -242,7 +242,7 @@ fn benign_trajectory(
     sim: &Simulation,
     model: &RobotModel,
     start: Pose2,
-) -> Option<Vec<TrajectoryPoint>> {
+) -> Option<Trajectory> {
     let reach = model.footprint.circumscribed_radius();
     (0..100).find_map(|_| {
         let goal = place(rng, sim, model, BENIGN_CLEARANCE)?;
@@ -263,7 +263,7 @@ fn benign_trajectory(
 }
 
 /// Points 20 ms apart: a turn on the spot, then straight on, each from rest to rest at nine tenths of the limits.
-fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<TrajectoryPoint> {
+fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Trajectory {
     let turn = wrap_angle(yaw - start.yaw);
     let acceleration = 0.7 * drive.acceleration();
     let spin = Ramp::new(
@@ -291,7 +291,7 @@ fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<Trajec
             w: turn.signum() * w,
         });
     }
-    points
+    points.into()
 }
 
 /// Trapezoidal speed profile from rest to rest.

@@ -2,15 +2,16 @@
 
 use std::time::Duration;
 
-use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Question, Ticket};
+use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::{Id, InvalidId};
 use zenav_protocol::messages::{
     BasedOn, EdgeState, EventKind, GuardZone, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, MapRef, Plan,
-    PlanStatistics, PoseEstimate, Revision, Teleop, TrajectoryPoint,
+    PlanStatistics, PoseEstimate, Revision, Teleop, Trajectory,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, SimError, Simulation, Truth, World, WorldError};
 
 /// Why a rig cannot be set up.
@@ -87,7 +88,7 @@ impl SimRig {
         let request = LeaseRequest::new("holder".to_owned(), role, LeaseAction::Acquire, "1".to_owned());
         rig.tick(
             Inbox {
-                questions: vec![(Ticket(1), Question::Lease(request))],
+                requests: vec![(Ticket(1), EdgeRequest::Lease(request))],
                 ..Inbox::default()
             },
             |_| {},
@@ -154,7 +155,7 @@ impl SimRig {
 
     /// A plan that starts here and now.
     #[must_use]
-    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Vec<TrajectoryPoint>) -> Plan {
+    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Trajectory) -> Plan {
         Plan {
             goal_id: "goal".to_owned(),
             epoch: 1,

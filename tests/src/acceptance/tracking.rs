@@ -9,7 +9,7 @@ use zenav_edge::Inbox;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
+use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
 use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
 use zenav_sim::World;
 use zenav_smoothing::shortcut::shortcut;
@@ -43,7 +43,7 @@ pub struct PlannedPath {
     /// Corner points.
     pub corners: Vec<Point2<f64>>,
     /// The smoothed trajectory.
-    pub trajectory: Vec<TrajectoryPoint>,
+    pub trajectory: Trajectory,
     /// Energy forecast by the robot's model, J.
     pub forecast_j: f64,
 }

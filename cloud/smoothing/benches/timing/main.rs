@@ -13,11 +13,11 @@
 mod lp;
 
 use std::hint::black_box;
-use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
+use zenav_fixtures::thread_time;
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_smoothing::timing::sweep::fastest;
 use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw, jerk};
@@ -44,12 +44,6 @@ fn way(samples: usize, step: f64) -> GeometricPath {
         }
     }
     GeometricPath::chain(PathPoint::default(), &links).unwrap()
-}
-
-fn thread_time() -> Duration {
-    rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime)
-        .try_into()
-        .unwrap()
 }
 
 fn laws(criterion: &mut Criterion) {

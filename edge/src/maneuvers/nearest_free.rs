@@ -1,5 +1,5 @@
-//! Where is the nearest place at which the robot keeps its distance from everything seen, and how does it get there? By one turn on the
-//! spot and one straight drive, forwards or backwards, each swept by the true footprint.
+//! Nearest free place. Where is the nearest place with enough clearance to every known obstacle, and how does the robot get there? By one turn
+//! on the spot and one straight drive, forwards or backwards, each checked with the swept footprint.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,25 +10,25 @@ use zenav_protocol::robot::Footprint;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 
-/// Directions that are tried.
+/// Number of directions tried.
 const DIRECTIONS: u32 = 16;
-/// Around the outline so much must be known to be free where the lidar does not look, m: more than the guard wants.
+/// Clearance that must be known to be free around the outline in the blind spot, m: more than the collision monitor requires.
 const KEEP_OFF: f64 = 0.1;
-/// Places of a drive that are looked at are this far apart, m.
+/// Spacing of the poses checked along a drive, m.
 const PLACES: f64 = 0.1;
-/// Places along a direction are this far apart, m.
+/// Spacing of the candidate places along a direction, m.
 const STEP: f64 = 0.05;
 
 /// A turn (rad, counter-clockwise) and a straight drive after it (m, negative is backwards).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Way {
-    /// rad.
+pub struct Escape {
+    /// Turn on the spot, rad.
     pub turn: f64,
-    /// m.
+    /// Distance, m.
     pub distance: f64,
 }
 
-/// The way to the nearest place within `within` m at which every point stays `clearance` m away from the footprint; of places equally
+/// The path to the nearest place within `within` m at which every point stays `clearance` m away from the footprint; of places equally
 /// near, the one after the lesser turn. `None` when there is none.
 ///
 /// `points` are in the base frame; `is_free` tells whether the robot, placed at a pose in its present base frame, can move with a twist
@@ -40,8 +40,8 @@ pub fn nearest_free(
     clearance: f64,
     within: f64,
     is_free: impl Fn(Pose2, Twist2, f64) -> bool,
-) -> Option<Way> {
-    // What is not a number is no distance.
+) -> Option<Escape> {
+    // NaN counts as zero.
     let within = within.max(0.0);
     let reach = within + clearance + footprint.circumscribed_radius();
     let near: Vec<&Point2<f64>> = points.iter().filter(|point| point.coords.norm() <= reach).collect();
@@ -51,7 +51,7 @@ pub fn nearest_free(
             .all(|point| footprint.distance(inverse.transform_point(**point)) >= clearance)
     };
     if is_valid(Pose2::IDENTITY) {
-        return Some(Way {
+        return Some(Escape {
             turn: 0.0,
             distance: 0.0,
         });
@@ -71,25 +71,25 @@ pub fn nearest_free(
                 let drive = Twist2::new(*sign, 0.0);
                 is_valid(after(*turn).advance(drive, length)) && can_turn(*turn) && is_free(after(*turn), drive, length)
             })
-            .map(|(turn, sign)| Way {
+            .map(|(turn, sign)| Escape {
                 turn: *turn,
                 distance: sign * length,
             })
     })
 }
 
-/// Whether a straight drive from `odom_from_there` goes where the lidar does not look and no floor is known to be free: the guard
+/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free: the collision monitor
 /// would stop it.
 #[must_use]
-pub fn backs_into_the_unknown(
+pub fn drives_into_unknown(
     footprint: &Footprint,
-    around: &LocalObstacles,
+    obstacles: &LocalObstacles,
     odom_from_there: Pose2,
     twist: Twist2,
     secs: f64,
 ) -> bool {
-    let (floor, odom_from_there) = (around.trodden(), rigid(odom_from_there));
-    if !floor.leads_into_the_blind(twist.v) {
+    let (floor, odom_from_there) = (obstacles.blind_spots(), rigid(odom_from_there));
+    if !floor.leads_into_blind_spot(twist.v) {
         return false;
     }
     let reach = footprint.circumscribed_radius() + KEEP_OFF;
@@ -98,7 +98,7 @@ pub fn backs_into_the_unknown(
         let there = Pose2::IDENTITY.advance(twist, secs * f64::from(place) / places);
         (0..DIRECTIONS).any(|index| {
             let direction = Pose2::new(0.0, 0.0, TAU * f64::from(index) / f64::from(DIRECTIONS)).heading();
-            // What lies to the fore has been driven over.
+            // Only the leading side of the outline is on new floor.
             direction.x * twist.v > 0.0
                 && floor.is_unknown(&odom_from_there, there.transform_point(Point2::from(direction * reach)))
         })
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn where_there_is_room_already_nothing_is_done() {
+    fn with_enough_clearance_already_nothing_is_done() {
         let way = nearest_free(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, everything);
         assert_eq!(way.map(|way| (way.turn, way.distance)), Some((0.0, 0.0)));
     }
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_is_not_free_is_not_taken_and_without_any_there_is_none() {
+    fn a_blocked_path_is_not_taken_and_without_any_there_is_none() {
         let point = [Point2::new(0.22, 0.0)];
         let not_back = |_: Pose2, twist: Twist2, _: f64| twist.v >= 0.0;
         let way = nearest_free(&DISC, &point, 0.1, 1.0, not_back).unwrap();

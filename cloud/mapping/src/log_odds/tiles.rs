@@ -1,34 +1,38 @@
-//! How does a map grow? By whole tiles, with a fixed anchor: what was known stays where it was, to the last bit, and only
-//! tiles that somebody has seen take memory.
+//! Tile store. How does a map grow?
+//!
+//! By whole tiles from a fixed anchor: known cells stay where they are, to the last bit, and only tiles that were seen take memory. Tiles are
+//! shared with snapshots and copied when they change.
+
+use std::sync::Arc;
 
 use nalgebra::Point2;
-use zenav_protocol::grid::{GridSpec, MAX_CELLS, MAX_SIDE};
-use zenav_protocol::messages::TILE;
+use zenav_protocol::grid::{GridSpec, MAX_CELLS, MAX_SIDE, Occupancy};
+use zenav_protocol::messages::{TILE, Tile};
 
-use super::beams::CellFrame;
-use super::sensor_model::UNSEEN;
-use super::tile::EvidenceTile;
+use super::tile::LogOddsTile;
+use crate::beams::CellFrame;
+use crate::sensor_model::{QuantizedModel, UNSEEN};
 
-/// Side of a tile, cells; also the bits of a word, so that a word of a scan's bitmap lies in one tile.
+/// Side of a tile, cells. Also the number of bits of a word, so that each word of a scan bitmap lies in one tile.
 pub(super) const TILE_SIDE: usize = TILE as usize;
 
-/// A growing square of tiles.
+/// A growing rectangle of tiles.
 #[derive(Clone, Debug)]
 pub(super) struct Tiles {
-    /// Where tile (0, 0) begins, whatever the grid grows to.
+    /// Corner of tile (0, 0), however the grid grows, and the side of a cell.
     pub(super) frame: CellFrame,
     /// Tile column and row of the grid's lower-left corner, counted from the anchor.
     first: [i64; 2],
     /// Tiles in each direction.
     pub(super) counts: [usize; 2],
-    /// Row-major from the lowest row; none where nothing was ever seen.
-    pub(super) tiles: Vec<Option<Box<EvidenceTile>>>,
+    /// Row-major from the lowest row; `None` where nothing was ever seen.
+    pub(super) tiles: Vec<Option<Arc<LogOddsTile>>>,
     /// Tiles that changed since they were last taken.
     pub(super) dirty: Vec<bool>,
 }
 
 impl Tiles {
-    /// No cell yet.
+    /// A store without tiles.
     pub(super) fn new(frame: CellFrame) -> Self {
         Self {
             frame,
@@ -39,7 +43,7 @@ impl Tiles {
         }
     }
 
-    /// Whole tiles for so many cells from the anchor on.
+    /// Whole tiles for a number of cells, from the anchor on.
     pub(super) fn with_size(frame: CellFrame, width: u32, height: u32) -> Self {
         let counts = [width.div_ceil(TILE) as usize, height.div_ceil(TILE) as usize];
         let mut tiles = Self::new(frame);
@@ -47,7 +51,7 @@ impl Tiles {
         tiles
     }
 
-    /// Where the grid lies now.
+    /// Geometry of the grid.
     pub(super) fn spec(&self) -> GridSpec {
         let CellFrame { anchor, resolution } = self.frame;
         let tile = resolution * f64::from(TILE);
@@ -62,7 +66,7 @@ impl Tiles {
         }
     }
 
-    /// Position of a tile in storage, by column and row from the anchor; `None` outside the grid.
+    /// Index of a tile in storage, by its column and row from the anchor; `None` outside the grid.
     #[inline]
     pub(super) fn index(&self, [x, y]: [i64; 2]) -> Option<usize> {
         let column = usize::try_from(x - self.first[0])
@@ -74,14 +78,32 @@ impl Tiles {
         Some(row * self.counts[0] + column)
     }
 
-    /// Byte of a cell by its tile, row and column; unseen outside the grid.
+    /// The tile at an index of storage, to be changed; an unseen one is created.
+    #[inline]
+    pub(super) fn tile_mut(&mut self, index: usize) -> &mut LogOddsTile {
+        Arc::make_mut(self.tiles[index].get_or_insert_with(|| Arc::new(LogOddsTile::UNSEEN)))
+    }
+
+    /// The tile at an index of storage as a message, in ROS's occupancy values.
+    pub(super) fn message(&self, index: usize, model: &QuantizedModel) -> Tile {
+        Tile {
+            x: (index % self.counts[0]) as u32,
+            y: (index / self.counts[0]) as u32,
+            values: match &self.tiles[index] {
+                Some(tile) => tile.rows().iter().flatten().map(|byte| model.percent(*byte)).collect(),
+                None => vec![Occupancy::UNKNOWN; TILE_SIDE * TILE_SIDE],
+            },
+        }
+    }
+
+    /// Byte of a cell, by its tile, row and column; unseen outside the grid.
     pub(super) fn byte(&self, tile: [i64; 2], row: usize, column: usize) -> u8 {
         let tile = self.index(tile).and_then(|index| self.tiles[index].as_ref());
         tile.map_or(UNSEEN, |tile| tile.rows()[row][column])
     }
 
-    /// All tiles that somebody has seen, with their column and row from the anchor.
-    pub(super) fn known(&self) -> impl Iterator<Item = ([i64; 2], &EvidenceTile)> {
+    /// All tiles that were seen, with their column and row from the anchor.
+    pub(super) fn known(&self) -> impl Iterator<Item = ([i64; 2], &LogOddsTile)> {
         let place = |index: usize| {
             [
                 self.first[0] + (index % self.counts[0]) as i64,
@@ -92,9 +114,9 @@ impl Tiles {
         tiles.filter_map(move |(index, tile)| Some((place(index), tile.as_deref()?)))
     }
 
-    /// Grows the grid, by whole tiles, until it holds a rectangle; `false`, and nothing changed, when it would become too large.
+    /// Grows the grid by whole tiles until it covers a rectangle; `false`, and nothing changes, when it would become too large.
     pub(super) fn cover(&mut self, bounds: &Bounds) -> bool {
-        let Ok((first, counts)) = self.covering(bounds) else {
+        let Some((first, counts)) = self.covering(bounds) else {
             return false;
         };
         if counts != self.counts || first != self.first {
@@ -103,11 +125,8 @@ impl Tiles {
         true
     }
 
-    /// First tile and number of tiles of the grid that holds a rectangle besides what it holds now.
-    ///
-    /// # Errors
-    /// Columns and rows of a grid that would be too large.
-    pub(super) fn covering(&self, bounds: &Bounds) -> Result<([i64; 2], [usize; 2]), [f64; 2]> {
+    /// First tile and number of tiles of the grid that covers a rectangle and the present grid; `None` when it would be too large.
+    fn covering(&self, bounds: &Bounds) -> Option<([i64; 2], [usize; 2])> {
         let (low, high) = (bounds.low / TILE_SIDE as f64, bounds.high / TILE_SIDE as f64);
         let (mut first, mut end) = (
             [low.x.floor(), low.y.floor()],
@@ -121,17 +140,15 @@ impl Tiles {
             }
         }
         let cells = [0, 1].map(|axis| (end[axis] - first[axis]) * TILE_SIDE as f64);
-        // Comparisons that hold for no number that is not finite.
+        // These comparisons are false for NaN.
         let is_near = first.iter().chain(&end).all(|tile| tile.abs() < 1e9);
         let fits = cells.iter().all(|side| *side <= f64::from(MAX_SIDE)) && cells[0] * cells[1] <= MAX_CELLS as f64;
-        if is_near && fits {
-            Ok((
+        (is_near && fits).then(|| {
+            (
                 first.map(|tile| tile as i64),
                 cells.map(|cells| cells as usize / TILE_SIDE),
-            ))
-        } else {
-            Err(cells)
-        }
+            )
+        })
     }
 
     fn lay(&mut self, first: [i64; 2], counts: [usize; 2]) {
@@ -147,7 +164,7 @@ impl Tiles {
     }
 }
 
-/// A rectangle that holds points, in cells from the anchor.
+/// Bounding box of points, in cells from the anchor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     pub(super) low: Point2<f64>,
@@ -165,7 +182,7 @@ impl Bounds {
         self.high = Point2::new(self.high.x.max(p.x), self.high.y.max(p.y));
     }
 
-    /// First tile and number of tiles; saturates for what is beyond every grid.
+    /// First tile and number of tiles; saturates beyond every grid.
     pub(super) fn tiles(&self) -> ([i64; 2], [usize; 2]) {
         let side = TILE_SIDE as f64;
         let tile = |at: f64| (at / side).floor() as i64;

@@ -1,64 +1,65 @@
-//! Which cells did one scan look at? Bitmaps over the scan's bounding box: beams only set bits there, and the map itself is
-//! touched once a scan, tile by tile.
+//! Scan bitmap. Which cells did one scan pass, and which did it hit?
+//!
+//! Beams only set bits in bitmaps over the scan's bounding box; the map itself is updated once for each scan, tile by tile.
 
 use nalgebra::{Point2, Vector2};
 
-use super::beams::Beam;
 use super::tile::Bits;
 use super::tiles::TILE_SIDE;
+use crate::beams::Beam;
 
-/// Bits of the tiles that one scan can touch, all clear between two scans.
+/// Bits for the tiles that one scan can touch, all clear between two scans.
 ///
-/// Bits lie in columns of words: first all rows of the tiles' first column. So a ray that climbs goes from word to word, and
-/// the words of a tile lie together. Coordinates are in cells from the window's lower-left corner.
+/// The words are stored by columns: first all rows of the first column of tiles. So a rising ray goes from word to word, and the words of a
+/// tile lie together. Coordinates are in cells from the bitmap's lower-left corner.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ScanBitmap {
     /// Tile column and row of the lower-left corner, from the map's anchor.
     first: [i64; 2],
     /// Tiles in each direction.
     counts: [usize; 2],
-    /// Rows.
+    /// Number of rows of cells.
     height: usize,
-    /// Cells that beams went through.
+    /// Cells that beams passed.
     cleared: Vec<u64>,
-    /// Cells that beams ended in.
+    /// Cells in which beams ended.
     hits: Vec<u64>,
-    /// Borders of filled wedges: bits that flip inside and outside along a row.
+    /// Borders of filled wedges: bits at which a row changes between inside and outside.
     flips: Vec<u64>,
-    /// Tiles with any bit set, in the order of the bits.
+    /// Whether a tile has any bit set, in the order of the words.
     touched: Vec<bool>,
 }
 
-/// Bits after the point of a fixed-point number.
+/// Fractional bits of a fixed-point number.
 const FRACTION: u32 = 32;
 
-/// Differences of length that are not worth an edge or a ray of their own, cells.
+/// Differences in length below this need no border or ray of their own, cells.
 const SMALL_STEP: f64 = 0.25;
 
-/// Neighbouring beams whose lengths differ by at most so much ended on one surface, cells.
+/// Neighbouring beams whose lengths differ by at most this ended on one surface, cells.
 const ONE_SURFACE: f64 = 1.0;
 
-/// Beams this much closer together than a cell leave out hardly any cell of a surface that they ended on.
+/// Beams at most this far apart, in cells, miss hardly any cell of a surface on which they ended.
 const CLOSE: f64 = 0.7;
 
-/// A cell that a ray meets has its centre at most so far along the ray from there, cells.
+/// A cell that a ray meets has its centre at most this far along the ray, cells.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// A coordinate as a fixed-point number, to the nearest; nonsense for what no grid holds.
+/// Converts a coordinate to fixed point, rounding to nearest. Meaningless for coordinates beyond every grid.
 ///
-/// Adding 1.5 * 2^20 leaves 32 bits after the point in the mantissa: a few times as fast as a conversion that saturates.
+/// Adding 1.5 * 2^20 leaves 32 fractional bits in the mantissa: a few times faster than a saturating conversion.
 fn fixed(cells: f64) -> i64 {
     const SHIFT: f64 = 1_572_864.0;
     (cells + SHIFT).to_bits().wrapping_sub(SHIFT.to_bits()).cast_signed()
 }
 
-/// The column or row that a coordinate lies in.
+/// Column or row of a coordinate.
 fn whole(cells: f64) -> i64 {
     fixed(cells) >> FRACTION
 }
 
 impl ScanBitmap {
-    /// Lays the window over tiles, counted from the map's anchor.
+    /// Places the bitmap over tiles, counted from the map's anchor.
     pub(super) fn lay(&mut self, first: [i64; 2], counts: [usize; 2]) {
         (self.first, self.counts, self.height) = (first, counts, counts[1] * TILE_SIDE);
         let tiles = counts[0] * counts[1];
@@ -70,15 +71,15 @@ impl ScanBitmap {
         }
     }
 
-    /// Lower-left corner, in cells from the map's anchor.
+    /// Lower-left corner of the bitmap, in cells from the map's anchor.
     pub(super) fn corner(&self) -> Vector2<f64> {
         Vector2::new(self.first[0] as f64, self.first[1] as f64) * TILE_SIDE as f64
     }
 
-    /// Gives every tile with any bit set, cells that were looked at and cells that were hit, and clears its bits.
+    /// Hands over every tile with a set bit (cells that were passed or hit, and cells that were hit), and clears its bits.
     pub(super) fn take(&mut self, mut tile: impl FnMut([i64; 2], &Bits, &Bits)) {
         for row in 0..self.counts[1] {
-            // Rows of bits that are inside where the last tile ended.
+            // Rows that are inside a wedge at the right border of the last tile.
             let mut inside = [0; TILE_SIDE];
             let mut any_inside = false;
             for column in 0..self.counts[0] {
@@ -114,8 +115,8 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks what all beams of a scan went through and ended in: beam by beam, or with wedges filled as long as neighbouring
-    /// beams are at most a cell apart, which they are up to `dense` cells from the origin.
+    /// Marks the cells that the beams passed and in which they ended: beam by beam, or, up to `dense` cells from the origin, where neighbouring
+    /// beams are at most one cell apart, by filled wedges.
     pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], dense: Option<f64>) {
         let corner = self.corner();
         let origin = origin - corner;
@@ -136,7 +137,7 @@ impl ScanBitmap {
         }
     }
 
-    /// Sets bits of a word, if it lies in the window.
+    /// Sets bits of a word, unless it lies outside the bitmap.
     #[inline(always)]
     fn set(bits: &mut [u64], touched: &mut [bool], word: usize, mask: u64) {
         if let Some(bits) = bits.get_mut(word)
@@ -147,7 +148,7 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks the cell that a beam ended in.
+    /// Marks the cell in which a beam ended.
     #[inline(always)]
     fn hit(&mut self, p: Point2<f64>) {
         let (x, y) = (whole(p.x) as usize, whole(p.y) as usize);
@@ -155,8 +156,8 @@ impl ScanBitmap {
         Self::set(&mut self.hits, &mut self.touched, word, 1 << (x % 64));
     }
 
-    /// Marks a cell as looked through, whatever else was seen in it.
-    pub(super) fn vacate(&mut self, x: usize, y: usize) {
+    /// Marks a cell as passed, even if a beam ended in it.
+    pub(super) fn clear(&mut self, x: usize, y: usize) {
         let (word, bit) = (x / 64 * self.height + y, 1 << (x % 64));
         if let Some(hits) = self.hits.get_mut(word) {
             *hits &= !bit;
@@ -164,7 +165,7 @@ impl ScanBitmap {
         Self::set(&mut self.cleared, &mut self.touched, word, bit);
     }
 
-    /// Marks columns `low..=high`, fixed-point numbers, of a row.
+    /// Marks columns `low..=high` (fixed point) of a row as passed.
     #[inline(always)]
     fn run(&mut self, row: usize, low: i64, high: i64) {
         let (low, high) = ((low >> FRACTION) as usize, (high >> FRACTION) as usize);
@@ -188,13 +189,13 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks every cell that a segment touches: the cells of `GridSpec::walk`, found row by row instead of cell by cell.
-    /// (Within rounding of a corner the two may differ in the cells beside it.)
+    /// Marks every cell that a segment touches: the cells of `GridSpec::walk`, found row by row instead of cell by cell. (Within rounding of a
+    /// corner the two may differ in the cells beside it.)
     fn ray(&mut self, a: Point2<f64>, b: Point2<f64>) {
         let (a, b) = if a.y <= b.y { (a, b) } else { (b, a) };
         let (first, last) = (whole(a.y).max(0) as usize, whole(b.y).max(0) as usize);
         let last = last.min(self.height - 1);
-        // Where the segment enters and leaves a row.
+        // Coordinates at which the segment enters and leaves a row.
         let mut enter = fixed(a.x);
         if first < last {
             let slope = (b.x - a.x) / (b.y - a.y);
@@ -209,17 +210,16 @@ impl ScanBitmap {
         self.run(last, enter.min(end), enter.max(end));
     }
 
-    /// Marks nearly what [`ray`](Self::ray) would mark for all beams together.
+    /// Marks nearly the cells that [`ray`](Self::ray) marks for all beams together.
     ///
-    /// Between two neighbouring beams that are nowhere farther apart than a cell, every cell whose centre lies there is met by
-    /// one of them: a line within half a cell of a centre meets that cell. So wedges are filled, as far as both beams reach and
-    /// as that holds (`dense` cells from the origin), 64 cells in one step, and each beam is drawn only from where the shorter
-    /// of its two wedges ends. Where neighbours end close together on one surface, the wedge is filled up to that surface and
-    /// nothing is drawn: the cells that are missed, met by a beam's last cell length with their centre behind the surface, are
-    /// nearly all hit themselves.
+    /// Between two neighbouring beams that are nowhere more than one cell apart, one of the two meets every cell whose centre lies between
+    /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach and
+    /// the beams are dense (`dense` cells from the origin); each beam is drawn only from the end of the shorter of its two wedges. Where
+    /// neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
+    /// lie within the last cell length of a beam with their centre behind the surface, and nearly all of them are hit themselves.
     fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
         let home = Corner::at(origin);
-        // The end of the border so far, the beam that it lies on and its distance from the origin.
+        // End of the border so far, and its distance from the origin.
         let (mut border, mut reach) = (home, 0.0_f64);
         let mut before: Option<Beam> = None;
         for beam in beams {
@@ -230,7 +230,7 @@ impl ScanBitmap {
                 continue;
             };
             let (inner, outer) = (last.length.min(beam.length), last.length.max(beam.length));
-            // How far the wedge reaches along both beams.
+            // Length of the wedge along both beams.
             let (from, to) = if last.number + 1 != beam.number {
                 (0.0, 0.0)
             } else if outer - inner <= ONE_SURFACE && outer <= CLOSE * dense {
@@ -257,12 +257,12 @@ impl ScanBitmap {
         }
     }
 
-    /// Draws a beam from where cells stop to have their centre within `filled` cells of its length.
+    /// Draws a beam beyond the cells whose centre lies within its first `filled` cells.
     fn tail(&mut self, origin: Point2<f64>, beam: &Beam, filled: f64) {
         self.ray(origin + beam.direction * (filled - HALF_DIAGONAL).max(0.0), beam.end);
     }
 
-    /// Flips the first cell with its centre to the right of a segment in every row whose middle the segment crosses.
+    /// In every row whose middle a segment crosses, flips the first cell with its centre to the right of the segment.
     #[inline(always)]
     fn border(&mut self, a: Corner, b: Corner) {
         if (a.row - b.row).abs() <= 1 {
@@ -284,7 +284,7 @@ impl ScanBitmap {
         }
     }
 
-    /// Flips what lies to the right of a column's left side in a row of the window.
+    /// Flips all cells of a row from a column on.
     #[inline(always)]
     fn flip(&mut self, row: i64, column: i64, bit: u64) {
         let last = (self.counts[0] * TILE_SIDE - 1) as i64;
@@ -302,12 +302,12 @@ impl ScanBitmap {
     }
 }
 
-/// A corner of the filled wedges' border.
+/// A corner of the border of the filled wedges.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     x: f64,
     y: f64,
-    /// The lowest row with its middle above.
+    /// The lowest row whose middle lies above the corner.
     row: i64,
 }
 
@@ -333,13 +333,13 @@ mod tests {
         #[test]
         fn a_ray_marks_the_cells_of_the_one_ray_walk(ax in 0.0..190.0, ay in 0.0..90.0, bx in 0.0..190.0, by in 0.0..90.0) {
             let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 192, height: 90 };
-            let mut window = ScanBitmap::default();
-            window.lay([0, 0], [3, 2]);
-            window.ray(Point2::new(ax, ay), Point2::new(bx, by));
+            let mut bitmap = ScanBitmap::default();
+            bitmap.lay([0, 0], [3, 2]);
+            bitmap.ray(Point2::new(ax, ay), Point2::new(bx, by));
             let mut walked: Vec<Cell> = spec.walk(Point2::new(ax, ay), Point2::new(bx, by)).collect();
             walked.sort_by_key(|cell| spec.index(*cell));
             let mut marked: Vec<Cell> = Vec::new();
-            window.take(|[x, y], seen, _| {
+            bitmap.take(|[x, y], seen, _| {
                 for (row, bits) in (0_u32..).zip(seen) {
                     let columns = (0..64_u32).filter(|column| bits >> column & 1 == 1);
                     marked.extend(columns.map(|column| Cell::new(64 * x as u32 + column, 64 * y as u32 + row)));
@@ -351,13 +351,13 @@ mod tests {
     }
 
     #[test]
-    fn rays_that_leave_the_window_stay_in_bounds() {
-        let mut window = ScanBitmap::default();
-        window.lay([0, 0], [1, 1]);
+    fn rays_that_leave_the_bitmap_stay_in_bounds() {
+        let mut bitmap = ScanBitmap::default();
+        bitmap.lay([0, 0], [1, 1]);
         for end in [(1e12, 1e12), (-5.0, 1.0), (f64::NAN, 0.5), (3.0, f64::INFINITY)].map(|(x, y)| Point2::new(x, y)) {
-            window.ray(Point2::new(1.0, 1.0), end);
-            window.border(Corner::at(Point2::new(1.0, 1.0)), Corner::at(end));
-            window.hit(end);
+            bitmap.ray(Point2::new(1.0, 1.0), end);
+            bitmap.border(Corner::at(Point2::new(1.0, 1.0)), Corner::at(end));
+            bitmap.hit(end);
         }
     }
 }

@@ -1,12 +1,15 @@
-//! What went away without being seen to go? Places that had been free for long and were then hit for a short while are free
-//! again after some time without another look at the obstacle.
+//! Temporal decay. Which obstacles are gone although no beam saw them go?
 //!
-//! Beams clear what they pass through, but nothing clears where a robot does not look any more: a passer-by in a door would
-//! block it for ever. So hits on cells that had been free for long are doubted. A doubt ends in one of three ways: beams find
-//! the cell free; hits go on for as long as others take to fade, and it is furniture; or no hit confirms it any more, and it
-//! fades. Cells beside anything that lasts are not doubted: no robot fits there, and a wall that a wrong pose or a slanting
-//! beam had once seen free must not fade. The idea is that of Nav2's obstacle layers with decay (Macenski et al.,
-//! "Spatio-Temporal Voxel Layer", 2020), for one map that keeps both what lasts and what passes. Time is that of the scans.
+//! Beams clear the cells that they pass, but nothing clears the cells that the robot does not look at any more: a passer-by in a door would
+//! block it for ever. So an obstacle that appears on cells that had long been free is transient at first, and one of three things happens:
+//!
+//! 1. beams pass its cells, and the sensor model frees them;
+//! 2. it is hit for longer than the decay time: it is furniture, and permanent;
+//! 3. it is not hit for the decay time: its cells decay to free.
+//!
+//! Cells beside a permanent obstacle are never transient: no robot fits there, and a wall that a wrong pose or a grazing beam once showed as
+//! free must not decay. The idea is that of Nav2's decaying obstacle layers (Macenski et al., "Spatio-Temporal Voxel Layer", 2020), applied
+//! to one map that keeps permanent and transient obstacles. Time is that of the scans' stamps.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,71 +17,72 @@ use std::time::Duration;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::time::Stamp;
 
-use super::sensor_model::Evidence;
 use super::tile::Bits;
 use super::tiles::{TILE_SIDE, Tiles};
+use crate::sensor_model::QuantizedModel;
 
-/// Cells this near to something that lasts are not doubted.
+/// Cells this near to a permanent obstacle are never transient.
 const BESIDE: i64 = 2;
 
-/// What is remembered of a map in order to let things fade.
+/// Transient obstacles of a map.
 #[derive(Clone, Debug)]
 pub(super) struct Decay {
     after: Duration,
-    /// Time that scans have told of.
+    /// Time by the scans' stamps, since the first scan.
     now: Duration,
     newest: Option<Stamp>,
-    /// When it is next looked which cells stayed free.
-    round: Duration,
-    /// Nothing fades before.
+    /// Time of the next round, which finds the cells that stayed free since the last one.
+    next_round: Duration,
+    /// Time of the next decay.
     due: Duration,
-    tiles: BTreeMap<[i64; 2], Memory>,
+    tiles: BTreeMap<[i64; 2], TileHistory>,
 }
 
-/// What is remembered of a tile.
+/// Free cells and transient obstacles of a tile.
 #[derive(Clone, Debug)]
-struct Memory {
-    /// Cells that have been as free as cells get since the last round.
+struct TileHistory {
+    /// Cells with the least log-odds ever since the last round.
     free: Bits,
-    /// Cells that were so for the whole round before, too.
+    /// Cells that had them for the whole round before, too.
     long_free: Bits,
-    /// First and last hit of cells that were long free, by row and column.
-    doubts: BTreeMap<(usize, usize), [Duration; 2]>,
+    /// Transient cells by row and column: times of the first and the last hit.
+    transient: BTreeMap<(usize, usize), [Duration; 2]>,
 }
 
-impl Memory {
-    const NONE: Self = Self {
+impl TileHistory {
+    const EMPTY: Self = Self {
         free: [0; TILE_SIDE],
         long_free: [0; TILE_SIDE],
-        doubts: BTreeMap::new(),
+        transient: BTreeMap::new(),
     };
 }
 
 impl Decay {
-    /// Decay after so long without a hit.
+    /// Decay after this time without a hit.
     pub(super) fn new(after: Duration) -> Self {
         Self {
             after,
             now: Duration::ZERO,
             newest: None,
-            round: after,
+            next_round: after,
             due: Duration::MAX,
             tiles: BTreeMap::new(),
         }
     }
 
-    /// Goes on to a scan's time and lets fade what is due. A clock that began anew counts as standing still.
-    pub(super) fn go_on(&mut self, stamp: Stamp, map: &mut Tiles, evidence: &Evidence) {
+    /// Advances to a scan's stamp, and frees what is due. A stamp before the newest one (the robot's clock restarted) does not advance time.
+    pub(super) fn advance(&mut self, stamp: Stamp, map: &mut Tiles, model: &QuantizedModel) {
         let before = self.newest.replace(stamp).unwrap_or(stamp);
         self.now = self.now.saturating_add(stamp.since(before));
         if self.now >= self.due {
-            self.fade(map, evidence);
+            self.decay(map, model);
         }
-        if self.now >= self.round {
-            self.round = self.now.saturating_add(self.after);
+        if self.now >= self.next_round {
+            self.next_round = self.now.saturating_add(self.after);
             for (at, tile) in map.known() {
-                let memory = self.tiles.entry(at).or_insert(Memory::NONE);
-                for ((free, long_free), freest) in memory.free.iter_mut().zip(&mut memory.long_free).zip(tile.freest())
+                let history = self.tiles.entry(at).or_insert(TileHistory::EMPTY);
+                for ((free, long_free), freest) in
+                    history.free.iter_mut().zip(&mut history.long_free).zip(tile.freest())
                 {
                     (*free, *long_free) = (*freest, *free & freest);
                 }
@@ -86,92 +90,101 @@ impl Decay {
         }
     }
 
-    /// Lets everything fade that is in doubt, as if it had not been seen for long.
-    pub(super) fn forget(&mut self, map: &mut Tiles, evidence: &Evidence) {
+    /// Frees every transient obstacle now.
+    pub(super) fn all_now(&mut self, map: &mut Tiles, model: &QuantizedModel) {
         let after = std::mem::replace(&mut self.after, Duration::ZERO);
-        self.fade(map, evidence);
+        self.decay(map, model);
         self.after = after;
     }
 
-    fn fade(&mut self, map: &mut Tiles, evidence: &Evidence) {
+    fn decay(&mut self, map: &mut Tiles, model: &QuantizedModel) {
         self.due = Duration::MAX;
-        for (at, memory) in &mut self.tiles {
-            memory.doubts.retain(|(row, column), [_, last]| {
-                let fades = last.saturating_add(self.after);
-                if fades > self.now {
-                    self.due = self.due.min(fades);
+        for (at, history) in &mut self.tiles {
+            history.transient.retain(|(row, column), [_, last]| {
+                let due = last.saturating_add(self.after);
+                if due > self.now {
+                    self.due = self.due.min(due);
                     return true;
                 }
                 if let Some(index) = map.index(*at)
-                    && let Some(tile) = &mut map.tiles[index]
+                    && map.tiles[index].is_some()
                 {
-                    map.dirty[index] |= tile.rows()[*row][*column] != evidence.least;
-                    tile.set(*column, *row, evidence.least, evidence);
-                    memory.free[*row] |= 1 << column;
-                    memory.long_free[*row] |= 1 << column;
+                    let tile = map.tile_mut(index);
+                    let changes = tile.rows()[*row][*column] != model.least;
+                    tile.set(*column, *row, model.least, model);
+                    map.dirty[index] |= changes;
+                    history.free[*row] |= 1 << column;
+                    history.long_free[*row] |= 1 << column;
                 }
                 false
             });
         }
     }
 
-    /// Takes notice of a tile's hits, before the map does.
-    pub(super) fn notice(&mut self, at: [i64; 2], hits: &Bits, map: &Tiles, evidence: &Evidence) {
-        let Some(memory) = self.tiles.get_mut(&at) else {
+    /// Observes a tile's hits, before the map takes them.
+    pub(super) fn observe(&mut self, at: [i64; 2], hits: &Bits, map: &Tiles, model: &QuantizedModel) {
+        let Some(history) = self.tiles.get_mut(&at) else {
             return;
         };
         let mut new = Vec::new();
         for (row, hits) in hits.iter().enumerate() {
-            let mut struck = *hits;
-            memory.free[row] &= !struck;
-            while struck != 0 {
-                let column = struck.trailing_zeros() as usize;
-                let bit = struck & struck.wrapping_neg();
-                struck ^= bit;
-                if memory.long_free[row] & bit != 0 {
-                    memory.long_free[row] ^= bit;
+            let mut left = *hits;
+            history.free[row] &= !left;
+            while left != 0 {
+                let column = left.trailing_zeros() as usize;
+                let bit = left & left.wrapping_neg();
+                left ^= bit;
+                if history.long_free[row] & bit != 0 {
+                    history.long_free[row] ^= bit;
                     new.push((row, column));
-                } else if let Some([first, last]) = memory.doubts.get_mut(&(row, column)) {
-                    // Beams found it gone in between: somebody else is there now.
-                    if !is_occupied(map.byte(at, row, column), evidence) {
+                } else if let Some([first, last]) = history.transient.get_mut(&(row, column)) {
+                    // Beams freed the cell in between: this is another obstacle.
+                    if !is_occupied(map.byte(at, row, column), model) {
                         *first = self.now;
                     }
                     *last = self.now;
                     if last.saturating_sub(*first) >= self.after {
-                        memory.doubts.remove(&(row, column));
+                        history.transient.remove(&(row, column));
                     }
                 }
             }
         }
         for (row, column) in new {
-            if !self.is_beside_lasting(at, row, column, map, evidence)
-                && let Some(memory) = self.tiles.get_mut(&at)
+            if !self.is_beside_permanent(at, row, column, map, model)
+                && let Some(history) = self.tiles.get_mut(&at)
             {
-                memory.doubts.insert((row, column), [self.now; 2]);
+                history.transient.insert((row, column), [self.now; 2]);
                 self.due = self.due.min(self.now.saturating_add(self.after));
             }
         }
     }
 
-    fn is_beside_lasting(&self, at: [i64; 2], row: usize, column: usize, map: &Tiles, evidence: &Evidence) -> bool {
+    fn is_beside_permanent(
+        &self,
+        at: [i64; 2],
+        row: usize,
+        column: usize,
+        map: &Tiles,
+        model: &QuantizedModel,
+    ) -> bool {
         let side = TILE_SIDE as i64;
         let around = |center: i64| center - BESIDE..=center + BESIDE;
         around(at[1] * side + row as i64).any(|y| {
             around(at[0] * side + column as i64).any(|x| {
                 let at = [x.div_euclid(side), y.div_euclid(side)];
                 let (row, column) = (y.rem_euclid(side) as usize, x.rem_euclid(side) as usize);
-                is_occupied(map.byte(at, row, column), evidence)
+                is_occupied(map.byte(at, row, column), model)
                     && !self
                         .tiles
                         .get(&at)
-                        .is_some_and(|memory| memory.doubts.contains_key(&(row, column)))
+                        .is_some_and(|history| history.transient.contains_key(&(row, column)))
             })
         })
     }
 }
 
-fn is_occupied(byte: u8, evidence: &Evidence) -> bool {
-    Occupancy::of(evidence.percent[usize::from(byte)]) == Occupancy::Occupied
+fn is_occupied(byte: u8, model: &QuantizedModel) -> bool {
+    Occupancy::of(model.percent(byte)) == Occupancy::Occupied
 }
 
 #[cfg(test)]
@@ -181,9 +194,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use super::super::config::MapperConfig;
-    use super::super::mapper::{Insertion, Mapper};
     use super::*;
+    use crate::{Insertion, Mapper, MappingSettings};
 
     const AFTER: f64 = 10.0;
     const SECOND: u64 = 1_000_000_000;
@@ -195,13 +207,13 @@ mod tests {
     }
 
     impl Robot {
-        fn new(fade_after: Option<f64>) -> Self {
-            let config = MapperConfig {
-                fade_after,
-                ..MapperConfig::default()
+        fn new(decay_after: f64) -> Self {
+            let settings = MappingSettings {
+                decay_after,
+                ..MappingSettings::default()
             };
             Self {
-                mapper: Mapper::new(config, "m"),
+                mapper: Mapper::new(settings, "m"),
                 stamp: 0,
             }
         }
@@ -236,8 +248,8 @@ mod tests {
     const AWAY: f64 = 3.0;
 
     /// A wall has been seen at 4 m for long, and somebody was at 2 m for a while.
-    fn somebody_passed(fade_after: Option<f64>, secs: f64) -> Robot {
-        let mut robot = Robot::new(fade_after);
+    fn somebody_passed(decay_after: f64, secs: f64) -> Robot {
+        let mut robot = Robot::new(decay_after);
         robot.look(5.0 * AFTER, AHEAD, 4.0);
         robot.look(secs, AHEAD, 2.0);
         assert_eq!(
@@ -248,8 +260,8 @@ mod tests {
     }
 
     #[test]
-    fn somebody_who_went_away_unseen_is_forgotten_and_the_patch_tells() {
-        let mut robot = somebody_passed(Some(AFTER), 2.0);
+    fn an_obstacle_that_left_unseen_decays_and_the_patch_says_so() {
+        let mut robot = somebody_passed(AFTER, 2.0);
         robot.look(AFTER - 1.0, AWAY, 1.0);
         assert_eq!(robot.at(2.01), Occupancy::Occupied);
         while robot.mapper.take_patch().is_some() {}
@@ -261,25 +273,25 @@ mod tests {
     }
 
     #[test]
-    fn what_may_have_passed_is_forgotten_at_once_if_asked_and_the_wall_is_not() {
-        let mut robot = somebody_passed(Some(AFTER), 2.0);
+    fn transient_obstacles_decay_at_once_on_demand_and_the_wall_does_not() {
+        let mut robot = somebody_passed(AFTER, 2.0);
         while robot.mapper.take_patch().is_some() {}
-        robot.mapper.forget();
+        robot.mapper.decay_now();
         assert_eq!((robot.at(2.01), robot.at(4.01)), (Occupancy::Free, Occupancy::Occupied));
-        assert!(robot.mapper.take_patch().is_some(), "who keeps a copy is told");
+        assert!(robot.mapper.take_patch().is_some(), "replicas are told");
         robot.look(1.0, AHEAD, 2.0);
-        assert_eq!(robot.at(2.01), Occupancy::Occupied, "who is still there is seen again");
+        assert_eq!(robot.at(2.01), Occupancy::Occupied, "what is still there is seen again");
     }
 
     #[test]
-    fn what_passes_again_is_forgotten_again() {
-        let mut robot = somebody_passed(Some(AFTER), 2.0);
+    fn an_obstacle_that_comes_back_decays_again() {
+        let mut robot = somebody_passed(AFTER, 2.0);
         robot.look(2.0 * AFTER, AWAY, 1.0);
         robot.look(2.0, AHEAD, 2.0);
         assert_eq!(robot.at(2.01), Occupancy::Occupied);
         robot.look(2.0 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(2.01), Occupancy::Free);
-        // Seen to be free in between, it is somebody else, not furniture.
+        // Seen free in between, it is another obstacle, not furniture.
         for _ in 0..5 {
             robot.look(2.0, AHEAD, 2.0);
             robot.look(3.0, AHEAD, 4.0);
@@ -290,20 +302,20 @@ mod tests {
     }
 
     #[test]
-    fn what_stays_longer_than_others_take_to_fade_is_furniture() {
-        let mut robot = somebody_passed(Some(AFTER), 1.5 * AFTER);
+    fn an_obstacle_that_stays_longer_than_the_decay_time_is_permanent() {
+        let mut robot = somebody_passed(AFTER, 1.5 * AFTER);
         robot.look(20.0 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(2.01), Occupancy::Occupied);
     }
 
     #[test]
-    fn walls_and_what_stood_there_from_the_first_look_on_stay() {
-        let mut robot = Robot::new(Some(AFTER));
+    fn obstacles_seen_from_the_first_look_on_are_permanent() {
+        let mut robot = Robot::new(AFTER);
         robot.look(1.0, AHEAD, 4.0);
         robot.look(100.0 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(4.01), Occupancy::Occupied);
-        // A place that was only just found to be free is not doubted.
-        let mut robot = Robot::new(Some(AFTER));
+        // A cell that was found free only just before is never transient.
+        let mut robot = Robot::new(AFTER);
         robot.look(0.5 * AFTER, AHEAD, 4.0);
         robot.look(1.0, AHEAD, 2.0);
         robot.look(100.0 * AFTER, AWAY, 1.0);
@@ -312,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_wall_that_is_seen_a_cell_nearer_for_a_moment_stays() {
-        let mut robot = Robot::new(Some(AFTER));
+        let mut robot = Robot::new(AFTER);
         robot.look(5.0 * AFTER, AHEAD, 4.0);
         robot.look(2.0, AHEAD, 3.95);
         robot.look(100.0 * AFTER, AWAY, 1.0);
@@ -320,11 +332,11 @@ mod tests {
     }
 
     #[test]
-    fn without_the_option_nothing_fades_and_a_clock_that_begins_anew_makes_nothing_fade() {
-        let mut robot = somebody_passed(None, 2.0);
+    fn without_decay_and_after_a_restart_of_the_clock_nothing_decays() {
+        let mut robot = somebody_passed(0.0, 2.0);
         robot.look(100.0 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(2.01), Occupancy::Occupied);
-        let mut robot = somebody_passed(Some(AFTER), 2.0);
+        let mut robot = somebody_passed(AFTER, 2.0);
         robot.stamp = 0;
         robot.look(0.5 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(2.01), Occupancy::Occupied);

@@ -1,31 +1,31 @@
-//! What can the robot do by itself, without a plan? Spin, drive straight (back up), wait, drive to the nearest free place. Each is watched by the guard
-//! and fails, rather than waits, when something is in the way.
+//! Maneuver. How does one maneuver begin, go on and end? Spin, drive straight (back up), wait, drive to the nearest free place. The collision
+//! monitor supervises each; one that is blocked fails instead of waiting.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourState};
 use zenav_protocol::robot::Drive;
 use zenav_protocol::time::Stamp;
 
-use crate::nearest_free::Way;
+use super::nearest_free::Escape;
 
-/// Remaining turn and way at which a motion is done, rad and m.
+/// Remaining turn and distance at which a motion is done, rad and m.
 const DONE: (f64, f64) = (0.02, 0.005);
-/// Blocked by the guard for this long a motion has failed, s.
+/// Stopped by the collision monitor for this long a maneuver has failed, s.
 const BLOCKED: f64 = 1.0;
 /// Heading feedback of a straight drive, 1/s.
 const STRAIGHT_GAIN: f64 = 2.0;
-/// Speed on the way to a free place, m/s.
+/// Speed of the drive to a free place, m/s.
 const CAREFUL: f64 = 0.1;
-/// Share of the robot's top speeds that behaviours use.
+/// Share of the robot's top speeds that maneuvers use.
 const SHARE: f64 = 0.8;
 
-/// A motion of the edge's own, under way.
+/// A maneuver in progress.
 #[derive(Clone, Debug)]
 pub struct Maneuver {
     id: String,
     drive: Drive,
     motion: Motion,
-    /// What follows it.
+    /// The motion after it.
     next: Option<Motion>,
     deadline: Stamp,
     blocked: f64,
@@ -45,31 +45,31 @@ enum Motion {
     Wait {
         until: Stamp,
     },
-    /// There is no place to go to.
+    /// No free place was found.
     Nowhere,
 }
 
-/// One tick of a behaviour.
+/// Outcome of one tick.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// Goes on with this twist.
+    /// It goes on with this twist.
     Go(Twist2),
-    /// Has ended.
+    /// It has ended.
     Done(BehaviourReport),
 }
 
 impl Maneuver {
-    /// Begins an action from `odom_from_base`; `way_to_free` is asked for where it leads to a free place.
+    /// Begins an action from `odom_from_base`; `escape` finds the path to a free place (clearance, within).
     ///
     /// # Errors
-    /// What is wrong with the request, for values that no robot does.
+    /// What is wrong with the request's values.
     pub fn begin(
         id: &str,
         action: &BehaviourAction,
         now: Stamp,
         odom_from_base: Pose2,
         drive: &Drive,
-        way_to_free: impl FnOnce(f64, f64) -> Option<Way>,
+        escape: impl FnOnce(f64, f64) -> Option<Escape>,
     ) -> Result<Self, String> {
         let mut next = None;
         let (motion, allowance) = match *action {
@@ -96,9 +96,9 @@ impl Maneuver {
                 if !((0.0..=10.0).contains(&clearance) && (0.0..=10.0).contains(&within)) {
                     return Err("expected a clearance and a distance of at most 10 m".into());
                 }
-                match way_to_free(clearance, within) {
+                match escape(clearance, within) {
                     None => (Motion::Nowhere, 1.0),
-                    Some(Way { turn, distance }) => {
+                    Some(Escape { turn, distance }) => {
                         let speed = CAREFUL.min(SHARE * drive.top_speed());
                         next = Some(Motion::Drive { distance, speed });
                         let spin = Motion::Spin {
@@ -123,7 +123,7 @@ impl Maneuver {
                     secs + 5.0,
                 )
             }
-            BehaviourAction::Cancel | BehaviourAction::Report => return Err("nothing to begin".into()),
+            BehaviourAction::Cancel | BehaviourAction::Report => return Err("not an action that begins".into()),
         };
         Ok(Self {
             id: id.to_owned(),
@@ -142,7 +142,7 @@ impl Maneuver {
         &self.id
     }
 
-    /// The way that must be free at the start: a twist, and for how long, s.
+    /// The motion that must be free at the start: a twist, and its duration, s.
     #[must_use]
     pub fn sweep(&self) -> Option<(Twist2, f64)> {
         match self.motion {
@@ -152,14 +152,14 @@ impl Maneuver {
         }
     }
 
-    /// One tick. `stopped`: the guard let nothing through at the last one.
+    /// One tick. `stopped`: the collision monitor stopped the robot at the last one.
     pub fn step(&mut self, now: Stamp, dt: f64, odom_from_base: Pose2, velocity: Twist2, stopped: bool) -> Step {
         self.blocked = if stopped { self.blocked + dt } else { 0.0 };
         if self.blocked > BLOCKED {
-            return Step::Done(self.report(BehaviourState::Failed, Some("something is in the way")));
+            return Step::Done(self.report(BehaviourState::Failed, Some("obstacle in the way")));
         }
         if now >= self.deadline {
-            return Step::Done(self.report(BehaviourState::Failed, Some("it took too long")));
+            return Step::Done(self.report(BehaviourState::Failed, Some("timed out")));
         }
         let step = self.advance(now, odom_from_base, velocity);
         match (step, self.next.take()) {
@@ -175,7 +175,7 @@ impl Maneuver {
         }
     }
 
-    /// One tick of the motion that is under way.
+    /// One tick of the current motion.
     fn advance(&mut self, now: Stamp, odom_from_base: Pose2, velocity: Twist2) -> Step {
         let slow = velocity.v.abs() < 0.02 && velocity.w.abs() < 0.05;
         match &mut self.motion {
@@ -198,7 +198,7 @@ impl Maneuver {
                 let v = approach(left.abs(), 0.5 * self.drive.acceleration(), 2.0).min(*speed);
                 Step::Go(Twist2::new(v * left.signum(), -STRAIGHT_GAIN * gone.yaw))
             }
-            Motion::Nowhere => Step::Done(self.report(BehaviourState::Failed, Some("no free place is within reach"))),
+            Motion::Nowhere => Step::Done(self.report(BehaviourState::Failed, Some("no free place within reach"))),
             Motion::Wait { until } => {
                 if now >= *until {
                     return Step::Done(self.report(BehaviourState::Succeeded, None));
@@ -219,7 +219,7 @@ impl Maneuver {
     }
 }
 
-/// Speed that comes to rest after `left` at this deceleration, and settles exponentially in the end.
+/// Speed that comes to rest after `left` at this deceleration, and settles exponentially at the end.
 fn approach(left: f64, deceleration: f64, gain: f64) -> f64 {
     (2.0 * deceleration * left).sqrt().min(gain * left)
 }
@@ -229,23 +229,22 @@ fn approach(left: f64, deceleration: f64, gain: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn run(action: &BehaviourAction, stopped: bool) -> (BehaviourReport, Pose2) {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         let mut pose = Pose2::new(1.0, 2.0, 3.0);
         let mut now = Stamp::from_secs(5.0);
         let way = |_, within: f64| {
-            Some(Way {
+            Some(Escape {
                 turn: 0.8,
                 distance: -within,
             })
         };
-        let mut behaviour = Maneuver::begin("b1", action, now, pose, &drive, way).unwrap();
+        let mut maneuver = Maneuver::begin("b1", action, now, pose, &drive, way).unwrap();
         let mut limiter = Limiter::new(&drive);
         loop {
             now = now.plus_secs(0.02);
-            match behaviour.step(now, 0.02, pose, limiter.twist(), stopped) {
+            match maneuver.step(now, 0.02, pose, limiter.twist(), stopped) {
                 Step::Done(report) => return (report, pose),
                 Step::Go(twist) => {
                     let wheels = limiter.limit(if stopped { Twist2::ZERO } else { twist }, 0.02, Braking::Normal);
@@ -305,13 +304,13 @@ mod tests {
         );
         assert_eq!(
             (report.state, report.reason.as_deref()),
-            (BehaviourState::Failed, Some("something is in the way"))
+            (BehaviourState::Failed, Some("obstacle in the way"))
         );
     }
 
     #[test]
     fn nonsense_is_refused() {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         for action in [
             BehaviourAction::Spin { angle: f64::NAN },
             BehaviourAction::Drive {
