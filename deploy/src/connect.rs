@@ -16,7 +16,7 @@ use crate::failure::Failure;
 
 /// Where the router is unless told otherwise: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Where the first robot of a machine listens itself unless told otherwise (`single.toml`).
+/// Where the robot of the default deployment listens itself.
 pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// How long to look for a robot that does not show at once: it may just be starting.
