@@ -43,7 +43,6 @@ pub(super) fn search(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::Cell;
     use zenav_protocol::robot::Footprint;
 
     use super::*;
