@@ -55,7 +55,7 @@ pub(super) struct ShowArgs {
     /// Pixels of the longer side
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(64..=8192))]
     size: u32,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -93,7 +93,10 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
         .map(|c| if c.is_alphanumeric() { c } else { '_' })
         .collect();
     let picture = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.png")));
-    if picture.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+    if picture
+        .extension()
+        .is_none_or(|ending| !ending.eq_ignore_ascii_case("png"))
+    {
         return Err(Failure::usage(format!(
             "--out {}: expected a name that ends with .png",
             picture.display()
