@@ -253,7 +253,8 @@ fn a_search_ends_with_its_budget_and_when_it_is_told_to() {
             planner,
             &query,
             Budget {
-                                cancel: Some(&cancel),
+                cancel: Some(&cancel),
+                ..Budget::UNLIMITED
             },
         );
         assert_eq!((cancelled.result, cancelled.expansions), (Err(NotFound::TimedOut), 0));
