@@ -1,4 +1,4 @@
-//! Where do requests of clients and of other missions come in, and how is each answered?
+//! Requests. Where do requests of clients and of other missions arrive, and how is each answered?
 
 use zenav_protocol::bus::{Bus, BusError, Request as Query, Server};
 use zenav_protocol::messages::*;
@@ -6,8 +6,8 @@ use zenav_protocol::topics;
 
 use zenav_mission::io::{Request, Response};
 
-/// Where clients' requests come in.
-pub(super) struct Desk {
+/// The servers of a mission's keys.
+pub(super) struct RequestServers {
     goal: Server<GoalRequest, GoalReply>,
     cancel: Server<CancelRequest, GoalReply>,
     pause: Server<PauseRequest, GoalReply>,
@@ -16,8 +16,8 @@ pub(super) struct Desk {
     join: Server<JoinRequest, JoinReply>,
 }
 
-/// A client that waits for its answer.
-pub(super) enum Waiting {
+/// A request that waits for its answer.
+pub(super) enum Pending {
     Goal(Query<GoalRequest, GoalReply>),
     Cancel(Query<CancelRequest, GoalReply>),
     Pause(Query<PauseRequest, GoalReply>),
@@ -26,7 +26,7 @@ pub(super) enum Waiting {
     Join(Query<JoinRequest, JoinReply>),
 }
 
-impl Desk {
+impl RequestServers {
     /// Serves a robot's keys.
     pub(super) fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
         let name = [robot];
@@ -41,19 +41,19 @@ impl Desk {
     }
 
     /// The next request; `None` when the bus was closed.
-    pub(super) async fn next(&mut self) -> Option<Waiting> {
+    pub(super) async fn next(&mut self) -> Option<Pending> {
         tokio::select! {
-            request = self.goal.next() => request.map(Waiting::Goal),
-            request = self.cancel.next() => request.map(Waiting::Cancel),
-            request = self.pause.next() => request.map(Waiting::Pause),
-            request = self.goals.next() => request.map(Waiting::Goals),
-            request = self.info.next() => request.map(Waiting::Info),
-            request = self.join.next() => request.map(Waiting::Join),
+            request = self.goal.next() => request.map(Pending::Goal),
+            request = self.cancel.next() => request.map(Pending::Cancel),
+            request = self.pause.next() => request.map(Pending::Pause),
+            request = self.goals.next() => request.map(Pending::Goals),
+            request = self.info.next() => request.map(Pending::Info),
+            request = self.join.next() => request.map(Pending::Join),
         }
     }
 }
 
-impl Waiting {
+impl Pending {
     pub(super) fn request(&self) -> Request {
         match self {
             Self::Goal(query) => Request::Goal(Box::new(query.body.clone())),
@@ -73,11 +73,11 @@ impl Waiting {
             (Self::Goals(query), Ok(Response::Goals(reply))) => query.reply(&reply),
             (Self::Info(query), Ok(Response::Info(reply))) => query.reply(&reply),
             (Self::Join(query), Ok(Response::Join(reply))) => query.reply(&reply),
-            (waiting, answer) => {
+            (pending, answer) => {
                 let refusal = answer.err().unwrap_or_else(|| Refusal::Internal {
                     reason: "an answer of another kind".to_owned(),
                 });
-                match waiting {
+                match pending {
                     Self::Goal(query) => query.refuse(&refusal),
                     Self::Cancel(query) => query.refuse(&refusal),
                     Self::Pause(query) => query.refuse(&refusal),
