@@ -1,4 +1,4 @@
-//! Where does a lidar look, and where do the beams of one of its sweeps go?
+//! Field of view and scan projection. Which directions does a lidar see, and where do the beams of a scan lie in the odometry frame?
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -6,18 +6,18 @@ use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
-/// A pose made ready for many points: sine and cosine are taken once.
+/// A pose for transforming many points: sine and cosine are computed once.
 pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
 }
 
-/// The directions that a lidar looks in, in its own frame.
+/// The directions that a lidar sees, in its own frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FieldOfView {
-    /// Of the first and of the last beam.
+    /// Directions of the first and of the last beam.
     first: Vector2<f64>,
     last: Vector2<f64>,
-    /// Angle that is never seen, rad; a gap of a beam is none.
+    /// Opening of the blind spot, rad; a gap of about a beam's spacing is none.
     gap: f64,
 }
 
@@ -35,12 +35,12 @@ impl FieldOfView {
     }
 
     /// Whether some directions are never seen.
-    pub(crate) fn has_blind_sector(&self) -> bool {
+    pub(crate) fn has_blind_spot(&self) -> bool {
         self.gap > 0.0
     }
 
-    /// Whether nothing in this direction is ever seen.
-    pub(crate) fn is_blind(&self, local: Vector2<f64>) -> bool {
+    /// Whether this direction is never seen.
+    pub(crate) fn in_blind_spot(&self, local: Vector2<f64>) -> bool {
         let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
         if self.gap <= std::f64::consts::PI {
             self.gap > 0.0 && after_last && before_first
@@ -49,12 +49,12 @@ impl FieldOfView {
         }
     }
 
-    /// Distance of a place from the sector that is never seen, m: zero within it, infinite where there is none.
-    pub(crate) fn off_the_blind(&self, local: Vector2<f64>) -> f64 {
-        if !self.has_blind_sector() {
+    /// Distance of a place from the blind spot, m: zero inside it, infinite where there is none.
+    pub(crate) fn distance_to_blind_spot(&self, local: Vector2<f64>) -> f64 {
+        if !self.has_blind_spot() {
             return f64::INFINITY;
         }
-        if self.is_blind(local) {
+        if self.in_blind_spot(local) {
             return 0.0;
         }
         let off = |edge: &Vector2<f64>| {
@@ -68,27 +68,27 @@ impl FieldOfView {
     }
 }
 
-/// A sweep laid out in the odometry frame.
+/// A scan in the odometry frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ProjectedScan<'a> {
     /// When it was taken.
     pub(crate) stamp: Stamp,
-    /// Where the lidar was.
+    /// Pose of the lidar.
     pub(crate) odom_from_laser: Isometry2<f64>,
-    /// One a beam, m.
+    /// Range of each beam, m.
     pub(crate) ranges: &'a [f32],
-    /// Directions of the beams in the odometry frame, as many as ranges.
+    /// Direction of each beam in the odometry frame.
     pub(crate) rays: &'a [Vector2<f64>],
 }
 
 impl ProjectedScan<'_> {
-    /// Where the lidar was, odometry frame.
+    /// Position of the lidar, odometry frame.
     pub(crate) fn laser(&self) -> Point2<f64> {
         self.odom_from_laser.translation.vector.into()
     }
 }
 
-/// Lays sweeps out: the directions of the beams are reckoned once.
+/// Projects scans into the odometry frame; the directions of the beams are computed once.
 #[derive(Clone, Debug)]
 pub(crate) struct ScanProjector {
     mount: Pose2,
@@ -109,8 +109,8 @@ impl ScanProjector {
         }
     }
 
-    /// A sweep of a robot at `odom_from_base`; `None` for another number of beams.
-    pub(crate) fn cast<'a>(&'a mut self, sweep: &'a Sweep, odom_from_base: Pose2) -> Option<ProjectedScan<'a>> {
+    /// Projects a scan of a robot at `odom_from_base`; `None` for another number of beams.
+    pub(crate) fn project<'a>(&'a mut self, sweep: &'a Sweep, odom_from_base: Pose2) -> Option<ProjectedScan<'a>> {
         if sweep.ranges.len() != self.beams.len() {
             return None;
         }

@@ -1,4 +1,5 @@
-//! What stands around the robot, and what of it moves? The newest sweep, and in the lidar's blind sector what earlier sweeps saw.
+//! Local obstacle memory. Which obstacles are around the robot, and which of them move? The newest scan, and in the lidar's blind spot what
+//! earlier scans saw.
 //!
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
 
@@ -13,96 +14,107 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
+use crate::settings::EdgeSettings;
 
-/// Remembered points farther off than this are let go, m.
+/// Remembered points beyond this distance are dropped, m.
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
-/// Remembered points at most.
+/// Most points remembered.
 const MEMORY_POINTS: usize = 2048;
-/// After so long without a sweep somebody may have come up where the lidar does not look, s.
+/// After this long without a scan somebody may have entered the blind spot, s.
 const SILENCE: f64 = 0.5;
-/// Remembered points closer together than this say nothing more, m.
+/// Least spacing of remembered points, m.
 const SPACING: f64 = 0.02;
 
-/// Obstacle points around the robot.
+/// Obstacle points around the robot, static and moving, and the floor known in the blind spot.
 #[derive(Clone, Debug)]
 pub struct LocalObstacles {
     lidar: LidarModel,
     view: FieldOfView,
-    caster: ScanProjector,
+    projector: ScanProjector,
+    /// Top speed of the robot, m/s.
+    fastest: f64,
     stamp: Option<Stamp>,
     seen: Vec<Point2<f64>>,
-    /// What was seen in what is the blind sector now, until it is seen again or left behind.
+    /// Points that are in the blind spot now, until they are seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
-    intruders: MovingObstacles,
-    trodden: BlindSpotGrid,
+    moving: MovingObstacles,
+    blind_spots: BlindSpotGrid,
 }
 
 impl LocalObstacles {
-    /// Nothing seen yet. Nothing moves faster than `fastest`, m/s.
+    /// No scan yet. Nothing moves faster than `fastest`, m/s.
     #[must_use]
     pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
         Self {
             lidar: lidar.clone(),
             view: FieldOfView::new(lidar),
-            caster: ScanProjector::new(lidar),
+            projector: ScanProjector::new(lidar),
+            fastest,
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
-            intruders: MovingObstacles::new(lidar, footprint, fastest),
-            trodden: BlindSpotGrid::new(lidar, footprint),
+            moving: MovingObstacles::new(lidar, footprint, fastest),
+            blind_spots: BlindSpotGrid::new(lidar, footprint),
         }
     }
 
-    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
-    /// number of beams, or not newer than the last, is not.
+    /// The same with other tunables than the defaults.
+    #[must_use]
+    pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
+        self.moving = self.moving.with_settings(settings, self.fastest);
+        self
+    }
+
+    /// Takes a scan with the robot's odometry at the scan's stamp. Returns whether it was used: not with another number of beams, or not
+    /// newer than the last.
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
         if self.stamp.is_some_and(|last| sweep.stamp <= last) {
             return false;
         }
-        let Some(cast) = self.caster.cast(sweep, odom_from_base) else {
+        let Some(scan) = self.projector.project(sweep, odom_from_base) else {
             return false;
         };
-        if self.view.has_blind_sector() {
+        if self.view.has_blind_spot() {
             if self.stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
-                self.intruders.lose_at(odom_from_base.position(), sweep.stamp);
+                self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
             remember(
                 &mut self.remembered,
                 &self.seen,
                 self.view,
-                cast.odom_from_laser.inverse(),
+                scan.odom_from_laser.inverse(),
             );
         }
         self.seen.clear();
-        let laser = cast.laser();
-        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
+        let laser = scan.laser();
+        for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            // Written so that NaN is no return.
+            // NaN compares false: no return.
             if range >= self.lidar.range_min && range <= self.lidar.range_max {
                 self.seen.push(laser + ray * range);
             }
         }
-        self.intruders.insert(&cast);
-        self.trodden.insert(&cast);
+        self.moving.insert(&scan);
+        self.blind_spots.insert(&scan);
         self.stamp = Some(sweep.stamp);
         true
     }
 
-    /// Something was felt at a place (base frame): where nobody looks it counts as something that moves.
+    /// The bumper was touched at a place (base frame): in the blind spot that counts as a moving obstacle.
     pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
         let local = self.lidar.mount.inverse().transform_point(place).coords;
-        if self.view.is_blind(local) {
-            self.intruders.lose_at(odom_from_base.transform_point(place), now);
+        if self.view.in_blind_spot(local) {
+            self.moving.note_occlusion(odom_from_base.transform_point(place), now);
         }
     }
 
-    /// Age of the newest sweep, s; `None` before the first.
+    /// Age of the newest scan, s; `None` before the first.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<f64> {
         self.stamp.map(|stamp| now.secs_since(stamp))
     }
 
-    /// When the newest sweep was taken.
+    /// Stamp of the newest scan.
     #[must_use]
     pub fn stamp(&self) -> Option<Stamp> {
         self.stamp
@@ -117,26 +129,26 @@ impl LocalObstacles {
             .map(move |point| base_from_odom * point)
     }
 
-    /// The newest sweep's points in another frame.
+    /// The newest scan's points in another frame.
     pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let frame_from_odom = rigid(frame_from_odom);
         self.seen.iter().map(move |point| frame_from_odom * point)
     }
 
-    /// What of the newest sweep moves.
+    /// The moving ones among them.
     #[must_use]
-    pub fn intruders(&self) -> &MovingObstacles {
-        &self.intruders
+    pub fn moving(&self) -> &MovingObstacles {
+        &self.moving
     }
 
-    /// What of the floor is known to be free where the lidar does not look.
+    /// The floor known to be free in the blind spot.
     #[must_use]
-    pub fn trodden(&self) -> &BlindSpotGrid {
-        &self.trodden
+    pub fn blind_spots(&self) -> &BlindSpotGrid {
+        &self.blind_spots
     }
 }
 
-/// Keeps of all known points those that the lidar cannot see from here.
+/// Keeps those known points that are in the blind spot from here.
 fn remember(
     remembered: &mut VecDeque<Point2<f64>>,
     seen: &[Point2<f64>],
@@ -145,7 +157,7 @@ fn remember(
 ) {
     let blind = |point: &Point2<f64>| {
         let local = (laser_from_odom * point).coords;
-        view.is_blind(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+        view.in_blind_spot(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
     };
     remembered.retain(blind);
     let mut last = Point2::new(f64::INFINITY, 0.0);
@@ -183,47 +195,47 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
+    fn a_point_that_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        assert!(obstacles.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
-        let points: Vec<_> = around.in_base(behind).collect();
+        assert!(obstacles.insert(&sweep(&lidar, 1.1, None), behind));
+        let points: Vec<_> = obstacles.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(around.insert(&sweep(&lidar, 100.0, None), behind));
-        assert_eq!(around.in_base(behind).count(), 1, "nobody has looked again");
+        assert!(obstacles.insert(&sweep(&lidar, 100.0, None), behind));
+        assert_eq!(obstacles.in_base(behind).count(), 1, "nobody has looked again");
         let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&lidar, 110.0, None), gone));
-        assert_eq!(around.in_base(gone).count(), 0);
+        assert!(obstacles.insert(&sweep(&lidar, 110.0, None), gone));
+        assert_eq!(obstacles.in_base(gone).count(), 0);
     }
 
     #[test]
-    fn what_the_lidar_sees_again_is_not_remembered() {
+    fn a_point_back_in_view_is_not_remembered() {
         let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
-        around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
-        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        obstacles.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        obstacles.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
+        assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
     }
 
     #[test]
-    fn a_broken_sweep_is_no_sweep() {
+    fn a_malformed_scan_is_ignored() {
         let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(!around.insert(
+        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
+        assert!(!obstacles.insert(
             &Sweep {
                 stamp: Stamp(5),
                 ranges: vec![1.0; 3]
             },
             Pose2::IDENTITY
         ));
-        assert_eq!(around.age(Stamp(6)), None);
-        assert!(around.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
-        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        assert_eq!(obstacles.age(Stamp(6)), None);
+        assert!(obstacles.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
         assert!(
-            !around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
+            !obstacles.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
             "the same stamp twice"
         );
     }

@@ -1,26 +1,22 @@
-//! What does the robot publish, and how often?
+//! Telemetry. What does the robot publish, and how often?
 
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{EventKind, Odometry, PoseEstimate, Scan};
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::LidarModel;
 use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
 use crate::estimator::{Estimator, Tally};
+use crate::settings::TelemetrySettings;
 
-/// Period of the state, s.
-const STATE: f64 = 0.1;
-/// Period of markers, s.
-const MARKER: f64 = 0.2;
-/// Period of what hardly changes (battery, contact), s.
-const SLOW: f64 = 1.0;
 /// Least time between two events about dropped inputs, s.
 const DROPPED: f64 = 10.0;
 
-/// The schedule.
+/// When each message is due.
 #[derive(Clone, Debug, Default)]
 pub struct Telemetry {
+    settings: TelemetrySettings,
     state: Due,
     marker: Due,
     slow: Due,
@@ -33,7 +29,7 @@ pub struct Telemetry {
 struct Due(Stamp);
 
 impl Due {
-    /// Whether it is time; the next time is one period later, or later still after a pause.
+    /// Whether a message is due; the next one is due a period later, or later still after a pause.
     fn now(&mut self, now: Stamp, period: f64) -> bool {
         let due = now >= self.0;
         if due {
@@ -45,7 +41,16 @@ impl Due {
 }
 
 impl Telemetry {
-    /// The sensors' and the estimator's messages of one tick.
+    /// Everything is due at once.
+    #[must_use]
+    pub fn new(settings: &TelemetrySettings) -> Self {
+        Self {
+            settings: settings.clone(),
+            ..Self::default()
+        }
+    }
+
+    /// The messages of sensors and estimator of one tick.
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
@@ -63,7 +68,7 @@ impl Telemetry {
         }));
         out.extend(readings.imu.clone().map(Publication::Imu));
         out.extend(readings.gps.clone().map(Publication::Gps));
-        let slow = self.slow.now(now, SLOW);
+        let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;
             out.push(Publication::Bump(readings.bump.clone()));
@@ -73,7 +78,7 @@ impl Telemetry {
         }
     }
 
-    /// Whether more inputs were dropped than was told, and it is time to tell.
+    /// An event when more inputs were dropped since the last one, at most one in a while.
     pub fn dropped(&mut self, now: Stamp, tally: Tally) -> Option<EventKind> {
         let Tally { too_late, broken, .. } = tally;
         if self.told == (too_late, broken) || !self.dropped.now(now, DROPPED) {
@@ -85,16 +90,16 @@ impl Telemetry {
 
     /// Whether the state is due.
     pub fn state_due(&mut self, now: Stamp) -> bool {
-        self.state.now(now, STATE)
+        self.state.now(now, self.settings.state_period)
     }
 
     /// Whether markers are due.
     pub fn marker_due(&mut self, now: Stamp) -> bool {
-        self.marker.now(now, MARKER)
+        self.marker.now(now, self.settings.marker_period)
     }
 }
 
-/// A sweep as a message, with the poses at its own stamp; `None` when that is too long ago to know them.
+/// A scan as a message, with the poses at its own stamp; `None` when that is too long ago to know them.
 #[must_use]
 pub fn scan(sweep: &Sweep, lidar: &LidarModel, estimator: &Estimator) -> Option<Scan> {
     Some(Scan {
@@ -115,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropped_inputs_are_told_at_once_and_not_again_until_there_are_more_and_some_time_has_passed() {
+    fn dropped_inputs_are_reported_at_once_and_then_only_when_there_are_more_and_some_time_has_passed() {
         let mut telemetry = Telemetry::default();
         let mut told = Vec::new();
         for second in 1..40 {

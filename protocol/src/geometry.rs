@@ -53,7 +53,7 @@ impl Pose2 {
         }
     }
 
-    /// The position alone.
+    /// Position of the pose, without its yaw.
     #[must_use]
     pub fn position(&self) -> Point2<f64> {
         Point2::new(self.x, self.y)
@@ -92,6 +92,25 @@ impl Pose2 {
     #[must_use]
     pub fn distance(&self, other: &Self) -> f64 {
         (self.x - other.x).hypot(self.y - other.y)
+    }
+
+    /// Linear between two poses of one frame, the heading the shorter way round: `share` 0 is this pose, 1 is `to`.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let (from, to) = (Pose2::new(0.0, 0.0, 3.1), Pose2::new(1.0, 2.0, -3.1));
+    /// let middle = from.interpolate(&to, 0.5);
+    /// assert_eq!((middle.x, middle.y), (0.5, 1.0));
+    /// assert!(middle.yaw.abs() > 3.14);
+    /// ```
+    #[must_use]
+    pub fn interpolate(&self, to: &Self, share: f64) -> Self {
+        Self::new(
+            self.x + share * (to.x - self.x),
+            self.y + share * (to.y - self.y),
+            self.yaw + share * wrap_angle(to.yaw - self.yaw),
+        )
     }
 
     /// The pose after driving `twist` for `secs` along an arc (exact for constant velocities).
@@ -146,14 +165,14 @@ impl From<Isometry2<f64>> for Pose2 {
 /// Velocity of a differential-drive base in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist2 {
-    /// Forward speed, m/s.
+    /// Forward speed of the base, m/s.
     pub v: f64,
     /// Yaw rate, rad/s, counter-clockwise positive.
     pub w: f64,
 }
 
 impl Twist2 {
-    /// At rest.
+    /// The twist of a base at rest.
     pub const ZERO: Self = Self { v: 0.0, w: 0.0 };
 
     /// A twist from m/s and rad/s.

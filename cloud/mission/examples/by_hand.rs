@@ -4,10 +4,11 @@
 //! `cargo run -p zenav-mission --example by_hand`
 #![allow(clippy::print_stdout, reason = "an example")]
 
-use zenav_mission::{Answer, Ask, Client, Effect, Inputs, Mission, MissionConfig, Request, Restored};
+use zenav_mission::{Answer, Ask, Client, Effect, Inputs, Mission, MissionConfig, Restored};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalRequest, LeaseReply};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::MissionRequest;
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
     <Sequence><Wait name="settle" wait_duration="0.2"/><ScriptCondition code="cups == 2"/></Sequence>
@@ -23,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..GoalRequest::default()
     };
     let mut inputs = Inputs {
-        requests: vec![(Client(1), Request::Goal(Box::new(goal)))],
+        requests: vec![(Client(1), MissionRequest::Goal(goal))],
         ..Inputs::default()
     };
     for step in 0..40 {

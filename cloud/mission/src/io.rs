@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::records::Record;
 
@@ -31,37 +32,7 @@ pub struct Inputs {
     /// Answers to the mission's requests.
     pub answers: Vec<(Ticket, Result<Answer, NoAnswer>)>,
     /// Clients' requests.
-    pub requests: Vec<(Client, Request)>,
-}
-
-/// A client's request.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Request {
-    /// A goal.
-    Goal(Box<GoalRequest>),
-    /// Cancel a goal.
-    Cancel(CancelRequest),
-    /// Pause a goal, or resume it.
-    Pause(PauseRequest),
-    /// List goals.
-    Goals(GoalsRequest),
-    /// Identify the mission.
-    Info(InfoRequest),
-    /// From another mission: replicate the store to it from now on.
-    Join(JoinRequest),
-}
-
-/// The answer to a client's request.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Response {
-    /// To a goal, cancel or pause.
-    Goal(GoalReply),
-    /// To a list of goals.
-    Goals(GoalsReply),
-    /// To an info request.
-    Info(Box<InfoReply>),
-    /// To a standby that joins.
-    Join(JoinReply),
+    pub requests: Vec<(Client, MissionRequest)>,
 }
 
 /// A request of the mission's to another part.
@@ -144,7 +115,7 @@ pub enum Effect {
     /// Ask.
     Ask(Ticket, Ask),
     /// Answer a client.
-    Reply(Client, Result<Response, Refusal>),
+    Reply(Client, Result<MissionReply, Refusal>),
     /// Another mission leads: drop this one, and follow the leader's journal until this store may lead again.
     StandBy,
     /// Stop for good: this mission and the robot speak different schema versions.

@@ -155,7 +155,7 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use zenav_mapping::{Mapper, MapperConfig};
+    use zenav_mapping::{Mapper, MappingSettings};
 
     fn scan(stamp: u64, x: f64) -> Scan {
         Scan {
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn a_space_kept_by_patches_is_that_of_the_map() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let mut map = RobotMap::default();
         let footprint = Footprint::Radius(0.3);
         for step in 1..30 {
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_replica_without_a_mapper_goes_stale() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let mut map = RobotMap::default();
         let at = Stamp::from_secs;
         assert_eq!(map.unusable(at(1.0), 10.0).as_deref(), Some("no map has come yet"));
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn a_replica_with_a_gap_requests_the_whole_map() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}

@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::config::MissionConfig;
 use super::context::{ActiveGoal, Context};
 use super::goal_validation::{self, Target};
 use super::goals::GoalTable;
-use super::io::{Client, Effect, Inputs, Request, Response};
+use super::io::{Client, Effect, Inputs};
 use super::leaves::{goal_text, goals_value};
 use super::publishing::Published;
 use super::records::{Restored, RunningTree, StoredGoal};
@@ -31,7 +32,7 @@ pub struct Mission {
     pub(super) running: Option<Running>,
     /// The tree that ran before a restart, until its goal is active again.
     restored_tree: Option<RunningTree>,
-    pub(super) replies: Vec<(Client, Result<Response, Refusal>)>,
+    pub(super) replies: Vec<(Client, Result<MissionReply, Refusal>)>,
     pub(super) tree_ended: bool,
     pub(super) published: Published,
 }
@@ -137,7 +138,7 @@ impl Mission {
     }
 
     /// The step of a standby: it requests the lease, and answers clients that it does not lead.
-    fn stand_by(&mut self, requests: Vec<(Client, Request)>, mut effects: Vec<Effect>) -> Vec<Effect> {
+    fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>, mut effects: Vec<Effect>) -> Vec<Effect> {
         for (client, request) in requests {
             let reply = self.serve(request);
             effects.push(Effect::Reply(client, reply));

@@ -4,13 +4,13 @@
 //! program reads an older one's file. A batch can be applied to a standby's store as well; what the file says of itself (its name, its
 //! leadership) never leaves it.
 
-use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::{Path, PathBuf};
 
 use redb::{Database, DatabaseError, ReadableDatabase, ReadableTable, Table, TableDefinition};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::JournalWrite;
 
 use super::records::{Leadership, Record, Restored, StoredGoal};
@@ -121,8 +121,7 @@ impl Store {
             match self.single(&own, NAME)? {
                 Some(name) => name,
                 None => {
-                    let random = std::hash::RandomState::new().build_hasher().finish();
-                    let name = format!("{random:016x}");
+                    let name = String::from(Id::unique());
                     self.insert(&mut own, NAME, &name)?;
                     name
                 }

@@ -1,11 +1,11 @@
 //! Standby. What does it do, and when may it lead? It applies its leader's journal; when the lease has lapsed and the robot lists it
 //! among the stores that have caught up, it requests to lead.
 
-use std::hash::{BuildHasher as _, Hasher as _};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::bus::BusError;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -36,7 +36,7 @@ impl JournalPosition {
     /// The beginning of a fresh session.
     fn anew() -> Self {
         Self {
-            session: format!("{:016x}", std::hash::RandomState::new().build_hasher().finish()),
+            session: Id::unique().into(),
             position: 0,
         }
     }
@@ -63,7 +63,7 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
     loop {
         tokio::select! {
             () = service.shutdown.wait() => return Ok(Turn::Over),
-            request = service.servers.next() => {
+            request = service.requests.next() => {
                 let Some(request) = request else { return Err(BusError::Closed.into()) };
                 service.answer_as_standby(request);
             }

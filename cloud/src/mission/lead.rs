@@ -8,7 +8,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
 use zenav_protocol::messages::*;
-use zenav_protocol::topics;
+use zenav_protocol::topics::{self, MissionRequest};
 
 use super::requests::Pending;
 use super::standbys::Standbys;
@@ -65,7 +65,7 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
                 break;
             }
             _ = ticks.tick() => {}
-            request = service.servers.next() => match request {
+            request = service.requests.next() => match request {
                 Some(request) => shell.receive(request, &mut inputs),
                 None => return Err(BusError::Closed.into()),
             },
@@ -118,7 +118,7 @@ async fn another_leads(service: &mut Service) -> bool {
         let others = loop {
             tokio::select! {
                 others = &mut called => break others,
-                Some(request) = service.servers.next() => service.answer_as_standby(request),
+                Some(request) = service.requests.next() => service.answer_as_standby(request),
             }
         };
         let yields = others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
@@ -213,7 +213,7 @@ impl Shell {
     fn receive(&mut self, pending: Pending, inputs: &mut Inputs) {
         self.next_client += 1;
         let client = Client(self.next_client);
-        inputs.requests.push((client, pending.request()));
+        inputs.requests.push((client, pending.request.clone()));
         self.clients.insert(client, pending);
     }
 
@@ -307,10 +307,10 @@ impl Shell {
                 Effect::Ask(ticket, ask) => self.ask(ticket, ask),
                 Effect::Reply(client, answer) => {
                     if let Some(pending) = self.clients.remove(&client) {
-                        if let (Pending::Join(query), Ok(_)) = (&pending, &answer) {
-                            self.standbys.join(&query.body).await?;
+                        if let (MissionRequest::Join(request), Ok(_)) = (&pending.request, &answer) {
+                            self.standbys.join(request).await?;
                         }
-                        pending.answer(answer);
+                        pending.responder.send(answer);
                     }
                 }
                 Effect::StandBy => return Err(End::Deposed),
@@ -345,7 +345,7 @@ impl Shell {
     /// Refuses every pending request with `NotLeader`.
     fn dismiss(&mut self) {
         for (_, pending) in std::mem::take(&mut self.clients) {
-            pending.answer(Err(Refusal::NotLeader));
+            pending.responder.send(Err(Refusal::NotLeader));
         }
     }
 

@@ -24,12 +24,11 @@ use std::sync::Arc;
 use thiserror::Error;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
-use zenav_protocol::messages::*;
-use zenav_protocol::topics;
+use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
+use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
-use requests::{Pending, RequestServers};
+use requests::{Pending, Requests};
 use zenav_mission::config::MissionConfig;
-use zenav_mission::io::{Request, Response};
 use zenav_mission::store::{Store, StoreError};
 
 /// Why a mission ended on its own.
@@ -79,7 +78,7 @@ struct Service {
     clock: Clock,
     config: MissionConfig,
     store: Arc<Store>,
-    servers: RequestServers,
+    requests: Requests,
     /// Where the leader's journal arrives.
     journal: Server<JournalEntry, JournalReply>,
     /// Offset of the last leader's time to this clock, ns.
@@ -89,19 +88,19 @@ struct Service {
 
 impl Service {
     /// Answers requests while this mission is a standby: identity only, everything else is refused with `NotLeader`.
-    fn answer_as_standby(&self, request: Pending) {
-        let answer = match request.request() {
-            Request::Info(_) => Ok(Response::Info(Box::new(InfoReply {
+    fn answer_as_standby(&self, call: Pending) {
+        let reply = match call.request {
+            MissionRequest::Info(_) => Ok(MissionReply::Info(InfoReply {
                 component: "mission".to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 schema: SCHEMA_VERSION,
                 robot: self.config.robot.to_string(),
                 store: Some(self.store.name().to_owned()),
                 ..InfoReply::default()
-            }))),
+            })),
             _ => Err(Refusal::NotLeader),
         };
-        request.answer(answer);
+        call.responder.send(reply);
     }
 }
 
@@ -115,7 +114,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
     let robot = config.robot.as_str();
     let _alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]))?;
     let mut service = Service {
-        servers: RequestServers::open(&bus, robot)?,
+        requests: Requests::open(&bus, robot)?,
         journal: bus.serve(&topics::JOURNAL, &[robot, store.name()])?,
         bus,
         clock,

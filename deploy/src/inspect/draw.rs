@@ -1,4 +1,4 @@
-//! How does a map look in a terminal? Half-block characters, two cells' heights to a row, scaled to a width; the robot as an arrow.
+//! Map in a terminal. How is it drawn? Half-block characters, two cells' heights to a row, scaled to a width; the robot as an arrow.
 //! Pure: text out of a grid.
 
 use nalgebra::Point2;

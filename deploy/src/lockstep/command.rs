@@ -1,4 +1,4 @@
-//! What does `zenav run` do? One goal in a world, from a seed, to its end; the report is the simulator's truth.
+//! `zenav run`: one goal in a world, from a seed, to its end. The report is the simulator's truth.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -13,6 +13,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
@@ -59,13 +60,13 @@ pub struct RunArgs {
     /// Mean delay from scan to plan, ms
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
-    /// What motions are to be good at, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Write the driven way as CSV `t,x,y,yaw,v,w`
+    /// Write the driven path as CSV `t,x,y,yaw,v,w`
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
-    /// Form of the report
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -80,7 +81,7 @@ pub enum RunOutcome {
     Timeout,
     /// The robot touched something.
     Collision,
-    /// The mission found no way.
+    /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,
@@ -141,7 +142,7 @@ pub fn run(args: &RunArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let model = files::robot(&args.robot)?;
     let mut stage = stage(args, &world, &model)?;
-    let mut rows = String::from("t,x,y,yaw,v,w\n");
+    let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
     let report = drive(args, &mut stage, &mut rows);
     if let Some(file) = &args.trajectory {
         std::fs::write(file, rows).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
@@ -232,16 +233,7 @@ fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport
         let truth = stage.truth();
         let (pose, twist) = (truth.map_from_base, truth.twist);
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            rows,
-            "{},{},{},{},{},{}",
-            stage.now().as_secs(),
-            pose.x,
-            pose.y,
-            pose.yaw,
-            twist.v,
-            twist.w
-        );
+        let _ = writeln!(rows, "{}", TrajectoryPoint::new(stage.now().as_secs(), pose, twist));
         if truth.collisions > 0 {
             break RunOutcome::Collision;
         }

@@ -86,7 +86,7 @@ fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_met
                 ..TrajectoryPoint::default()
             }
         });
-        let plan = rig.plan(&[], points.collect());
+        let plan = rig.plan(&[], points.collect::<Vec<_>>());
         let secs = rig.drive(plan, 15.0, |_| {});
         let truth = rig.truth();
         let guard: Vec<_> = rig

@@ -232,12 +232,9 @@ impl SyncLeaf for ValidatePath {
         }
         if let Some(route) = route {
             let trajectory = &route.course.trajectory;
-            let from = trajectory
-                .iter()
-                .min_by(|a, b| a.pose().distance(&pose).total_cmp(&b.pose().distance(&pose)))
-                .map_or(0.0, |point| point.t);
+            let from = trajectory.nearest_ahead(0.0, pose.position(), f64::INFINITY).t;
             if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from) {
-                let at = crate::route::sample(trajectory, from + ahead);
+                let at = trajectory.sample(from + ahead);
                 collisions.push([at.x, at.y]);
             }
         }

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::rig::{Rig, to};
-use crate::Response;
 
 #[test]
 fn a_goal_once_acknowledged_survives_a_restart_and_ends_once() {
@@ -46,14 +46,13 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
-    rig.answer(super::super::Request::Pause(PauseRequest::default()))
-        .unwrap();
+    rig.answer(MissionRequest::Pause(PauseRequest::default())).unwrap();
     rig.kill();
     rig.start();
     let before = rig.plans.len();
     rig.run(10.0);
     assert_eq!((rig.state("a"), rig.plans.len()), (GoalPhase::Paused, before));
-    rig.answer(super::super::Request::Pause(PauseRequest {
+    rig.answer(MissionRequest::Pause(PauseRequest {
         resume: true,
         ..PauseRequest::default()
     }))
@@ -65,7 +64,7 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
 #[test]
 fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_under_its_own_lease_alone() {
     let cancel = || {
-        super::super::Request::Cancel(CancelRequest {
+        MissionRequest::Cancel(CancelRequest {
             id: Some("b".into()),
             request_id: Some("cancel-b".into()),
         })
@@ -78,7 +77,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
         let mut acknowledged: BTreeMap<String, GoalRequest> = BTreeMap::new();
         let goals = [to(2.0, 0.0, "a"), to(2.0, 1.0, "b"), to(1.0, 0.0, "c")];
         for goal in &goals {
-            let client = rig.ask(super::super::Request::Goal(Box::new(goal.clone())));
+            let client = rig.ask(MissionRequest::Goal(goal.clone()));
             rig.run(0.1);
             if matches!(rig.replies.get(&client), Some(Ok(_))) {
                 acknowledged.insert(goal.id.clone().unwrap(), goal.clone());
@@ -96,7 +95,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 cancel_sent = Some(rig.ask(cancel()));
             }
             rig.step();
-            if let Some(Ok(Response::Goal(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
+            if let Some(Ok(MissionReply::Goal(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
                 assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
                 canceled = true;
             }
