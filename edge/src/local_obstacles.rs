@@ -177,10 +177,9 @@ fn remember(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn tiago() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+        zenav_fixtures::robot("tiago").lidar
     }
 
     fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {

@@ -332,10 +332,9 @@ mod tests {
     use super::*;
     use crate::field_of_view::ScanProjector;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn lidar() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+        zenav_fixtures::robot("tiago").lidar
     }
 
     /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
@@ -359,7 +358,7 @@ mod tests {
 
     #[test]
     fn a_departed_return_at_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
-        let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
+        let robot = zenav_fixtures::robot("neato");
         let lidar = robot.lidar;
         let mut tracked = MovingObstacles::new(&lidar, &robot.footprint, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {

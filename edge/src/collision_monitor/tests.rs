@@ -6,7 +6,6 @@ use super::*;
 use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::shipped;
 
 const NO_BUMP: Bump = Bump {
     stamp: Stamp::ZERO,
@@ -15,7 +14,7 @@ const NO_BUMP: Bump = Bump {
 };
 
 fn tiago() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
 }
 
 /// A TIAGo that looks all around.
@@ -165,7 +164,7 @@ fn another_reason_to_stop_is_reported_too() {
 }
 
 fn jackal() -> RobotModel {
-    RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+    zenav_fixtures::robot("jackal")
 }
 
 /// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.

@@ -2,7 +2,6 @@
 
 use proptest::prelude::*;
 use zenav_protocol::messages::{Battery, Bump};
-use zenav_protocol::robot::shipped;
 
 use super::measurement_buffer::WINDOW;
 use super::*;
@@ -13,7 +12,7 @@ const TICKS: usize = 200;
 const WINDOW_TICKS: usize = (WINDOW * 50.0) as usize;
 
 fn model() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
 }
 
 /// An estimator that knows its start to `std`, m and rad.

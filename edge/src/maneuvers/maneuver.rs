@@ -223,10 +223,9 @@ fn approach(left: f64, deceleration: f64, gain: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn run(action: &BehaviourAction, stopped: bool) -> (BehaviourReport, Pose2) {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         let mut pose = Pose2::new(1.0, 2.0, 3.0);
         let mut now = Stamp::from_secs(5.0);
         let way = |_, within: f64| {
@@ -305,7 +304,7 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         for action in [
             BehaviourAction::Spin { angle: f64::NAN },
             BehaviourAction::Drive {
