@@ -57,7 +57,7 @@ fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failu
 /// A planner by name; the error names those that there are.
 fn planner(name: &str) -> Result<Planner, String> {
     name.parse()
-        .map_err(|error: zenav_planning::planner::UnknownPlanner| error.to_string())
+        .map_err(|error: zenav_planning::UnknownPlanner| error.to_string())
 }
 
 /// A file of results: written line by line, complete once [`Results::finish`] was called. `-` is stdout.

@@ -17,6 +17,8 @@ use crate::connect::positive;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 
+/// Samples with which a path is improved at most: about 100 MB.
+const MOST_SAMPLES: u64 = 1_000_000;
 /// Relative difference up to which a path is as short as the optimum.
 const SAME: f64 = 1e-4;
 
@@ -75,6 +77,8 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     drop(grid);
     let mut searcher =
         Searcher::new(ground.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+    // Here the time limit ends a search, nobody waits for it.
+    searcher.sampling.improving = MOST_SAMPLES;
     let watchdog = args
         .time_limit_ms
         .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())

@@ -195,7 +195,6 @@ impl Host {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn host() -> Host {
         let text = "size = [10, 10]\n[start]\nx = 1\ny = 1\n";
@@ -207,7 +206,7 @@ mod tests {
     fn request(robot: &str, edge: u64) -> AttachRequest {
         AttachRequest {
             robot: robot.to_owned(),
-            model: RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap(),
+            model: zenav_fixtures::robot("neato"),
             start: None,
             edge,
         }
