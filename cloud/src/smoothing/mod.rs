@@ -137,6 +137,7 @@ mod tests {
                 Clock::wall(),
                 worker.clone(),
                 Arc::default(),
+                Default::default(),
                 shutdown.clone(),
             )),
             tokio::spawn(run(

@@ -93,7 +93,10 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
         .map(|c| if c.is_alphanumeric() { c } else { '_' })
         .collect();
     let picture = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.png")));
-    if picture.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+    if picture
+        .extension()
+        .is_none_or(|ending| !ending.eq_ignore_ascii_case("png"))
+    {
         return Err(Failure::usage(format!(
             "--out {}: expected a name that ends with .png",
             picture.display()

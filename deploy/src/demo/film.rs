@@ -107,7 +107,9 @@ impl Film {
                     () = ended.wait() => return Ok(moments),
                     _ = pace.tick() => {}
                 }
-                let asked = bus.ask(&topics::MAP, &[id.as_str()], &MapRequest::default(), MAP_WITHIN).await;
+                let asked = bus
+                    .ask(&topics::MAP, &[id.as_str()], &MapRequest::default(), MAP_WITHIN)
+                    .await;
                 let map = asked.ok().and_then(|reply| reply.grid().ok()).map(Arc::new);
                 let last = moments.last();
                 let Some(map) = map.or_else(|| last.map(|last| Arc::clone(&last.map))) else {
@@ -171,7 +173,11 @@ impl Film {
         let footprint = files::robot(self.robot)?.footprint;
         let count = moments.len().min(MOST);
         let bytes = encode(count, MILLIS, |index| {
-            let last = if count > 1 { index * (moments.len() - 1) / (count - 1) } else { 0 };
+            let last = if count > 1 {
+                index * (moments.len() - 1) / (count - 1)
+            } else {
+                0
+            };
             self.picture(moments.get(..=last).unwrap_or_default(), &footprint)
         })?;
         write(&self.file, bytes)?;

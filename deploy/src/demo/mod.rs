@@ -272,7 +272,10 @@ async fn play(
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
     let referee = parts.edge(deployment, world)?;
-    let film = args.film.as_deref().map(|file| Film::new(file, script, world, referee.clone()));
+    let film = args
+        .film
+        .as_deref()
+        .map(|file| Film::new(file, script, world, referee.clone()));
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;

@@ -22,7 +22,9 @@ pub fn encode(
     mut draw: impl FnMut(usize) -> Result<Canvas, Failure>,
 ) -> Result<Vec<u8>, Failure> {
     let failed = |error: png::EncodingError| Failure::failed(format!("a film: {error}"));
-    let last = count.checked_sub(1).ok_or_else(|| Failure::failed("a film without pictures"))?;
+    let last = count
+        .checked_sub(1)
+        .ok_or_else(|| Failure::failed("a film without pictures"))?;
     let mut palette = Palette::default();
     for index in (0..last).step_by(STRIDE).chain([last]) {
         palette.count(&draw(index)?);
@@ -61,7 +63,9 @@ pub fn encode(
             .set_frame_position(change.left as u32, change.top as u32)
             .map_err(failed)?;
         if index == last {
-            writer.set_frame_delay(millis.saturating_mul(20), 1000).map_err(failed)?;
+            writer
+                .set_frame_delay(millis.saturating_mul(20), 1000)
+                .map_err(failed)?;
         }
         writer.write_image_data(&change.pixels).map_err(failed)?;
         shown = next;
@@ -129,7 +133,10 @@ impl Palette {
     }
 
     fn bytes(&self) -> Vec<u8> {
-        std::iter::once([0; 3]).chain(self.colors.iter().copied()).flatten().collect()
+        std::iter::once([0; 3])
+            .chain(self.colors.iter().copied())
+            .flatten()
+            .collect()
     }
 
     fn indices(&mut self, canvas: &Canvas) -> Vec<u8> {
@@ -144,7 +151,13 @@ impl Palette {
                 best.map_or(0, |(index, _)| index as u8 + 1)
             })
         };
-        canvas.rgb().as_chunks::<3>().0.iter().map(|color| index(*color)).collect()
+        canvas
+            .rgb()
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|color| index(*color))
+            .collect()
     }
 }
 
@@ -159,7 +172,11 @@ mod tests {
             let mut canvas = Canvas::new(30, 20, [255; 3]).unwrap();
             // The third picture is the second again.
             let x = 3.0 * index.min(2) as f32;
-            canvas.fill(&[[x, 4.0], [x + 8.0, 4.0], [x + 8.0, 15.0], [x, 15.0]], [200, 30, 30], 255);
+            canvas.fill(
+                &[[x, 4.0], [x + 8.0, 4.0], [x + 8.0, 15.0], [x, 15.0]],
+                [200, 30, 30],
+                255,
+            );
             Ok(canvas)
         };
         let bytes = encode(4, 100, draw).unwrap();

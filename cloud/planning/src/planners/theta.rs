@@ -210,7 +210,6 @@ mod tests {
 
     use std::sync::atomic::AtomicBool;
 
-    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
