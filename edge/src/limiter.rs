@@ -120,10 +120,9 @@ pub fn wheel_surface_speed(drive: &Drive, twist: Twist2) -> f64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn tiago() -> Drive {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive
+        zenav_fixtures::robot("tiago").drive
     }
 
     proptest! {

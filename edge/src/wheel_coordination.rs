@@ -68,7 +68,6 @@ mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::drive::Motors as Real;
 
     use crate::limiter::wheel_surface_speed;
@@ -76,9 +75,7 @@ mod tests {
     const TICK: f64 = 0.02;
 
     fn jackal() -> Drive {
-        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal")
-            .unwrap()
-            .drive
+        zenav_fixtures::robot("jackal").drive
     }
 
     /// Where a robot that was told to rest on its curve does so, and after which way of its faster wheel, m.

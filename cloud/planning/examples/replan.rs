@@ -29,31 +29,59 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let space = |map: &_| ConfigurationSpace::new(map, &footprint, UnknownPolicy::Blocked, 0.0);
     let mut replanner = Replanner::new(&space(&map))?;
     let goal = Pose2::new(18.0, 3.0, 0.0);
-    for (what, x, obstacle, is_open) in [
-        ("at first", 2.0, None, true),
-        ("2 m on", 4.0, None, true),
-        ("an obstacle elsewhere", 4.0, Some(Cell::new(150, 90)), true),
-        ("an obstacle on the path", 4.0, Some(Cell::new(140, 30)), true),
-        ("the door is closed", 4.0, None, false),
-        ("and open again", 4.0, None, true),
+    let mut start = Pose2::new(2.0, 3.0, 0.0);
+    let mut known: Vec<Point2<f64>> = Vec::new();
+    for what in [
+        "at first",
+        "2 m on",
+        "an obstacle elsewhere",
+        "one on the path",
+        "the door is closed",
+        "it is open again",
     ] {
-        if let Some(cell) = obstacle {
-            map[cell] = Occupancy::OCCUPIED;
+        match what {
+            "2 m on" => start = Pose2::new(along(&known, 2.0).x, along(&known, 2.0).y, 0.0),
+            "an obstacle elsewhere" => map[Cell::new(150, 90)] = Occupancy::OCCUPIED,
+            "one on the path" => {
+                if let Some(cell) = spec.cell_at(along(&known, 11.0)) {
+                    map[cell] = Occupancy::OCCUPIED;
+                }
+            }
+            _ => {}
         }
         for y in near_door.clone() {
-            map[Cell::new(100, y)] = if is_open { Occupancy::FREE } else { Occupancy::OCCUPIED };
+            let is_closed = what == "the door is closed";
+            map[Cell::new(100, y)] = if is_closed {
+                Occupancy::OCCUPIED
+            } else {
+                Occupancy::FREE
+            };
         }
-        let start = Pose2::new(x, 3.0, 0.0);
         let options = PlanOptions::default();
         let planned = replanner.plan(&space(&map), start, goal, &options, Budget::UNLIMITED)?;
-        let length = match planned.outcome {
-            PlanOutcome::Found { length, .. } => format!("{length:5.2} m"),
-            other => format!("{other:?}"),
+        let PlanOutcome::Found { path, length } = planned.outcome else {
+            println!("{what:24} {:?}", planned.outcome);
+            continue;
         };
         println!(
-            "{what:24} {length}   {:?}, {} expansions",
+            "{what:24} {length:5.2} m   {:?}, {} expansions",
             planned.origin, planned.expansions
         );
+        known = path;
     }
     Ok(())
+}
+
+/// The centre of the cell that a path reaches after some metres.
+fn along(path: &[Point2<f64>], metres: f64) -> Point2<f64> {
+    let mut left = metres;
+    for leg in path.windows(2) {
+        let length = (leg[1] - leg[0]).norm();
+        if left < length {
+            let p = leg[0] + (leg[1] - leg[0]) * (left / length);
+            return Point2::new((p.x * 10.0).floor() / 10.0 + 0.05, (p.y * 10.0).floor() / 10.0 + 0.05);
+        }
+        left -= length;
+    }
+    path.last().copied().unwrap_or_default()
 }

@@ -44,7 +44,6 @@ pub(super) fn search(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     use super::*;
@@ -53,16 +52,7 @@ mod tests {
 
     /// A robot of 0.8 m by 0.3 m in a field of 6 m by 4 m.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 120,
-            height: 80,
-        };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        occupied
-            .iter()
-            .for_each(|(x, y)| grid[Cell::new(*x, *y)] = Occupancy::OCCUPIED);
+        let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(120, 80, 0.05), occupied);
         let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)

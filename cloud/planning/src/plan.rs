@@ -326,7 +326,7 @@ pub(super) fn costs_of<'a>(space: &'a ConfigurationSpace, options: &PlanOptions)
 mod tests {
     use super::*;
     use crate::Planner;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
     use zenav_space::UnknownPolicy;
 
@@ -336,19 +336,9 @@ mod tests {
     fn room() -> OccupancyGrid {
         let spec = GridSpec {
             origin: Point2::new(-1.0, -1.0),
-            resolution: 0.05,
-            width: 100,
-            height: 80,
+            ..zenav_fixtures::spec(100, 80, 0.05)
         };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        for y in 0..80 {
-            for x in 0..100 {
-                if x == 0 || y == 0 || x == 99 || y == 79 || (x == 50 && y < 60) {
-                    grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-                }
-            }
-        }
-        grid
+        zenav_fixtures::walled_room(spec, |at| at.x > 1.5 && at.x < 1.55 && at.y < 2.0)
     }
 
     fn ask(grid: &OccupancyGrid, start: (f64, f64), goal: (f64, f64), options: &PlanOptions) -> PlanOutcome {

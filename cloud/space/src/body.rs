@@ -218,10 +218,7 @@ mod tests {
 
     /// A robot whose base is not in the middle of it.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = Occupancy::OCCUPIED;
-        }
+        let grid = zenav_fixtures::map_with_occupied(SPEC, occupied);
         let outline = [(-0.4, -0.15), (0.1, -0.18), (0.2, 0.0), (0.1, 0.18), (-0.4, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)

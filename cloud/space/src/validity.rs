@@ -237,11 +237,7 @@ mod tests {
     };
 
     fn map(occupied: &[(u32, u32)]) -> OccupancyGrid {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = Occupancy::OCCUPIED;
-        }
-        grid
+        zenav_fixtures::map_with_occupied(SPEC, occupied)
     }
 
     fn space(occupied: &[(u32, u32)], footprint: &Footprint) -> ConfigurationSpace {

@@ -202,13 +202,30 @@ mod tests {
     }
 
     #[test]
+    fn a_library_s_settings_stand_in_the_section_of_its_service() {
+        let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
+        let mapping = read(text, &[]).unwrap().deployment.mapping;
+        assert_eq!((mapping.enabled, mapping.settings.resolution), (false, 0.1));
+        assert_eq!(mapping.settings.sensor_model.hit, 0.7);
+        let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])
+            .map(|_| ())
+            .unwrap_err();
+        assert!(
+            failure
+                .message
+                .contains("mine.toml:2: `mapping.sensor_model.hit` is 0.1"),
+            "{failure}"
+        );
+    }
+
+    #[test]
     fn a_value_out_of_bounds_is_told_with_its_line_or_its_variable() {
         let text = "[mapping]\nresolution = 0.001\n";
         let failure = read(text, &[]).map(|_| ()).unwrap_err();
         assert!(
             failure
                 .message
-                .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected at least 0.005 m"),
+                .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
             "{failure}"
         );
         let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();

@@ -28,13 +28,7 @@ fn end(cell: Cell) -> End {
 
 /// A room of metre-wide cells without obstacles.
 fn room() -> OccupancyGrid {
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 1.0,
-        width: SIDE,
-        height: SIDE,
-    };
-    Grid::filled(spec, Occupancy::FREE)
+    zenav_fixtures::free_map(zenav_fixtures::spec(SIDE, SIDE, 1.0))
 }
 
 fn set(grid: &mut OccupancyGrid, x: u32, y: u32, is_free: bool) {

@@ -17,22 +17,7 @@ fn long() -> Footprint {
 
 /// A room of 6 m by 4 m, 5 cm cells, of which `is_wall` says where the walls are (m).
 fn room(is_wall: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.05,
-        width: 120,
-        height: 80,
-    };
-    let mut grid = Grid::filled(spec, Occupancy::FREE);
-    for y in 0..80 {
-        for x in 0..120 {
-            let center = spec.center(Cell::new(x, y));
-            if x == 0 || y == 0 || x == 119 || y == 79 || is_wall(center.x, center.y) {
-                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-            }
-        }
-    }
-    grid
+    zenav_fixtures::walled_room(zenav_fixtures::spec(120, 80, 0.05), |at| is_wall(at.x, at.y))
 }
 
 fn path(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<Vec<Point2<f64>>, NotFound> {
