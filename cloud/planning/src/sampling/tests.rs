@@ -282,6 +282,28 @@ fn samples_come_from_the_domain_that_is_set() {
 }
 
 #[test]
+fn a_black_box_is_asked_for_lines_of_sight_alone_and_its_paths_are_free_all_the_same() {
+    let free = BitGrid::from_fn(60, 60, |cell| cell.x != 30 || cell.y > 40);
+    let sight = PointLineOfSight::new(&free);
+    let query = query(Cell::new(3, 3), Cell::new(55, 5));
+    for planner in PLANNERS {
+        let mut searcher = Searcher::new(&free).unwrap();
+        searcher.black_box = true;
+        let plain = searcher
+            .search(planner, &sight, &query, budget(SAMPLES))
+            .result
+            .unwrap();
+        assert!(is_free(&free, &plain), "{planner}");
+        searcher.black_box = false;
+        let shortened = searcher
+            .search(planner, &sight, &query, budget(SAMPLES))
+            .result
+            .unwrap();
+        assert!(shortened.length <= plain.length * 1.001, "{planner}");
+    }
+}
+
+#[test]
 fn the_trees_of_the_last_search_can_be_looked_at() {
     let free = room(150, 120, Some(77));
     let sight = PointLineOfSight::new(&free);
