@@ -136,6 +136,7 @@ mod tests {
                 Clock::wall(),
                 worker.clone(),
                 Arc::default(),
+                zenav_planning::PlanningSettings::default(),
                 shutdown.clone(),
             )),
             tokio::spawn(run(
