@@ -11,7 +11,6 @@ use clap::ValueEnum;
 use tokio::task::JoinSet;
 use zenav_cloud::{dispatch, mapping, planning, smoothing};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
-use zenav_planning::PlanningSettings;
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -207,7 +206,7 @@ impl Parts {
                 bus("planning"),
                 move |bus, shutdown| async move {
                     let clock = Clock::follow(&bus)?;
-                    planning::run(bus, clock, name, map_zones, PlanningSettings::default(), shutdown)
+                    planning::run(bus, clock, name, map_zones, Default::default(), shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },

@@ -9,6 +9,9 @@ use zenav_protocol::messages::{DrivingProfile, GoalPoint};
 
 use zenav_space::Zones;
 
+/// How far ahead on the active plan a replan starts by default, s: the time from a request for a plan to its arrival at the robot.
+pub const LATENCY_BUDGET: f64 = 0.3;
+
 /// Settings of one robot's mission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MissionConfig {
@@ -60,7 +63,7 @@ impl MissionConfig {
             search_budget_ms: 2000,
             unknown_is_free: true,
             explore: 20.0,
-            latency_budget: 0.5,
+            latency_budget: LATENCY_BUDGET,
             plan_valid: 5.0,
             renew_period: 1.0,
             map_patience: 10.0,

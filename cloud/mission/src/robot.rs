@@ -152,3 +152,30 @@ impl RobotView {
         })
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_of_another_schema_version_is_refused_with_both_versions_named() {
+        let (mut robot, mut asks) = (RobotView::default(), Asks::new(1));
+        robot.step(Stamp(1), &mut asks).unwrap();
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        let old = InfoReply {
+            component: "edge".to_owned(),
+            version: "0.0.9".to_owned(),
+            schema: SCHEMA_VERSION - 1,
+            ..InfoReply::default()
+        };
+        asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(old))));
+        let refusal = robot.step(Stamp(2), &mut asks).unwrap_err();
+        for words in [
+            format!("schema {}", SCHEMA_VERSION - 1),
+            format!("schema {SCHEMA_VERSION}"),
+        ] {
+            assert!(refusal.contains(&words), "{refusal}");
+        }
+    }
+}

@@ -136,7 +136,7 @@ mod tests {
                 Clock::wall(),
                 worker.clone(),
                 Arc::default(),
-                zenav_planning::PlanningSettings::default(),
+                Default::default(),
                 shutdown.clone(),
             )),
             tokio::spawn(run(

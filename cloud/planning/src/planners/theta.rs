@@ -208,7 +208,6 @@ fn distance(from: Cell, to: Cell) -> u32 {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
-    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
