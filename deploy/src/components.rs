@@ -119,7 +119,7 @@ impl Parts {
         let mut referees = Vec::new();
         for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
             let service = ServiceConfig {
-                edge: edge_config(&id, section, spec.model, spec.start),
+                edge: edge_config(deployment, &id, section, spec.model, spec.start),
                 state_dir: deployment.robot_dir(&id),
                 speed: deployment.simulation.speed,
                 gives_the_time: referees.is_empty(),
@@ -152,8 +152,8 @@ impl Parts {
         model: RobotModel,
         start: Option<Pose2>,
     ) {
-        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
-        let bus = edge_bus(deployment, &id, &section);
+        let (section, state_dir, deployment) = (section.clone(), deployment.robot_dir(&id), deployment.clone());
+        let bus = edge_bus(&deployment, &id, &section);
         let name = format!("edge {id}");
         let attaching = {
             let (id, model) = (id.clone(), model.clone());
@@ -165,7 +165,7 @@ impl Parts {
             }
         };
         self.spawn_once(name, attaching, move |bus, (body, reply), shutdown| {
-            let mut edge = edge_config(&id, &section, model, reply.start);
+            let mut edge = edge_config(&deployment, &id, &section, model, reply.start);
             edge.tick = reply.tick_secs;
             let service = ServiceConfig {
                 edge,
@@ -197,16 +197,17 @@ impl Parts {
     /// A name that no worker may have, bad zones.
     pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
-        for number in 1..=deployment.planning.workers {
+        for number in 1..=deployment.planning.run.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
             let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
+            let settings = deployment.planning.settings.clone();
             self.spawn(
                 format!("planning {worker}"),
                 bus("planning"),
                 move |bus, shutdown| async move {
                     let clock = Clock::follow(&bus)?;
-                    planning::run(bus, clock, name, map_zones, shutdown)
+                    planning::run(bus, clock, name, map_zones, settings, shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },
@@ -238,7 +239,7 @@ impl Parts {
                 deployment.robot_dir(id).join("mission.redb"),
             );
             config.places = places.clone();
-            config.planner.clone_from(&deployment.planning.planner);
+            config.planner.clone_from(&deployment.planning.run.planner);
             config.latency_budget = deployment.mission.latency_budget_secs;
             config.plan_valid = deployment.mission.plan_valid_secs;
             config.profile = deployment.mission.profile;
@@ -292,7 +293,7 @@ impl Parts {
     ) -> Result<(), Failure> {
         let wanted = |part| which == CloudPart::All || which == part;
         let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
-        if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+        if wanted(CloudPart::Mapping) && deployment.mapping.run.enabled {
             for id in &robots {
                 self.mapping(deployment, id);
             }
@@ -338,9 +339,16 @@ impl Parts {
     }
 }
 
-fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
+fn edge_config(
+    deployment: &Deployment,
+    id: &Id,
+    section: &RobotSection,
+    model: RobotModel,
+    start: Pose2,
+) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
+    edge.settings = deployment.edge.clone();
     edge
 }
 

@@ -194,7 +194,7 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     };
     deployment.robots = [(id.to_owned(), robot)].into();
     if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
-        planner.clone_into(&mut deployment.planning.planner);
+        planner.clone_into(&mut deployment.planning.run.planner);
     }
     Ok(deployment)
 }

@@ -11,6 +11,7 @@ use zenav_cloud::worker_host::Work as _;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
+use zenav_planning::PlanningSettings;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
@@ -98,7 +99,7 @@ impl ClosedLoop {
             mapper,
             workers: Workers {
                 map: MapReplica::new(),
-                planning: PlanWorker::new(Arc::clone(&config.mission.zones)),
+                planning: PlanWorker::new(Arc::clone(&config.mission.zones), PlanningSettings::default()),
                 smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
             },
             mission: Mission::new(config.mission, Restored::fresh()),

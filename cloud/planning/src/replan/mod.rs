@@ -15,8 +15,8 @@ use self::disc::DiscReplanner;
 use super::budget::Budget;
 use super::ends::End;
 use super::grid_graph::TooManyCells;
-use super::plan::{FootprintSearch, Planned, answer};
 use super::options::PlanOptions;
+use super::plan::{FootprintSearch, Planned, answer};
 use super::searcher::{NotFound, Searched};
 
 /// Answers for one robot on one map as it changes: [`plan`](super::plan()), and what was found before is kept where it still stands.

@@ -248,14 +248,7 @@ fn a_search_ends_with_its_budget_and_when_it_is_told_to() {
     let query = query(Cell::new(3, 3), Cell::new(140, 100));
     let cancel = AtomicBool::new(true);
     for planner in PLANNERS {
-        let cancelled = ask(
-            &free,
-            planner,
-            &query,
-            Budget {
-                                cancel: Some(&cancel),
-            },
-        );
+        let cancelled = ask(&free, planner, &query, Budget { cancel: Some(&cancel) });
         assert_eq!((cancelled.result, cancelled.expansions), (Err(NotFound::TimedOut), 0));
         let short = ask(&free, planner, &query, budget(3));
         assert_eq!((short.result, short.expansions), (Err(NotFound::TimedOut), 3));
