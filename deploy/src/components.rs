@@ -119,7 +119,7 @@ impl Parts {
         let mut referees = Vec::new();
         for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
             let service = ServiceConfig {
-                edge: edge_config(deployment, &id, section, spec.model, spec.start),
+                edge: edge_config(&id, section, spec.model, spec.start),
                 state_dir: deployment.robot_dir(&id),
                 speed: deployment.simulation.speed,
                 gives_the_time: referees.is_empty(),
@@ -152,8 +152,8 @@ impl Parts {
         model: RobotModel,
         start: Option<Pose2>,
     ) {
-        let (section, state_dir, deployment) = (section.clone(), deployment.robot_dir(&id), deployment.clone());
-        let bus = edge_bus(&deployment, &id, &section);
+        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
+        let bus = edge_bus(deployment, &id, &section);
         let name = format!("edge {id}");
         let attaching = {
             let (id, model) = (id.clone(), model.clone());
@@ -165,7 +165,7 @@ impl Parts {
             }
         };
         self.spawn_once(name, attaching, move |bus, (body, reply), shutdown| {
-            let mut edge = edge_config(&deployment, &id, &section, model, reply.start);
+            let mut edge = edge_config(&id, &section, model, reply.start);
             edge.tick = reply.tick_secs;
             let service = ServiceConfig {
                 edge,
@@ -339,16 +339,10 @@ impl Parts {
     }
 }
 
-fn edge_config(
-    deployment: &Deployment,
-    id: &Id,
-    section: &RobotSection,
-    model: RobotModel,
-    start: Pose2,
-) -> EdgeConfig {
+fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
-    edge.settings = deployment.edge.clone();
+    edge.settings = section.edge.clone();
     edge
 }
 

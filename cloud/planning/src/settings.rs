@@ -2,12 +2,22 @@
 
 zenav_protocol::settings! {
     /// What can be tuned about planning.
+    ///
+    /// ```
+    /// use zenav_planning::PlanningSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let wide = PlanningSettings::default().with_number("clearance.distance", 0.8).unwrap()?;
+    /// assert_eq!(wide.clearance.distance, 0.8);
+    /// assert!(wide.with_number("clearance.weight", 9.0).unwrap().is_err(), "out of its bounds");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     pub struct PlanningSettings {
         /// Nodes that one search may expand: some seconds' worth.
         pub max_expansions: u64 = 50_000_000, "", 1..;
         /// Samples that one search may draw: seconds' worth.
         pub max_samples: u64 = 1_000_000, "", 1..;
-        /// Distance from obstacles.
+        /// How far paths keep from obstacles.
         pub clearance: ClearanceSettings;
         /// How a robot leaves a place where it does not fit by the map.
         pub leaving: LeavingSettings;

@@ -161,7 +161,7 @@ fn told(error: &toml::de::Error) -> String {
             let slips = |known: &&str| strsim::osa_distance(unknown, known);
             let known = names.min_by_key(slips).filter(|known| slips(known) <= SLIPS);
             match unknown {
-                "guard" | "collision_monitor" => Some("edge.collision_monitor"),
+                "guard" | "collision_monitor" => Some("robots.NAME.edge.collision_monitor"),
                 _ => known,
             }
         });
@@ -211,12 +211,12 @@ mod tests {
         let mapping = read(text, &[]).unwrap().deployment.mapping;
         assert_eq!((mapping.run.enabled, mapping.settings.resolution), (false, 0.1));
         assert_eq!(mapping.settings.sensor_model.hit, 0.7);
-        let text = "[planning]\nworkers = 2\n[planning.clearance]\nweight = 1\n[edge.collision_monitor]\n";
+        let text = "[planning]\nworkers = 2\n[planning.clearance]\nweight = 1\n[robots.a.edge.collision_monitor]\n";
         let planning = read(text, &[]).unwrap().deployment.planning;
         assert_eq!((planning.run.workers, planning.settings.clearance.weight), (2, 1.0));
         let failure = read("[guard]\n", &[]).map(|_| ()).unwrap_err();
         assert!(
-            failure.message.contains("perhaps `edge.collision_monitor`"),
+            failure.message.contains("perhaps `robots.NAME.edge.collision_monitor`"),
             "{failure}"
         );
         let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])

@@ -48,8 +48,6 @@ settings! {
         pub mapping: Service<MappingSection, MappingSettings>;
         /// Planning and smoothing workers.
         pub planning: Service<PlanningSection, PlanningSettings>;
-        /// All robots' edges.
-        pub edge: EdgeSettings;
         /// Zones of the map.
         pub zones: ZonesSection;
         /// The mission orchestrator.
@@ -105,6 +103,8 @@ settings! {
         pub attach: bool = false;
         /// Pose in the world at the start; without it, the world's own.
         pub start: Option<Pose2> = None;
+        /// Tunables of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
+        pub edge: EdgeSettings;
     }
 }
 
@@ -142,7 +142,7 @@ settings! {
         /// Its name as a lease holder.
         pub holder: String = "mission".to_owned();
         /// How far ahead of the robot a replan starts.
-        pub latency_budget_secs: f64 = 0.3, "s", 0.0..=10.0;
+        pub latency_budget_secs: f64 = zenav_mission::config::LATENCY_BUDGET, "s", 0.0..=10.0;
         /// Validity of a plan.
         pub plan_valid_secs: f64 = 5.0, "s", 0.0..=60.0;
         /// Driving profile of goals that name none: `fastest` or `economy`.

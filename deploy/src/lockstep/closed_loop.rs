@@ -11,7 +11,6 @@ use zenav_cloud::worker_host::Work as _;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
-use zenav_planning::PlanningSettings;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
@@ -99,7 +98,7 @@ impl ClosedLoop {
             mapper,
             workers: Workers {
                 map: MapReplica::new(),
-                planning: PlanWorker::new(Arc::clone(&config.mission.zones), PlanningSettings::default()),
+                planning: PlanWorker::new(Arc::clone(&config.mission.zones), Default::default()),
                 smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
             },
             mission: Mission::new(config.mission, Restored::fresh()),

@@ -170,7 +170,6 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::shipped;
 
     #[test]
     fn scattered_robots_stand_apart_and_a_full_world_takes_no_more() {

@@ -38,7 +38,7 @@ pub(crate) struct Sampling<'a> {
     pub(crate) settings: &'a SamplingSettings,
     pub(crate) budget: Budget<'a>,
     pub(crate) sampler: Sampler,
-    /// Drawn so far.
+    /// Number of samples drawn so far.
     pub(crate) samples: u64,
     black_box: bool,
 }
@@ -68,6 +68,18 @@ impl Sampling<'_> {
         if !self.black_box {
             shortcut::prune(ground.sight, path, || self.budget.is_cancelled());
         }
+    }
+
+    /// Pulls the path's string.
+    pub(crate) fn pull_string<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
+        if !self.black_box {
+            shortcut::pull_string(ground.sight, path, || self.budget.is_cancelled());
+        }
+    }
+
+    /// Share of samples at the corners of obstacles.
+    pub(crate) fn corners(&self) -> f64 {
+        if self.black_box { 0.0 } else { self.settings.corners }
     }
 }
 
