@@ -197,16 +197,17 @@ impl Parts {
     /// A name that no worker may have, bad zones.
     pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
-        for number in 1..=deployment.planning.workers {
+        for number in 1..=deployment.planning.run.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
             let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
+            let settings = deployment.planning.settings.clone();
             self.spawn(
                 format!("planning {worker}"),
                 bus("planning"),
                 move |bus, shutdown| async move {
                     let clock = Clock::follow(&bus)?;
-                    planning::run(bus, clock, name, map_zones, Default::default(), shutdown)
+                    planning::run(bus, clock, name, map_zones, settings, shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },
@@ -238,7 +239,7 @@ impl Parts {
                 deployment.robot_dir(id).join("mission.redb"),
             );
             config.places = places.clone();
-            config.planner.clone_from(&deployment.planning.planner);
+            config.planner.clone_from(&deployment.planning.run.planner);
             config.latency_budget = deployment.mission.latency_budget_secs;
             config.plan_valid = deployment.mission.plan_valid_secs;
             config.profile = deployment.mission.profile;
@@ -292,7 +293,7 @@ impl Parts {
     ) -> Result<(), Failure> {
         let wanted = |part| which == CloudPart::All || which == part;
         let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
-        if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+        if wanted(CloudPart::Mapping) && deployment.mapping.run.enabled {
             for id in &robots {
                 self.mapping(deployment, id);
             }
