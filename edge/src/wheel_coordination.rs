@@ -68,7 +68,7 @@ mod tests {
     use proptest::prelude::*;
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::robot::{RobotModel, shipped};
-    use zenav_sim::drive::Motors as Real;
+    use zenav_sim::motors::Motors as Real;
 
     use crate::limiter::wheel_surface_speed;
 

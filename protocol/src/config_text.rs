@@ -1,5 +1,6 @@
-//! What did a user write, and where? Pairs of coordinates, values out of their bounds, lines of keys in a TOML file, numbers in messages.
+//! Text of configuration files. What did a user write, and where? Pairs of coordinates, values out of their bounds, lines of keys in a TOML file, numbers in messages.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use nalgebra::Point2;
@@ -33,12 +34,12 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
     Pair::deserialize(deserializer).map(|Pair(numbers)| numbers)
 }
 
-/// A setting with a value that it cannot have.
+/// A setting with a value out of its bounds.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{name}` {problem}")]
 pub struct OutOfBounds {
-    /// The setting's key.
-    pub name: &'static str,
+    /// The setting's key, tables before it joined by dots.
+    pub name: Cow<'static, str>,
     /// What it is, and what was expected.
     pub problem: String,
 }
@@ -46,20 +47,79 @@ pub struct OutOfBounds {
 impl OutOfBounds {
     /// A value that lies outside of its bounds.
     #[must_use]
-    pub fn outside(name: &'static str, value: f64, least: f64, most: f64) -> Self {
+    pub fn outside(name: impl Into<Cow<'static, str>>, value: f64, least: f64, most: f64) -> Self {
         Self {
-            name,
+            name: name.into(),
             problem: format!("is {}: expected {least} to {most}", Number(value)),
         }
     }
 
     /// A value that is something else than was expected.
     #[must_use]
-    pub fn unlike(name: &'static str, value: f64, expected: impl fmt::Display) -> Self {
+    pub fn unlike(name: impl Into<Cow<'static, str>>, value: f64, expected: impl fmt::Display) -> Self {
         Self {
-            name,
+            name: name.into(),
             problem: format!("is {}: expected {expected}", Number(value)),
         }
+    }
+
+    /// The same for a setting that stands in a table.
+    #[must_use]
+    pub fn in_table(self, table: &str) -> Self {
+        Self {
+            name: format!("{table}.{}", self.name).into(),
+            ..self
+        }
+    }
+}
+
+/// What a number in a file is expected to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Expected {
+    /// Finite and greater than zero.
+    Positive,
+    /// Finite and not less than zero.
+    NotNegative,
+    /// From zero to one.
+    Share,
+    /// Any finite number.
+    Finite,
+    /// From the one to the other, and how that is said.
+    Range(f64, f64, &'static str),
+}
+
+impl Expected {
+    fn holds(self, value: f64) -> bool {
+        match self {
+            Self::Positive => value.is_finite() && value > 0.0,
+            Self::NotNegative => value.is_finite() && value >= 0.0,
+            Self::Share => (0.0..=1.0).contains(&value),
+            Self::Finite => value.is_finite(),
+            Self::Range(least, most, _) => (least..=most).contains(&value),
+        }
+    }
+}
+
+impl fmt::Display for Expected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Positive => "a positive number",
+            Self::NotNegative => "zero or a positive number",
+            Self::Share => "a share, 0 to 1",
+            Self::Finite => "a finite number",
+            Self::Range(.., words) => words,
+        })
+    }
+}
+
+/// Checks values by key.
+///
+/// # Errors
+/// The first value that is not what is expected.
+pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBounds> {
+    match values.iter().find(|(_, value, expected)| !expected.holds(*value)) {
+        Some((name, value, expected)) => Err(OutOfBounds::unlike(*name, *value, expected)),
+        None => Ok(()),
     }
 }
 

@@ -134,7 +134,7 @@ impl ControllerGains {
         for (name, least, most, place) in &GAINS {
             let value = *place(&mut gains);
             if !(*least..=*most).contains(&value) {
-                return Err(OutOfBounds::outside(name, value, *least, *most));
+                return Err(OutOfBounds::outside(*name, value, *least, *most));
             }
         }
         Ok(())

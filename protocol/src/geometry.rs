@@ -94,6 +94,24 @@ impl Pose2 {
         (self.x - other.x).hypot(self.y - other.y)
     }
 
+    /// The pose at a `share` of the way to another one in the same frame: positions in a straight line, the heading by the shorter turn.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let half = Pose2::new(0.0, 0.0, 3.0).interpolate(&Pose2::new(2.0, 4.0, -3.0), 0.5);
+    /// assert_eq!((half.x, half.y), (1.0, 2.0));
+    /// assert!((half.yaw.abs() - std::f64::consts::PI).abs() < 1e-12);
+    /// ```
+    #[must_use]
+    pub fn interpolate(&self, to: &Self, share: f64) -> Self {
+        Self::new(
+            self.x + share * (to.x - self.x),
+            self.y + share * (to.y - self.y),
+            self.yaw + share * wrap_angle(to.yaw - self.yaw),
+        )
+    }
+
     /// The pose after driving `twist` for `secs` along an arc (exact for constant velocities).
     #[must_use]
     pub fn advance(&self, twist: Twist2, secs: f64) -> Self {

@@ -8,6 +8,8 @@
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key |
 //! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
+//! | [`drive`] | wheels, their limits and kinematics |
+//! | [`sensors`] | what a robot senses with: one file a kind |
 //! | [`gains`] | how a robot follows its plan: tracker, gains and their bounds |
 //! | [`energy`] | motors, and what it costs a battery to move a robot |
 //! | [`readings`] | what a body gives its pilot |
@@ -24,6 +26,7 @@
 pub mod bus;
 pub mod codec;
 pub mod config_text;
+pub mod drive;
 pub mod energy;
 pub mod gains;
 pub mod geometry;
@@ -37,6 +40,7 @@ pub mod polygon;
 pub mod readings;
 pub mod robot;
 mod robot_check;
+pub mod sensors;
 pub mod time;
 pub mod topics;
 pub mod wall_following;

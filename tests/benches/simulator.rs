@@ -20,7 +20,8 @@ use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel, shipped};
-use zenav_sim::bench::{office, polygons, rays, run};
+use zenav::batch::sim_bench::{rays, run};
+use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::{RobotSpec, Simulation, World};
 
 /// Beams of the peer's robot.
@@ -60,7 +61,8 @@ fn main() {
 
 fn lidar(beams: usize, range_max: f64) -> RobotModel {
     let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
-    (model.lidar.beams, model.lidar.range_max, model.lidar.rate_hz) = (beams, range_max, 10.0);
+    let lidar = model.lidar.as_mut().unwrap();
+    (lidar.beams, lidar.range_max, lidar.rate_hz) = (beams, range_max, 10.0);
     model
 }
 
@@ -107,7 +109,7 @@ fn maps() -> impl Iterator<Item = (String, World)> {
 /// Steps a second of one robot that takes a scan in each.
 fn steps(world: &World) -> f64 {
     let mut model = lidar(BEAMS, RANGE);
-    model.lidar.rate_hz = 50.0;
+    model.lidar.as_mut().unwrap().rate_hz = 50.0;
     let turning = model.drive.wheels(zenav_protocol::geometry::Twist2::new(0.2, 0.5));
     let id = Id::robot("robot").unwrap();
     let start = world.start();
@@ -117,7 +119,7 @@ fn steps(world: &World) -> f64 {
     loop {
         simulation.step();
         steps += 1;
-        assert!(simulation.readings(0).sweep.is_some());
+        assert!(simulation.readings(0).sweeps.len() == 1);
         let took = thread_time() - begin;
         if took > Duration::from_secs(1) {
             return f64::from(steps) / took.as_secs_f64();
@@ -136,7 +138,7 @@ fn peer(text: &str) -> String {
     let Footprint::Radius(radius) = model.footprint else {
         return "?".to_owned();
     };
-    let numbers = [radius, BEAMS as f64, model.lidar.field_of_view, RANGE, 5.0].map(|value| value.to_string());
+    let numbers = [radius, BEAMS as f64, model.first_lidar().unwrap().field_of_view, RANGE, 5.0].map(|value| value.to_string());
     let output = Command::new(python).arg(script).arg(&file).args(numbers).output();
     match output {
         Ok(output) if output.status.success() => {

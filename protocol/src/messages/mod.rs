@@ -5,6 +5,7 @@
 
 mod body;
 mod edge;
+mod estimate;
 mod goal;
 mod journal;
 mod map;
@@ -12,10 +13,10 @@ mod mission;
 mod plan;
 mod refusal;
 mod remote;
-mod sense;
 
 pub use body::*;
 pub use edge::*;
+pub use estimate::*;
 pub use goal::*;
 pub use journal::*;
 pub use map::*;
@@ -23,6 +24,5 @@ pub use mission::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
-pub use sense::*;
 
-pub(crate) use sense::no_return_as_null;
+pub use crate::sensors::{Battery, Bump, Gps, Imu, Scan};
