@@ -1,12 +1,13 @@
-//! Where the lidar does not look, what of the floor is known to be free? What it saw free before, and where the robot stood.
+//! Rolling free-space grid of the blind sector. Where no lidar looks, what of the floor is known to be free? What was seen free before,
+//! and where the robot stood.
 //!
 //! A ring buffer of cells around the robot in the odometry frame. What was never seen counts as occupied: a robot does not
 //! drive backwards into the unknown. Where it starts, the disc that it needs to turn is taken for free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::Footprint;
 
-use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
+use crate::field_of_view::{FieldOfView, ProjectedScan};
 use crate::local_obstacles::MEMORY_RANGE;
 
 /// After a return a cell is free again when this many sweeps have looked through it: thin legs are hit now and then only.
@@ -25,9 +26,7 @@ const AT_START: f64 = 0.16;
 /// Floor that is known to be free.
 #[derive(Clone, Debug)]
 pub struct BlindSpotGrid {
-    lidar: LidarModel,
     view: FieldOfView,
-    laser_from_base: Isometry2<f64>,
     /// Radius of what is taken for free at the start, m.
     reach: f64,
     /// None before the first sweep.
@@ -70,23 +69,21 @@ const NOWHERE: Cell = Cell {
 impl BlindSpotGrid {
     /// Nothing known but what the robot needs to turn where it starts.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint) -> Self {
+    pub(crate) fn new(view: FieldOfView, footprint: &Footprint) -> Self {
         let reach = match footprint {
             // A disc turns where it stands.
             Footprint::Radius(_) => 0.0,
             Footprint::Polygon(_) => footprint.circumscribed_radius() + AT_START,
         };
         Self {
-            lidar: lidar.clone(),
-            view: FieldOfView::new(lidar),
-            laser_from_base: rigid(lidar.mount.inverse()),
+            view,
             reach,
             cells: None,
             sweep: 0,
         }
     }
 
-    /// Whether there is a sector that the lidar never sees.
+    /// Whether there is a sector that no lidar sees.
     #[must_use]
     pub fn has_blind_sector(&self) -> bool {
         self.view.has_blind_sector()
@@ -99,9 +96,9 @@ impl BlindSpotGrid {
         }
         self.sweep = self.sweep.wrapping_add(1);
         let (laser, sweep) = (cast.laser(), self.sweep);
-        let base = cast.odom_from_laser * self.laser_from_base * Point2::origin();
+        let base = cast.odom_from_base * Point2::origin();
         let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach));
-        let stride = ((CELL / MEMORY_RANGE / self.lidar.angle_increment()) as usize).max(1);
+        let stride = ((CELL / MEMORY_RANGE / cast.lidar.angle_increment()) as usize).max(1);
         let at = |beam: usize| cast.ranges.get(beam).copied().unwrap_or(0.0);
         let walked = cast.rays.iter().enumerate().step_by(stride);
         for (nth, (beam, ray)) in walked.enumerate() {
@@ -111,7 +108,7 @@ impl BlindSpotGrid {
                 range = f64::from(at(beam.saturating_sub(1)).min(at(beam + 1)).max(0.0));
             }
             // What is not a number tells nothing.
-            if range.is_nan() || range < self.lidar.range_min {
+            if range.is_nan() || range < cast.lidar.range_min {
                 continue;
             }
             // From column to column, or from row to row.
@@ -129,7 +126,7 @@ impl BlindSpotGrid {
         }
         for (range, ray) in cast.ranges.iter().zip(cast.rays) {
             let range = f64::from(*range);
-            if range >= self.lidar.range_min && range <= MEMORY_RANGE {
+            if range >= cast.lidar.range_min && range <= MEMORY_RANGE {
                 let (at, index) = place(laser + ray * range);
                 if let Some(cell) = cells.get_mut(index) {
                     *cell = Cell {
@@ -172,7 +169,7 @@ impl BlindSpotGrid {
     /// Whether a place (base frame) lies where the lidar does not look.
     #[must_use]
     pub fn is_blind(&self, place: Point2<f64>) -> bool {
-        self.view.is_blind((self.laser_from_base * place).coords)
+        self.view.is_blind(place)
     }
 }
 
@@ -226,12 +223,21 @@ fn place(point: Point2<f64>) -> Place {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::field_of_view::ScanProjector;
+    use crate::field_of_view::{ScanProjector, rigid};
     use std::f64::consts::PI;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::{LidarModel, RobotModel, shipped};
     use zenav_protocol::time::Stamp;
+
+    fn lidar(robot: &str) -> LidarModel {
+        let model = RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap();
+        model.lidar.unwrap()
+    }
+
+    fn grid(lidar: &LidarModel, footprint: &Footprint) -> BlindSpotGrid {
+        BlindSpotGrid::new(FieldOfView::new([lidar], footprint), footprint)
+    }
 
     fn jackal() -> RobotModel {
         RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
@@ -239,13 +245,10 @@ mod tests {
 
     #[test]
     fn what_was_never_seen_is_unknown_and_what_was_seen_stays_known() {
-        let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
-        let mut trodden = BlindSpotGrid::new(&lidar, &jackal().footprint);
-        let sweep = Sweep {
-            stamp: Stamp(1),
-            ranges: vec![2.0; lidar.beams],
-        };
-        trodden.insert(&ScanProjector::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
+        let lidar = lidar("tiago");
+        let mut trodden = grid(&lidar, &jackal().footprint);
+        let sweep = Sweep::new(Stamp(1), vec![2.0; lidar.beams]);
+        trodden.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         let floor = |base: Pose2, x: f64| trodden.floor(&rigid(base), Point2::new(x, 0.0));
         assert_eq!(floor(Pose2::IDENTITY, -0.6), Floor::Unknown);
         assert_eq!(floor(Pose2::IDENTITY, -0.3), Floor::Free, "the start");
@@ -258,20 +261,16 @@ mod tests {
 
     #[test]
     fn a_range_that_is_no_number_frees_nothing() {
-        let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
-        let mut trodden = BlindSpotGrid::new(&lidar, &jackal().footprint);
-        let sweep = Sweep {
-            stamp: Stamp(1),
-            ranges: vec![f32::NAN; lidar.beams],
-        };
-        trodden.insert(&ScanProjector::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
+        let lidar = lidar("tiago");
+        let mut trodden = grid(&lidar, &jackal().footprint);
+        let sweep = Sweep::new(Stamp(1), vec![f32::NAN; lidar.beams]);
+        trodden.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         let turned = rigid(Pose2::new(0.0, 0.0, PI));
         assert_eq!(trodden.floor(&turned, Point2::new(-1.5, 0.0)), Floor::Unknown);
     }
 
     #[test]
     fn a_lidar_that_looks_all_around_has_no_blind_sector() {
-        let lidar = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap().lidar;
-        assert!(!BlindSpotGrid::new(&lidar, &Footprint::Radius(0.17)).has_blind_sector());
+        assert!(!grid(&lidar("neato"), &Footprint::Radius(0.17)).has_blind_sector());
     }
 }

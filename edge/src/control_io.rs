@@ -80,8 +80,8 @@ pub struct Persisted {
 /// Something to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
-    /// A sweep with the poses at its own stamp.
-    Scan(Scan),
+    /// A sweep of the lidar of this name, with the poses at its own stamp.
+    Scan(String, Scan),
     /// Dead reckoning.
     Odometry(Odometry),
     /// Gyro and compass.
@@ -103,11 +103,12 @@ pub enum Publication {
 }
 
 impl Publication {
-    /// Whether nobody needs it any more who gets a newer one: markers of two names are two things.
+    /// Whether nobody needs it any more who gets a newer one: markers of two names are two things, and scans of two lidars.
     #[must_use]
     pub fn is_replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
             (Self::Marker(old), Self::Marker(new)) => old.name == new.name,
+            (Self::Scan(old, _), Self::Scan(new, _)) => old == new,
             _ => discriminant(self) == discriminant(newer),
         }
     }

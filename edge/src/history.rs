@@ -1,8 +1,8 @@
-//! Where was the robot at an earlier stamp? Odometry of the last seconds, interpolated.
+//! Pose history. Where was the robot at an earlier stamp? Odometry of the last seconds, interpolated.
 
 use std::collections::VecDeque;
 
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::time::Stamp;
 
 /// Poses kept: five seconds at 50 Hz.
@@ -44,12 +44,7 @@ impl PoseHistory {
         }
         let (earlier_stamp, earlier) = self.poses.get(after.checked_sub(1)?)?;
         let share = stamp.secs_since(*earlier_stamp) / later_stamp.secs_since(*earlier_stamp);
-        let between = |from: f64, to: f64| from + share * (to - from);
-        Some(Pose2::new(
-            between(earlier.x, later.x),
-            between(earlier.y, later.y),
-            earlier.yaw + share * wrap_angle(later.yaw - earlier.yaw),
-        ))
+        Some(earlier.interpolate(later, share))
     }
 }
 

@@ -1,4 +1,5 @@
-//! What stands around the robot, and what of it moves? The newest sweep, and in the lidar's blind sector what earlier sweeps saw.
+//! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind sector
+//! what earlier sweeps saw.
 //!
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
 
@@ -7,7 +8,7 @@ use std::collections::VecDeque;
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::BlindSpotGrid;
@@ -18,7 +19,7 @@ use crate::moving_obstacles::MovingObstacles;
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
 /// Remembered points at most.
 const MEMORY_POINTS: usize = 2048;
-/// After so long without a sweep somebody may have come up where the lidar does not look, s.
+/// After so long without a sweep somebody may have come up where no lidar looks, s.
 const SILENCE: f64 = 0.5;
 /// Remembered points closer together than this say nothing more, m.
 const SPACING: f64 = 0.02;
@@ -26,126 +27,145 @@ const SPACING: f64 = 0.02;
 /// Obstacle points around the robot.
 #[derive(Clone, Debug)]
 pub struct LocalObstacles {
-    lidar: LidarModel,
+    lidars: Vec<LidarView>,
     view: FieldOfView,
-    caster: ScanProjector,
-    stamp: Option<Stamp>,
-    seen: Vec<Point2<f64>>,
     /// What was seen in what is the blind sector now, until it is seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
     intruders: MovingObstacles,
     trodden: BlindSpotGrid,
 }
 
+/// What one lidar sees.
+#[derive(Clone, Debug)]
+struct LidarView {
+    name: String,
+    projector: ScanProjector,
+    /// When its newest sweep was taken.
+    stamp: Option<Stamp>,
+    /// The returns of its newest sweep, odometry frame.
+    seen: Vec<Point2<f64>>,
+}
+
 impl LocalObstacles {
-    /// Nothing seen yet. Nothing moves faster than `fastest`, m/s.
+    /// Nothing seen yet. Nothing is taken to move faster than the robot itself can.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        Self {
-            lidar: lidar.clone(),
-            view: FieldOfView::new(lidar),
-            caster: ScanProjector::new(lidar),
+    pub fn new(model: &RobotModel) -> Self {
+        let view = FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint);
+        let lidars = model.all_lidars().map(|(name, lidar)| LidarView {
+            name: name.to_owned(),
+            projector: ScanProjector::new(lidar),
             stamp: None,
             seen: Vec::new(),
+        });
+        Self {
+            lidars: lidars.collect(),
             remembered: VecDeque::new(),
-            intruders: MovingObstacles::new(lidar, footprint, fastest),
-            trodden: BlindSpotGrid::new(lidar, footprint),
+            intruders: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
+            trodden: BlindSpotGrid::new(view.clone(), &model.footprint),
+            view,
         }
     }
 
-    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep with another
-    /// number of beams, or not newer than the last, is not.
+    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep of an unknown lidar, with
+    /// another number of beams, or not newer than that lidar's last, is not.
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
-        if self.stamp.is_some_and(|last| sweep.stamp <= last) {
+        let Some(index) = self.lidars.iter().position(|lidar| lidar.name == sweep.lidar) else {
+            return false;
+        };
+        let Some(LidarView {
+            projector, stamp, seen, ..
+        }) = self.lidars.get_mut(index)
+        else {
+            return false;
+        };
+        if stamp.is_some_and(|last| sweep.stamp <= last) {
             return false;
         }
-        let Some(cast) = self.caster.cast(sweep, odom_from_base) else {
+        let Some(scan) = projector.project(sweep, odom_from_base) else {
             return false;
         };
         if self.view.has_blind_sector() {
-            if self.stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
+            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
                 self.intruders.lose_at(odom_from_base.position(), sweep.stamp);
             }
-            remember(
-                &mut self.remembered,
-                &self.seen,
-                self.view,
-                cast.odom_from_laser.inverse(),
-            );
+            remember(&mut self.remembered, seen, &self.view, scan.odom_from_base.inverse());
         }
-        self.seen.clear();
-        let laser = cast.laser();
-        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
+        seen.clear();
+        let laser = scan.laser();
+        for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            // Written so that NaN is no return.
-            if range >= self.lidar.range_min && range <= self.lidar.range_max {
-                self.seen.push(laser + ray * range);
+            if scan.is_return(range) {
+                seen.push(laser + ray * range);
             }
         }
-        self.intruders.insert(&cast);
-        self.trodden.insert(&cast);
-        self.stamp = Some(sweep.stamp);
+        self.intruders.insert(index, &scan);
+        self.trodden.insert(&scan);
+        *stamp = Some(sweep.stamp);
         true
     }
 
-    /// Something was felt at a place (base frame): where nobody looks it counts as something that moves.
+    /// Something was felt at a place (base frame): where no lidar looks it counts as something that moves.
     pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
-        let local = self.lidar.mount.inverse().transform_point(place).coords;
-        if self.view.is_blind(local) {
+        if self.view.is_blind(place) {
             self.intruders.lose_at(odom_from_base.transform_point(place), now);
         }
     }
 
-    /// Age of the newest sweep, s; `None` before the first.
+    /// Age of what is seen, s: that of the lidar whose newest sweep is the oldest; `None` before each lidar's first.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<f64> {
-        self.stamp.map(|stamp| now.secs_since(stamp))
+        let ages = self.lidars.iter().map(|lidar| Some(now.secs_since(lidar.stamp?)));
+        ages.reduce(|oldest, age| Some(oldest?.max(age?))).flatten()
     }
 
-    /// When the newest sweep was taken.
+    /// When the newest sweep of any lidar was taken.
     #[must_use]
     pub fn stamp(&self) -> Option<Stamp> {
-        self.stamp
+        self.lidars.iter().filter_map(|lidar| lidar.stamp).max()
     }
 
     /// All known points in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
-        self.seen
-            .iter()
-            .chain(&self.remembered)
-            .map(move |point| base_from_odom * point)
+        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
+        seen.chain(&self.remembered).map(move |point| base_from_odom * point)
     }
 
-    /// The newest sweep's points in another frame.
+    /// The points of all lidars' newest sweeps in another frame.
     pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let frame_from_odom = rigid(frame_from_odom);
-        self.seen.iter().map(move |point| frame_from_odom * point)
+        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
+        seen.map(move |point| frame_from_odom * point)
     }
 
-    /// What of the newest sweep moves.
+    /// The points of each lidar's newest sweep in the order of its beams, odometry frame.
+    pub fn seen_by_lidar(&self) -> impl Iterator<Item = &[Point2<f64>]> {
+        self.lidars.iter().map(|lidar| &lidar.seen[..])
+    }
+
+    /// What of the newest sweeps moves.
     #[must_use]
     pub fn intruders(&self) -> &MovingObstacles {
         &self.intruders
     }
 
-    /// What of the floor is known to be free where the lidar does not look.
+    /// What of the floor is known to be free where no lidar looks.
     #[must_use]
     pub fn trodden(&self) -> &BlindSpotGrid {
         &self.trodden
     }
 }
 
-/// Keeps of all known points those that the lidar cannot see from here.
+/// Keeps of all known points those that no lidar can see from here.
 fn remember(
     remembered: &mut VecDeque<Point2<f64>>,
     seen: &[Point2<f64>],
-    view: FieldOfView,
-    laser_from_odom: Isometry2<f64>,
+    view: &FieldOfView,
+    base_from_odom: Isometry2<f64>,
 ) {
     let blind = |point: &Point2<f64>| {
-        let local = (laser_from_odom * point).coords;
-        view.is_blind(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+        let place = base_from_odom * point;
+        view.is_blind(place) && place.coords.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
     };
     remembered.retain(blind);
     let mut last = Point2::new(f64::INFINITY, 0.0);
@@ -165,66 +185,94 @@ fn remember(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::shipped;
 
-    fn tiago() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+    fn tiago() -> RobotModel {
+        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
     }
 
-    fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
-        let mut ranges = vec![f32::INFINITY; lidar.beams];
+    fn sweep(model: &RobotModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
+        let mut ranges = vec![f32::INFINITY; model.first_lidar().unwrap().beams];
         if let Some((beam, range)) = hit {
             ranges[beam] = range;
         }
-        Sweep {
-            stamp: Stamp::from_secs(secs),
-            ranges,
-        }
+        Sweep::new(Stamp::from_secs(secs), ranges)
     }
 
     #[test]
     fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
-        let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let model = tiago();
+        let mut around = LocalObstacles::new(&model);
+        assert!(around.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&lidar, 1.1, None), behind));
+        assert!(around.insert(&sweep(&model, 1.1, None), behind));
         let points: Vec<_> = around.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(around.insert(&sweep(&lidar, 100.0, None), behind));
+        assert!(around.insert(&sweep(&model, 100.0, None), behind));
         assert_eq!(around.in_base(behind).count(), 1, "nobody has looked again");
         let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&lidar, 110.0, None), gone));
+        assert!(around.insert(&sweep(&model, 110.0, None), gone));
         assert_eq!(around.in_base(gone).count(), 0);
     }
 
     #[test]
     fn what_the_lidar_sees_again_is_not_remembered() {
-        let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        around.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
-        around.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
+        let model = tiago();
+        let mut around = LocalObstacles::new(&model);
+        around.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        around.insert(&sweep(&model, 1.1, None), Pose2::IDENTITY);
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
     }
 
     #[test]
     fn a_broken_sweep_is_no_sweep() {
-        let lidar = tiago();
-        let mut around = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(!around.insert(
-            &Sweep {
-                stamp: Stamp(5),
-                ranges: vec![1.0; 3]
-            },
-            Pose2::IDENTITY
-        ));
+        let model = tiago();
+        let mut around = LocalObstacles::new(&model);
+        assert!(!around.insert(&Sweep::new(Stamp(5), vec![1.0; 3]), Pose2::IDENTITY));
+        let stranger = Sweep {
+            lidar: "rear".to_owned(),
+            ..sweep(&model, 0.5, None)
+        };
+        assert!(!around.insert(&stranger, Pose2::IDENTITY));
         assert_eq!(around.age(Stamp(6)), None);
-        assert!(around.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert!(around.insert(&sweep(&model, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
         assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
         assert!(
-            !around.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
+            !around.insert(&sweep(&model, 1.0, None), Pose2::IDENTITY),
             "the same stamp twice"
+        );
+    }
+
+    #[test]
+    fn every_lidar_is_heard_and_the_oldest_sweep_says_how_old_all_is() {
+        let model = RobotModel::with_options("jackal+rear_lidar", |name| Err(name.to_owned())).unwrap();
+        let mut around = LocalObstacles::new(&model);
+        let rear = |secs: f64, range: f32| {
+            let mut rear = Sweep::new(Stamp::from_secs(secs), vec![f32::INFINITY; 720]);
+            rear.lidar = "rear".to_owned();
+            rear.ranges[360] = range;
+            rear
+        };
+        assert!(around.insert(&sweep(&model, 1.0, Some((360, 1.0))), Pose2::IDENTITY));
+        assert_eq!(
+            around.age(Stamp::from_secs(1.0)),
+            None,
+            "the rear lidar has not looked yet"
+        );
+        assert!(around.insert(&rear(0.9, 2.0), Pose2::IDENTITY));
+        assert!((around.age(Stamp::from_secs(1.0)).unwrap() - 0.1).abs() < 1e-9);
+        assert_eq!(around.stamp(), Some(Stamp::from_secs(1.0)));
+        let seen: Vec<f64> = around
+            .in_base(Pose2::IDENTITY)
+            .map(|point| (100.0 * point.x).round())
+            .collect();
+        assert_eq!(seen, [112.0, -215.0]);
+        assert!(around.insert(&rear(1.1, f32::INFINITY), Pose2::IDENTITY));
+        assert_eq!(
+            around.in_base(Pose2::IDENTITY).count(),
+            1,
+            "the rear lidar sees that it has gone"
         );
     }
 }

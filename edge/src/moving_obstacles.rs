@@ -1,4 +1,4 @@
-//! What moves around the robot? What stands where earlier sweeps saw free floor, and what lies behind a thing that has gone.
+//! Moving-obstacle detection. What moves around the robot? What stands where earlier sweeps saw free floor, and what lies behind a thing that has gone.
 //!
 //! No tracking and no model of what moves: a return that lies well inside the range of an earlier sweep's beams past the
 //! same place is an intruder, whatever it is (visibility-based detection, after Pomerleau et al., "Long-term 3D map
@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::{LidarModel, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
@@ -48,15 +48,26 @@ const SURFACE: f64 = 0.1;
 /// Returns on what moves, and where it was lost.
 #[derive(Clone, Debug)]
 pub struct MovingObstacles {
-    lidar: LidarModel,
+    /// One a lidar.
+    detectors: Vec<Detector>,
     view: FieldOfView,
-    aim: ScanReprojection,
-    /// How far the beams of the newest sweep went past what stands there, m.
-    past: Vec<f32>,
     /// As fast as anything may move, m/s.
     fastest: f64,
     /// What is farther from the lidar than this is not followed into the blind sector, m.
     near: f64,
+    /// Where something was lost in the blind sector.
+    lost: RecentPlaces,
+}
+
+/// Finds what moves in the sweeps of one lidar.
+#[derive(Clone, Debug)]
+struct Detector {
+    lidar: LidarModel,
+    aim: ScanReprojection,
+    /// As fast as anything may move, m/s.
+    fastest: f64,
+    /// How far the beams of the newest sweep went past what stands there, m.
+    past: Vec<f32>,
     looks: VecDeque<ReferenceScan>,
     /// Points of the newest sweep, odometry frame.
     points: Vec<Point2<f64>>,
@@ -66,8 +77,6 @@ pub struct MovingObstacles {
     intruding: Vec<bool>,
     /// Where something has moved lately.
     moved: RecentPlaces,
-    /// Where something was lost in the blind sector.
-    lost: RecentPlaces,
 }
 
 #[derive(Clone, Debug)]
@@ -91,28 +100,98 @@ struct Gone {
 }
 
 impl MovingObstacles {
-    /// None yet.
+    /// None yet. Nothing moves faster than `fastest`, m/s.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        let view = FieldOfView::new(lidar);
+    pub(crate) fn new(model: &RobotModel, view: FieldOfView, fastest: f64) -> Self {
+        Self {
+            detectors: model
+                .all_lidars()
+                .map(|(_, lidar)| Detector::new(lidar, fastest))
+                .collect(),
+            view,
+            fastest,
+            near: 2.0 * model.footprint.circumscribed_radius() + NEAR_SECS * fastest,
+            lost: RecentPlaces::new(LOST_PLACES),
+        }
+    }
+
+    /// Takes a sweep of the lidar of this index.
+    pub(crate) fn insert(&mut self, index: usize, cast: &ProjectedScan<'_>) {
+        let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(cast)) else {
+            return;
+        };
+        self.lose(index, cast);
+        if let Some(detector) = self.detectors.get_mut(index) {
+            detector.note_moved(evident, cast.stamp);
+        }
+    }
+
+    /// Notes what may go into the blind sector before the lidar's next sweep, and forgets what was lost long ago or has come out again.
+    fn lose(&mut self, index: usize, cast: &ProjectedScan<'_>) {
+        let Some(detector) = self.detectors.get(index) else {
+            return;
+        };
+        let step = self.fastest / cast.lidar.rate_hz;
+        let (beside, near, laser) = (BESIDE + step, self.near, cast.laser());
+        let (now, base_from_odom) = (cast.stamp, cast.odom_from_base.inverse());
+        // What moves by a single sweep may be a mistake: it is not worth the wait for it to come out.
+        let since = STILL.0 + step;
+        let goes = |place: &&Point2<f64>| {
+            self.view.distance_to_blind(base_from_odom * **place) <= beside
+                && (**place - laser).norm() <= near
+                && detector.moved.any_within(since, **place)
+        };
+        let points = &detector.points;
+        let places: Vec<_> = points.iter().filter(goes).copied().collect();
+        let fastest = self.fastest;
+        self.lost.retain(|lost| {
+            let age = now.secs_since(lost.stamp);
+            let reach = fastest * age + SURFACE;
+            let is_out = places.is_empty() && points.iter().any(|place| lost.is_within(reach, *place));
+            age <= LOST_SECS && !is_out
+        });
+        for place in places {
+            self.lose_at(place, now);
+        }
+    }
+
+    /// Something was last seen, or felt, at a place (odometry frame).
+    pub fn lose_at(&mut self, place: Point2<f64>, stamp: Stamp) {
+        self.lost.note(place, stamp);
+    }
+
+    /// What may be in the blind sector now.
+    pub fn lost(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
+        self.lost.iter()
+    }
+
+    /// What moves, in the base frame of a robot at `odom_from_base`.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let base_from_odom = rigid(odom_from_base.inverse());
+        self.detectors
+            .iter()
+            .flat_map(|detector| &detector.points)
+            .map(move |point| base_from_odom * point)
+    }
+}
+
+impl Detector {
+    fn new(lidar: &LidarModel, fastest: f64) -> Self {
         Self {
             lidar: lidar.clone(),
-            view,
-            aim: ScanReprojection::new(lidar, !view.has_blind_sector()),
-            past: Vec::new(),
+            aim: ScanReprojection::new(lidar),
             fastest,
-            near: 2.0 * footprint.circumscribed_radius() + NEAR_SECS * fastest,
+            past: Vec::new(),
             looks: VecDeque::new(),
             points: Vec::new(),
             receded: Vec::new(),
             intruding: Vec::new(),
             moved: RecentPlaces::new(MOVED_PLACES),
-            lost: RecentPlaces::new(LOST_PLACES),
         }
     }
 
-    /// Takes a sweep.
-    pub(crate) fn insert(&mut self, cast: &ProjectedScan<'_>) {
+    /// Takes a sweep; returns how many of the points found in it moved by themselves, not only near to what does.
+    fn insert(&mut self, cast: &ProjectedScan<'_>) -> usize {
         self.points.clear();
         self.aim.past(cast.ranges, &mut self.past);
         self.find_receded(cast);
@@ -144,9 +223,13 @@ impl MovingObstacles {
         thin(&mut still);
         self.points.append(&mut still);
         self.look(cast);
-        self.lose(cast);
+        evident
+    }
+
+    /// Notes where something has evidently moved: the first of the points.
+    fn note_moved(&mut self, evident: usize, stamp: Stamp) {
         for place in self.points.iter().take(evident) {
-            self.moved.note(*place, cast.stamp);
+            self.moved.note(*place, stamp);
         }
     }
 
@@ -207,39 +290,6 @@ impl MovingObstacles {
         }
     }
 
-    /// Notes what may go into the blind sector before the next sweep, and forgets what was lost long ago or has come out again.
-    fn lose(&mut self, cast: &ProjectedScan<'_>) {
-        let (beside, near) = (BESIDE + self.fastest / self.lidar.rate_hz, self.near);
-        let (now, laser_from_odom) = (cast.stamp, cast.odom_from_laser.inverse());
-        // What moves by a single sweep may be a mistake: it is not worth the wait for it to come out.
-        let since = STILL.0 + self.fastest / self.lidar.rate_hz;
-        let goes = |place: &&Point2<f64>| {
-            let local = (laser_from_odom * **place).coords;
-            self.view.off_the_blind(local) <= beside && local.norm() <= near && self.moved.any_within(since, **place)
-        };
-        let places: Vec<_> = self.points.iter().filter(goes).copied().collect();
-        let (fastest, points) = (self.fastest, &self.points);
-        self.lost.retain(|lost| {
-            let age = now.secs_since(lost.stamp);
-            let reach = fastest * age + SURFACE;
-            let is_out = places.is_empty() && points.iter().any(|place| lost.is_within(reach, *place));
-            age <= LOST_SECS && !is_out
-        });
-        for place in places {
-            self.lose_at(place, now);
-        }
-    }
-
-    /// Something was last seen, or felt, at a place (odometry frame).
-    pub fn lose_at(&mut self, place: Point2<f64>, stamp: Stamp) {
-        self.lost.note(place, stamp);
-    }
-
-    /// What may be in the blind sector now.
-    pub fn lost(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
-        self.lost.iter()
-    }
-
     /// Drops a run of neighbouring returns that is too narrow to be trusted.
     fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>) {
         if let [first, .., last] = self.points.get(*begun..).unwrap_or_default() {
@@ -286,12 +336,6 @@ impl MovingObstacles {
             past,
         });
     }
-
-    /// What moves, in the base frame of a robot at `odom_from_base`.
-    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        let base_from_odom = rigid(odom_from_base.inverse());
-        self.points.iter().map(move |point| base_from_odom * point)
-    }
 }
 
 /// Leaves out points close to the one before.
@@ -312,10 +356,15 @@ mod tests {
     use super::*;
     use crate::field_of_view::ScanProjector;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::shipped;
 
-    fn lidar() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+    fn robot(name: &str) -> RobotModel {
+        RobotModel::from_toml(shipped(name).unwrap(), name).unwrap()
+    }
+
+    fn none_yet(model: &RobotModel, fastest: f64) -> MovingObstacles {
+        let view = FieldOfView::new(model.first_lidar(), &model.footprint);
+        MovingObstacles::new(model, view, fastest)
     }
 
     /// A wall across the way at `wall`, and a post of some beams at `post`, both in the odometry frame.
@@ -331,27 +380,21 @@ mod tests {
             let before = post.filter(|_| angle.abs() < 0.05).map_or(wall, |at| at - laser.x);
             wall.min(before) as f32
         };
-        Sweep {
-            stamp: Stamp::from_secs(secs),
-            ranges: (0..lidar.beams).map(range).collect(),
-        }
+        Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
     }
 
     #[test]
     fn what_has_gone_from_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
-        let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
-        let lidar = robot.lidar;
-        let mut intruders = MovingObstacles::new(&lidar, &robot.footprint, 0.3);
+        let robot = robot("neato");
+        let lidar = robot.first_lidar().unwrap();
+        let mut intruders = none_yet(&robot, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
             let range = |beam: usize| {
                 let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
                 (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
             };
-            let sweep = Sweep {
-                stamp: Stamp::from_secs(secs),
-                ranges: (0..lidar.beams).map(range).collect(),
-            };
-            intruders.insert(&ScanProjector::new(&lidar).cast(&sweep, Pose2::IDENTITY).unwrap());
+            let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
+            intruders.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
         let points: Vec<_> = intruders.in_base(Pose2::IDENTITY).collect();
         assert!(
@@ -362,16 +405,17 @@ mod tests {
 
     #[test]
     fn what_comes_nearer_intrudes_and_what_stands_does_not() {
-        let lidar = lidar();
-        let mut still = MovingObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        let mut moving = MovingObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        let mut caster = ScanProjector::new(&lidar);
+        let robot = robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let (mut still, mut moving) = (none_yet(&robot, 0.6), none_yet(&robot, 0.6));
+        let mut projector = ScanProjector::new(lidar);
         for step in 0..20 {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
             let base = Pose2::new(0.05 * f64::from(step), 0.0, 0.0);
             for (intruders, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
-                intruders.insert(&caster.cast(&sweep(&lidar, secs, base, Some(post)), base).unwrap());
+                let sweep = sweep(lidar, secs, base, Some(post));
+                intruders.insert(0, &projector.project(&sweep, base).unwrap());
             }
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);

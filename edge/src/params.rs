@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{ParamReply, Refusal};
 use zenav_protocol::robot::ControllerGains;
+use zenav_protocol::settings::Settings as _;
 use zenav_protocol::wall_following::WallFollowing;
 
 /// One gain, or all of them without a name; those of the wall follower too.
@@ -12,12 +13,16 @@ use zenav_protocol::wall_following::WallFollowing;
 /// # Errors
 /// [`Refusal::NotFound`] for an unknown name.
 pub fn read(gains: &ControllerGains, wall: &WallFollowing, name: Option<&str>) -> Result<ParamReply, Refusal> {
-    let trackers = ControllerGains::names().filter_map(|known| Some((known, gains.get(known)?)));
-    let walls = WallFollowing::names().filter_map(|known| Some((known, wall.get(known)?)));
+    let trackers = ControllerGains::numbers()
+        .into_iter()
+        .filter_map(|key| Some((gains.number(&key)?, key)));
+    let walls = WallFollowing::numbers()
+        .into_iter()
+        .filter_map(|key| Some((wall.number(&key)?, key)));
     let params: BTreeMap<_, _> = trackers
         .chain(walls)
-        .filter(|(known, _)| name.is_none_or(|name| name == *known))
-        .map(|(known, value)| (known.to_owned(), value))
+        .filter(|(_, key)| name.is_none_or(|name| name == *key))
+        .map(|(value, key)| (key, value))
         .collect();
     if params.is_empty() {
         Err(unknown(name.unwrap_or_default()))
@@ -38,9 +43,10 @@ pub fn write(
     value: f64,
 ) -> Result<(), Refusal> {
     let refused = |misfit: OutOfBounds| Refusal::rejected(misfit.to_string());
-    if let Some(changed) = wall.with(name, value, reach) {
-        *wall = changed.map_err(refused)?;
-    } else if let Some(changed) = gains.with(name, value) {
+    if let Some(changed) = wall.with_number(name, value) {
+        let fits = |changed: WallFollowing| changed.check_for(reach).map(|()| changed);
+        *wall = changed.and_then(fits).map_err(refused)?;
+    } else if let Some(changed) = gains.with_number(name, value) {
         *gains = changed.map_err(refused)?;
     } else {
         return Err(unknown(name));
@@ -50,9 +56,9 @@ pub fn write(
 
 fn unknown(name: &str) -> Refusal {
     let name: String = name.chars().take(64).collect();
-    let known = ControllerGains::names().chain(WallFollowing::names());
+    let known = [ControllerGains::numbers(), WallFollowing::numbers()].concat();
     Refusal::NotFound {
-        what: format!("parameter `{name}`; there are {}", known.collect::<Vec<_>>().join(", ")),
+        what: format!("parameter `{name}`; there are {}", known.join(", ")),
     }
 }
 
@@ -85,7 +91,7 @@ mod tests {
         assert_eq!(read(Some("wall_min_points"))["wall_min_points"], 7.0);
         assert_eq!(
             read(None).len(),
-            ControllerGains::names().chain(WallFollowing::names()).count()
+            ControllerGains::numbers().len() + WallFollowing::numbers().len()
         );
     }
 }

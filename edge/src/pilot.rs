@@ -84,7 +84,7 @@ impl Pilot {
             behaviours: Maneuvers::default(),
             journal: EventLog::new(boot_id),
             estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            around: LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed()),
+            around: LocalObstacles::new(model),
             guard: CollisionMonitor::new(model, config.tick, config.scan_timeout),
             course: None,
             wall_following: model.wall_following.clone(),
@@ -190,11 +190,13 @@ impl Pilot {
             self.journal.tell(now, kind);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
-        if let Some(sweep) = &readings.sweep
-            && let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
-            && self.around.insert(sweep, odom_from_base)
-        {
-            out.extend(telemetry::scan(sweep, &self.config.model.lidar, &self.estimator).map(Publication::Scan));
+        for sweep in &readings.sweeps {
+            if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
+                && self.around.insert(sweep, odom_from_base)
+                && let Some(scan) = telemetry::scan(sweep, &self.config.model, &self.estimator)
+            {
+                out.push(Publication::Scan(sweep.lidar.clone(), scan));
+            }
         }
         if readings.bump.pressed {
             let place = touched(&self.config.model.footprint, &readings.bump);

@@ -1,5 +1,6 @@
 //! How is the pilot fed from the bus? Thin: typed topics in, typed topics and answers out, the control loop between.
 
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,6 +13,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Publisher, Shutdown};
 use zenav_protocol::messages::*;
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::{self, Ask, Topic};
 
 use crate::body::Body;
@@ -175,7 +177,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     )?;
 
     let mut output = JoinSet::new();
-    let publishers = Publishers::new(&bus, &robot, config.gives_the_time)?;
+    let publishers = Publishers::new(&bus, &robot, &config.edge.model, config.gives_the_time)?;
     output.spawn(publish(publishers, Arc::clone(&exchange)));
     output.spawn(persist_then_reply(file, Arc::clone(&exchange)));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
@@ -280,7 +282,8 @@ where
 
 /// One publisher a topic.
 struct Publishers {
-    scan: Publisher<Scan>,
+    /// By name of the lidar.
+    scans: BTreeMap<String, Publisher<Scan>>,
     odometry: Publisher<Odometry>,
     imu: Publisher<Imu>,
     gps: Publisher<Gps>,
@@ -294,10 +297,18 @@ struct Publishers {
 }
 
 impl Publishers {
-    fn new(bus: &Bus, robot: &str, gives_the_time: bool) -> Result<Self, BusError> {
+    fn new(bus: &Bus, robot: &str, model: &RobotModel, gives_the_time: bool) -> Result<Self, BusError> {
+        let lidars = model.all_lidars().enumerate();
+        let scans = lidars.map(|(index, (lidar, _))| {
+            let publisher = match index {
+                0 => bus.publisher(&topics::SCAN, &[robot])?,
+                _ => bus.publisher(&topics::LIDAR_SCAN, &[robot, lidar])?,
+            };
+            Ok((lidar.to_owned(), publisher))
+        });
         let robot = &[robot];
         Ok(Self {
-            scan: bus.publisher(&topics::SCAN, robot)?,
+            scans: scans.collect::<Result<_, BusError>>()?,
             odometry: bus.publisher(&topics::ODOMETRY, robot)?,
             imu: bus.publisher(&topics::IMU, robot)?,
             gps: bus.publisher(&topics::GPS, robot)?,
@@ -319,7 +330,11 @@ impl Publishers {
         }
         for publication in &bundle.publications {
             match publication {
-                Publication::Scan(message) => self.scan.put(message),
+                Publication::Scan(lidar, message) => {
+                    if let Some(publisher) = self.scans.get(lidar) {
+                        publisher.put(message);
+                    }
+                }
                 Publication::Odometry(message) => self.odometry.put(message),
                 Publication::Imu(message) => self.imu.put(message),
                 Publication::Gps(message) => self.gps.put(message),

@@ -1,9 +1,9 @@
-//! What does the robot publish, and how often?
+//! Telemetry. What does the robot publish, and how often?
 
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{EventKind, Odometry, PoseEstimate, Scan};
 use zenav_protocol::readings::{Readings, Sweep};
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
@@ -94,9 +94,10 @@ impl Telemetry {
     }
 }
 
-/// A sweep as a message, with the poses at its own stamp; `None` when that is too long ago to know them.
+/// A sweep as a message, with the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
 #[must_use]
-pub fn scan(sweep: &Sweep, lidar: &LidarModel, estimator: &Estimator) -> Option<Scan> {
+pub fn scan(sweep: &Sweep, model: &RobotModel, estimator: &Estimator) -> Option<Scan> {
+    let (_, lidar) = model.all_lidars().find(|(name, _)| *name == sweep.lidar)?;
     Some(Scan {
         stamp: sweep.stamp,
         angle_min: lidar.angle_min(),

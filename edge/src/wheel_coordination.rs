@@ -23,7 +23,7 @@ impl WheelCoordination {
         Self {
             lag: drive.motor_lag,
             gain: drive.max_wheel_acceleration,
-            loss: (drive.hard_braking / drive.wheel_radius).max(drive.max_wheel_acceleration),
+            loss: (drive.wheel_braking()).max(drive.max_wheel_acceleration),
             speed: [0.0; 2],
         }
     }
@@ -70,8 +70,6 @@ mod tests {
     use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::motors::Motors as Real;
 
-    use crate::limiter::wheel_surface_speed;
-
     const TICK: f64 = 0.02;
 
     fn jackal() -> Drive {
@@ -91,7 +89,7 @@ mod tests {
             let driven = drive.twist(real.step(&drive, TICK));
             if tick >= 200 {
                 pose = pose.advance(driven, TICK);
-                way += wheel_surface_speed(&drive, driven) * TICK;
+                way += drive.surface_speed(driven) * TICK;
             }
         }
         (pose, way)

@@ -1,11 +1,12 @@
 //! Text of configuration files. What did a user write, and where? Pairs of coordinates, values out of their bounds, lines of keys in a TOML file, numbers in messages.
 
-use std::borrow::Cow;
 use std::fmt;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Deserializer, Serialize};
 use thiserror::Error;
+
+use crate::settings::Bounds;
 
 /// Two numbers, and no third: a reader that takes the first two of `[1, 2, 3]` would hide a mistake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -36,10 +37,10 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
 
 /// A setting with a value out of its bounds.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("`{name}` {problem}")]
+#[error("`{key}` {problem}")]
 pub struct OutOfBounds {
-    /// The setting's key, tables before it joined by dots.
-    pub name: Cow<'static, str>,
+    /// The setting's key, the sections before it joined by dots.
+    pub key: String,
     /// What it is, and what was expected.
     pub problem: String,
 }
@@ -47,27 +48,24 @@ pub struct OutOfBounds {
 impl OutOfBounds {
     /// A value that lies outside of its bounds.
     #[must_use]
-    pub fn outside(name: impl Into<Cow<'static, str>>, value: f64, least: f64, most: f64) -> Self {
-        Self {
-            name: name.into(),
-            problem: format!("is {}: expected {least} to {most}", Number(value)),
-        }
+    pub fn outside(key: &str, value: f64, bounds: &Bounds, unit: &str) -> Self {
+        Self::unlike(key, value, format!("{bounds} {unit}").trim_end())
     }
 
     /// A value that is something else than was expected.
     #[must_use]
-    pub fn unlike(name: impl Into<Cow<'static, str>>, value: f64, expected: impl fmt::Display) -> Self {
+    pub fn unlike(key: &str, value: f64, expected: impl fmt::Display) -> Self {
         Self {
-            name: name.into(),
+            key: key.to_owned(),
             problem: format!("is {}: expected {expected}", Number(value)),
         }
     }
 
-    /// The same for a setting that stands in a table.
+    /// The same, said by the section around.
     #[must_use]
-    pub fn in_table(self, table: &str) -> Self {
+    pub fn within(self, section: &str) -> Self {
         Self {
-            name: format!("{table}.{}", self.name).into(),
+            key: format!("{section}.{}", self.key),
             ..self
         }
     }
@@ -118,7 +116,7 @@ impl fmt::Display for Expected {
 /// The first value that is not what is expected.
 pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBounds> {
     match values.iter().find(|(_, value, expected)| !expected.holds(*value)) {
-        Some((name, value, expected)) => Err(OutOfBounds::unlike(*name, *value, expected)),
+        Some((name, value, expected)) => Err(OutOfBounds::unlike(name, *value, expected)),
         None => Ok(()),
     }
 }

@@ -18,9 +18,13 @@
 //! | [`lease`] | who may command a robot |
 //! | [`topics`] | the key table |
 //! | [`wall_following`] | how a robot follows walls |
+//! | [`settings`] | what can be tuned: one declaration a setting |
 //! | [`config_text`] | what users write in files: pairs, bounds, lines |
 //! | [`codec`] | JSON and CBOR by encoding |
 //! | `bus` | typed Zenoh (feature `bus`) |
+
+// `settings!` names this crate by its name, in here too.
+extern crate self as zenav_protocol;
 
 #[cfg(feature = "bus")]
 pub mod bus;
@@ -41,6 +45,7 @@ pub mod readings;
 pub mod robot;
 mod robot_check;
 pub mod sensors;
+pub mod settings;
 pub mod time;
 pub mod topics;
 pub mod wall_following;

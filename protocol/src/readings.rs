@@ -122,7 +122,11 @@ mod tests {
         let mut rear = readings(20, Some(3.0), false);
         rear.sweeps[0].lidar = "rear".to_owned();
         let both = rear.followed_by(readings(40, Some(1.0), false));
-        let heard: Vec<_> = both.sweeps.iter().map(|sweep| (sweep.lidar.as_str(), sweep.ranges[0])).collect();
+        let heard: Vec<_> = both
+            .sweeps
+            .iter()
+            .map(|sweep| (sweep.lidar.as_str(), sweep.ranges[0]))
+            .collect();
         assert_eq!(heard, [("lidar", 1.0), ("rear", 3.0)]);
     }
 

@@ -13,8 +13,8 @@ pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
 pub use crate::gains::{ControllerGains, TrackerKind};
 pub use crate::robot_check::RobotError;
-pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
 use crate::sensors::DEFAULT_LIDAR;
+pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
 use crate::wall_following::WallFollowing;
 
 /// A robot: what its file says.
@@ -167,7 +167,9 @@ impl RobotModel {
     /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has: file, line and key.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
         let model: Self = toml::from_str(text).map_err(|source| RobotError::toml(name, source))?;
-        model.check().map_err(|error| RobotError::value(error, name, Some(text)))?;
+        model
+            .check()
+            .map_err(|error| RobotError::value(error, name, Some(text)))?;
         Ok(model)
     }
 
@@ -304,13 +306,18 @@ mod tests {
         }
         let text = shipped("tiago").unwrap().replace("[lidar]", "[lidars.front]");
         let front = RobotModel::from_toml(&text, "front").unwrap();
-        assert_eq!((names(&front), front.first_lidar()), (vec!["front".to_owned()], front.lidars.get("front")));
+        assert_eq!(
+            (names(&front), front.first_lidar()),
+            (vec!["front".to_owned()], front.lidars.get("front"))
+        );
     }
 
     #[test]
     fn an_option_that_does_not_exist_or_does_not_fit_is_named() {
         let said = |names: &str, text: &str| {
-            RobotModel::with_options(names, |_| Ok(text.to_owned())).unwrap_err().to_string()
+            RobotModel::with_options(names, |_| Ok(text.to_owned()))
+                .unwrap_err()
+                .to_string()
         };
         let missing = RobotModel::with_options("jackal+wings", |_| Err("no such file".to_owned())).unwrap_err();
         assert_eq!(missing.to_string(), "`wings`: no such file");

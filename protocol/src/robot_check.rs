@@ -7,6 +7,7 @@ use crate::config_text::{Expected, OutOfBounds, check_all, line_of};
 use crate::id::Id;
 use crate::robot::{Footprint, RobotModel};
 use crate::sensors::{DEFAULT_LIDAR, GpsModel};
+use crate::settings::Settings as _;
 
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
@@ -53,11 +54,11 @@ impl RobotError {
 
     /// A value out of bounds, with its line where there is a text.
     pub(crate) fn value(error: OutOfBounds, name: &str, text: Option<&str>) -> Self {
-        let OutOfBounds { name: key, problem } = error;
+        let OutOfBounds { key, problem } = error;
         let line = text.and_then(|text| line_of(text, &key));
         Self::Value {
             at: line.map_or_else(|| name.to_owned(), |line| format!("{name}:{line}")),
-            key: key.into_owned(),
+            key,
             problem,
         }
     }
@@ -67,7 +68,7 @@ impl RobotModel {
     /// The first value that no robot has.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         self.check_footprint()?;
-        self.drive.check().map_err(|error| error.in_table("drive"))?;
+        self.drive.check().map_err(|error| error.within("drive"))?;
         self.check_lidars()?;
         let gps = self.gps.as_ref().map_or(Ok(()), GpsModel::check);
         let reach = self.footprint.circumscribed_radius();
@@ -78,9 +79,9 @@ impl RobotModel {
             ("battery", self.battery.check()),
             ("motors", self.motors.check()),
             ("controller", self.controller.check()),
-            ("wall_following", self.wall_following.check(reach)),
+            ("wall_following", self.wall_following.check_for(reach)),
         ] {
-            check.map_err(|error| error.in_table(table))?;
+            check.map_err(|error| error.within(table))?;
         }
         Ok(())
     }
@@ -100,37 +101,47 @@ impl RobotModel {
                 self.footprint.distance(Point2::origin()) == 0.0 && self.footprint.inscribed_radius() > 0.0;
             if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
                 return Err(OutOfBounds {
-                    name: "footprint.polygon".into(),
+                    key: "footprint.polygon".to_owned(),
                     problem: "does not enclose the base: expected 3 to 64 corners of a convex polygon around the base, counter-clockwise"
                         .to_owned(),
                 });
             }
         }
-        check_all(&[("footprint.radius", self.footprint.inscribed_radius(), Expected::Positive)])
+        check_all(&[(
+            "footprint.radius",
+            self.footprint.inscribed_radius(),
+            Expected::Positive,
+        )])
     }
 
     fn check_lidars(&self) -> Result<(), OutOfBounds> {
         let refused = |name: &str, problem: &str| {
             Err(OutOfBounds {
-                name: name.to_owned().into(),
+                key: name.to_owned(),
                 problem: problem.to_owned(),
             })
         };
         if self.lidar.is_none() && self.lidars.is_empty() {
-            return refused("lidar", "is missing: expected `[lidar]`, or `[lidars.NAME]` for each of several");
+            return refused(
+                "lidar",
+                "is missing: expected `[lidar]`, or `[lidars.NAME]` for each of several",
+            );
         }
         if self.lidars.len() >= MAX_LIDARS {
             return refused("lidars", "has too many tables: expected at most 16 lidars");
         }
         if let Some(lidar) = &self.lidar {
-            lidar.check().map_err(|error| error.in_table("lidar"))?;
+            lidar.check().map_err(|error| error.within("lidar"))?;
         }
         for (name, lidar) in &self.lidars {
             let table = format!("lidars.{name}");
             if Id::new(name.clone()).is_err() || (name == DEFAULT_LIDAR && self.lidar.is_some()) {
-                return refused(&table, "is no name of a further lidar: expected letters, digits, `_` or `-`, and not that of `[lidar]`");
+                return refused(
+                    &table,
+                    "is no name of a further lidar: expected letters, digits, `_` or `-`, and not that of `[lidar]`",
+                );
             }
-            lidar.check().map_err(|error| error.in_table(&table))?;
+            lidar.check().map_err(|error| error.within(&table))?;
         }
         Ok(())
     }

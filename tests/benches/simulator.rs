@@ -16,11 +16,11 @@ use std::process::Command;
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
+use zenav::batch::sim_bench::{rays, run};
 use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel, shipped};
-use zenav::batch::sim_bench::{rays, run};
 use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -138,7 +138,14 @@ fn peer(text: &str) -> String {
     let Footprint::Radius(radius) = model.footprint else {
         return "?".to_owned();
     };
-    let numbers = [radius, BEAMS as f64, model.first_lidar().unwrap().field_of_view, RANGE, 5.0].map(|value| value.to_string());
+    let numbers = [
+        radius,
+        BEAMS as f64,
+        model.first_lidar().unwrap().field_of_view,
+        RANGE,
+        5.0,
+    ]
+    .map(|value| value.to_string());
     let output = Command::new(python).arg(script).arg(&file).args(numbers).output();
     match output {
         Ok(output) if output.status.success() => {

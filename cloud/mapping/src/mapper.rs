@@ -1,6 +1,7 @@
 //! How do a robot's scans become its map? The pure core of mapping: scans in, patches out.
 
 use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, Scan};
 use zenav_protocol::robot::Footprint;
@@ -16,7 +17,7 @@ pub enum Insertion {
     Inserted,
     /// The map is held: nothing is inserted until it is resumed.
     Held,
-    /// It is not newer than the newest one in the map.
+    /// It is not newer than the newest one of its lidar in the map.
     OutOfOrder,
     /// Its description makes no sense.
     NotSane,
@@ -26,6 +27,9 @@ pub enum Insertion {
 
 /// A stamp this much before the newest one is not late but of another clock: the robot has started anew, s.
 const ANOTHER_CLOCK: f64 = 10.0;
+
+/// Most lidars whose scans are kept in order.
+const MAX_LIDARS: usize = 16;
 
 /// Longest trajectory that is kept; beyond it every other point is dropped, and the step doubles.
 const MAX_TRAJECTORY: usize = 100_000;
@@ -37,6 +41,8 @@ pub struct Mapper {
     grid: LogOddsGrid,
     map: MapRef,
     stamp: Stamp,
+    /// Stamp of the last scan of each lidar; lidars are told apart by their mounts.
+    newest: Vec<(Pose2, Stamp)>,
     scans: u64,
     trajectory: Vec<Point2<f64>>,
     trajectory_step: f64,
@@ -55,6 +61,7 @@ impl Mapper {
                 revision: 0,
             },
             stamp: Stamp::ZERO,
+            newest: Vec::new(),
             scans: 0,
             trajectory: Vec::new(),
             trajectory_step: config.trajectory_step,
@@ -93,7 +100,7 @@ impl Mapper {
         if !scan.is_sane() {
             return Insertion::NotSane;
         }
-        if self.scans > 0 && scan.stamp <= self.stamp && self.stamp.secs_since(scan.stamp) < ANOTHER_CLOCK {
+        if !self.is_in_order(scan) {
             return Insertion::OutOfOrder;
         }
         let drawn = self.grid.insert(
@@ -105,10 +112,25 @@ impl Mapper {
         if drawn.is_none_or(|drawn| drawn.beams == 0 && drawn.left_out > 0) {
             return Insertion::OutOfMap;
         }
-        self.stamp = scan.stamp;
+        self.note_order(scan);
         self.scans += 1;
         self.keep_trajectory((scan.map_from_odom * scan.odom_from_base).position());
         Insertion::Inserted
+    }
+
+    /// Whether a scan is newer than the last one of its lidar: a robot's lidars need not wait for one another.
+    fn is_in_order(&self, scan: &Scan) -> bool {
+        let last = self.newest.iter().find(|(mount, _)| *mount == scan.base_from_laser);
+        last.is_none_or(|(_, stamp)| scan.stamp > *stamp || stamp.secs_since(scan.stamp) >= ANOTHER_CLOCK)
+    }
+
+    fn note_order(&mut self, scan: &Scan) {
+        if self.stamp.secs_since(scan.stamp) >= ANOTHER_CLOCK || self.newest.len() >= MAX_LIDARS {
+            (self.newest, self.stamp) = (Vec::new(), scan.stamp);
+        }
+        self.newest.retain(|(mount, _)| *mount != scan.base_from_laser);
+        self.newest.push((scan.base_from_laser, scan.stamp));
+        self.stamp = self.stamp.max(scan.stamp);
     }
 
     fn keep_trajectory(&mut self, position: Point2<f64>) {
@@ -243,7 +265,6 @@ impl Mapper {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::geometry::Pose2;
     use zenav_protocol::grid::Occupancy;
 
     use super::*;
@@ -290,6 +311,31 @@ mod tests {
         mapper.take_patch();
         assert_eq!(mapper.insert(&far), Insertion::OutOfMap);
         assert_eq!(mapper.reply().values, before.values);
+    }
+
+    #[test]
+    fn two_lidars_need_not_wait_for_one_another() {
+        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let rear = |stamp| Scan {
+            base_from_laser: Pose2::new(-0.1, 0.0, 3.0),
+            ..scan(stamp, 0.0)
+        };
+        for (scan, inserted) in [
+            (scan(5, 0.0), true),
+            (rear(5), true),
+            (rear(8), true),
+            (scan(7, 0.0), true),
+            (rear(8), false),
+            (scan(6, 0.0), false),
+        ] {
+            let expected = if inserted {
+                Insertion::Inserted
+            } else {
+                Insertion::OutOfOrder
+            };
+            assert_eq!(mapper.insert(&scan), expected, "{:?}", scan.stamp);
+        }
+        assert_eq!(mapper.info().stamp, Stamp(8));
     }
 
     #[test]

@@ -13,7 +13,9 @@ use zenav_protocol::messages::{
     EdgeState, InfoRequest, MapAction, MapInfo, MapPatch, MapRef, MapReply, MapRequest, Refusal, Scan,
 };
 use zenav_protocol::time::Stamp;
-use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key};
+use zenav_protocol::topics::{
+    ALIVE_COMPONENT, EDGE_INFO, LIDAR_SCAN, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
+};
 
 use zenav_mapping::config::{MapperConfig, MapperConfigError};
 use zenav_mapping::map_image;
@@ -85,6 +87,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let robot = config.robot.clone();
     let chunks = [robot.as_str()];
     let mut scans = bus.latest(&SCAN, &chunks)?;
+    let mut further_scans = bus.latest(&LIDAR_SCAN, &[&robot, "*"])?;
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut service = Service {
@@ -108,6 +111,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         tokio::select! {
             () = shutdown.wait() => break,
             scan = scans.next() => match scan {
+                Some(scan) => service.take_in(&scan.message, clock.now()),
+                None => break,
+            },
+            scan = further_scans.next() => match scan {
                 Some(scan) => service.take_in(&scan.message, clock.now()),
                 None => break,
             },

@@ -10,8 +10,9 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_sim::movers::{MoverModel, Route};
+use zenav_sim::scatter::scatter;
 use zenav_sim::shape::Shape;
-use zenav_sim::{RobotSpec, Simulation, World, bench};
+use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::canvas::{Canvas, Color, FREE, OCCUPIED, circle};
 use crate::failure::{Failure, Outcome};
@@ -139,7 +140,7 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
 fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let model = files::robot(&args.robot)?;
     // Round the start there is no room for as many as this.
-    let others = bench::scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
+    let others = scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
     let apart = |pose: &Pose2| pose.distance(&world.start()) > 2.0 * model.footprint.circumscribed_radius();
     let others = others.into_iter().filter(apart);
     let starts = [world.start()].into_iter().chain(others).take(args.robots);
@@ -265,10 +266,12 @@ fn robot(canvas: &mut Canvas, simulation: &Simulation, robot: usize) {
     canvas.outline(&outline, ROBOT_EDGE, 0);
     let nose = pose.position() + pose.heading() * model.footprint.inscribed_radius();
     canvas.line(pose.position(), nose, FREE, 1);
-    if let Some(sweep) = simulation.readings(robot).sweep {
-        let laser = pose * model.lidar.mount;
+    for sweep in simulation.readings(robot).sweeps {
+        let Some((_, lidar)) = model.all_lidars().find(|(name, _)| *name == sweep.lidar) else {
+            continue;
+        };
         for (beam, range) in sweep.ranges.iter().enumerate() {
-            if let Some(hit) = hit(&model.lidar, laser, beam, f64::from(*range)) {
+            if let Some(hit) = hit(lidar, pose * lidar.mount, beam, f64::from(*range)) {
                 canvas.dot(hit, SEEN, 1);
             }
         }

@@ -5,7 +5,6 @@
 use std::time::Duration;
 
 use serde::Serialize;
-use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::lidar::AngularBuffer;

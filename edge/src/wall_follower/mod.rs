@@ -116,7 +116,10 @@ impl WallFollower {
     pub fn new(model: &RobotModel) -> Self {
         Self {
             body: model.footprint.circumscribed_radius() + ELBOW_ROOM,
-            bend: BEND.0.max(BEND.1 * model.lidar.noise),
+            bend: model
+                .all_lidars()
+                .map(|(_, lidar)| BEND.1 * lidar.noise)
+                .fold(BEND.0, f64::max),
             braking: 0.5 * model.drive.acceleration(),
             state: State::WallSearch,
             scan: None,
@@ -244,7 +247,11 @@ impl WallFollower {
             return;
         }
         self.scan = sight.around.stamp();
-        let runs = filter::runs(sight.around.seen_in(Pose2::IDENTITY), sight.settings.wall_min_points);
+        let least = sight.settings.wall_min_points;
+        let sweeps = sight.around.seen_by_lidar();
+        let runs: Vec<_> = sweeps
+            .flat_map(|points| filter::runs(points.iter().copied(), least))
+            .collect();
         self.walls = runs.iter().flat_map(|run| line::walls(run, self.bend)).collect();
         self.points = runs.concat();
     }

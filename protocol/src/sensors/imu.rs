@@ -49,7 +49,11 @@ impl ImuModel {
         check_all(&[
             ("rate_hz", self.rate_hz, Expected::Positive),
             ("gyro_noise", self.gyro_noise, Expected::NotNegative),
-            ("compass_noise", self.compass_noise.unwrap_or(0.0), Expected::NotNegative),
+            (
+                "compass_noise",
+                self.compass_noise.unwrap_or(0.0),
+                Expected::NotNegative,
+            ),
             ("resolution", self.resolution, Expected::NotNegative),
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),

@@ -16,6 +16,8 @@ use crate::time::Stamp;
 /// Name of the lidar that a robot file describes as `[lidar]`.
 pub const DEFAULT_LIDAR: &str = "lidar";
 
+/// A gap between the last beam and the first that is no larger is not a blind sector, rad.
+const LEAST_GAP: f64 = 0.1;
 /// Most beams of one sweep.
 const MAX_BEAMS: usize = 100_000;
 
@@ -78,6 +80,13 @@ impl LidarModel {
         }
     }
 
+    /// Angle that is never seen, rad, from the last beam to the first; zero where it is no more than 0.1 rad.
+    #[must_use]
+    pub fn gap(&self) -> f64 {
+        let gap = TAU - self.angle_increment() * (self.beams.max(1) - 1) as f64;
+        if gap > LEAST_GAP { gap } else { 0.0 }
+    }
+
     fn is_full_circle(&self) -> bool {
         self.field_of_view > TAU - 1e-3
     }
@@ -99,7 +108,11 @@ impl LidarModel {
             return Err(OutOfBounds::unlike("mount", f64::NAN, "finite numbers"));
         }
         if !(1..=MAX_BEAMS).contains(&self.beams) {
-            return Err(OutOfBounds::outside("beams", self.beams as f64, 1.0, MAX_BEAMS as f64));
+            return Err(OutOfBounds::unlike(
+                "beams",
+                self.beams as f64,
+                format_args!("1 to {MAX_BEAMS}"),
+            ));
         }
         if self.field_of_view > TAU + 1e-6 {
             return Err(OutOfBounds::unlike("field_of_view", self.field_of_view, "at most 2 pi"));

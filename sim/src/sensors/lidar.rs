@@ -81,3 +81,26 @@ pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut i
         }
     }));
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::robot::{RobotModel, shipped};
+
+    #[test]
+    fn a_reading_is_rounded_to_millimetres_and_bounded_by_the_limits() {
+        let tiago = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = LidarModel {
+            range_min: 0.1,
+            range_max: 5.0,
+            noise: 0.0,
+            ..tiago.lidar.unwrap()
+        };
+        let mut ranges = Vec::new();
+        let mut rng = Pcg64Mcg::new(1);
+        let truth = [1.234_56, 0.05, 5.01, f64::INFINITY];
+        measure(&model, truth.into_iter(), &mut rng, &mut ranges);
+        assert_eq!(ranges, [1.235, f32::INFINITY, f32::INFINITY, f32::INFINITY]);
+    }
+}

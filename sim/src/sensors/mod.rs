@@ -74,7 +74,10 @@ impl Clone for Box<dyn Sensor> {
 pub fn sensors(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
     let stream = |source| stream(seed, id, source);
     let mut sensors: Vec<Box<dyn Sensor>> = vec![
-        Box::new(encoders::Encoders::new(model.encoders.clone(), stream(Stream::Encoders))),
+        Box::new(encoders::Encoders::new(
+            model.encoders.clone(),
+            stream(Stream::Encoders),
+        )),
         Box::new(imu::InertialUnit::new(model.imu.clone(), stream(Stream::Imu))),
         Box::new(bump::Bumper),
         Box::new(battery::BatteryGauge(model.battery.clone())),

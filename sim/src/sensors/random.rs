@@ -84,7 +84,10 @@ mod tests {
         assert_ne!(first("a", Stream::Gps, 1), first("b", Stream::Gps, 1));
         assert_ne!(first("a", Stream::Gps, 1), first("a", Stream::Imu, 1));
         assert_ne!(first("a", Stream::Gps, 1), first("a", Stream::Gps, 2));
-        assert_ne!(first("a", Stream::Named("rear"), 1), first("a", Stream::Named("front"), 1));
+        assert_ne!(
+            first("a", Stream::Named("rear"), 1),
+            first("a", Stream::Named("front"), 1)
+        );
         assert_ne!(first("a", Stream::Named("rear"), 1), first("a", Stream::Lidar, 1));
     }
 }

@@ -52,7 +52,9 @@ fn heard(spoil: impl Fn(&mut RobotModel)) -> Heard {
     for _ in 0..TICKS {
         simulation.step();
         let readings = simulation.readings(0);
-        heard.sweeps.extend(readings.sweeps.into_iter().map(|sweep| (readings.stamp, sweep)));
+        heard
+            .sweeps
+            .extend(readings.sweeps.into_iter().map(|sweep| (readings.stamp, sweep)));
         heard.imu.extend(readings.imu.map(|imu| (readings.stamp, imu)));
         heard.gps.extend(readings.gps.map(|gps| (readings.stamp, gps)));
     }
