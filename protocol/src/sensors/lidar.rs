@@ -80,9 +80,12 @@ impl LidarModel {
         }
     }
 
-    /// Angle that is never seen, rad, from the last beam to the first; zero where it is no more than 0.1 rad.
+    /// Angle that is never seen, rad, from the last beam to the first; zero for a full circle, and where it is no more than 0.1 rad.
     #[must_use]
     pub fn gap(&self) -> f64 {
+        if self.is_full_circle() {
+            return 0.0;
+        }
         let gap = TAU - self.angle_increment() * (self.beams.max(1) - 1) as f64;
         if gap > LEAST_GAP { gap } else { 0.0 }
     }
