@@ -181,7 +181,7 @@ impl Parts {
     pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
         let mut config = mapping::MappingConfig::new(id.as_str());
-        config.mapper.resolution = deployment.mapping.resolution;
+        config.settings.resolution = deployment.mapping.resolution;
         config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;

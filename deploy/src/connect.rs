@@ -4,7 +4,6 @@
 //! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::hash::{BuildHasher, Hasher};
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -17,7 +16,7 @@ use crate::failure::Failure;
 
 /// Where the router is unless told otherwise: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Where the first robot of a machine listens itself unless told otherwise (`single.toml`).
+/// Where the robot of the default deployment listens itself.
 pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// How long to look for a robot that does not show at once: it may just be starting.
@@ -258,12 +257,10 @@ fn unknown(wanted: Option<&str>, known: &BTreeSet<String>) -> Failure {
     })
 }
 
-/// A name that nobody else makes: for goals, requests and holders.
+/// A unique id for a goal, request or holder.
 #[must_use]
 pub fn fresh_id(prefix: &str) -> String {
-    // The standard library seeds every hasher from the system's randomness.
-    let random = std::hash::RandomState::new().build_hasher().finish();
-    format!("{prefix}-{random:016x}")
+    format!("{prefix}-{}", Id::unique())
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! How long does the guard think? One decision on a scan of 667 beams, and what taking in such a sweep costs before it.
-//! `cargo bench -p zenav-edge --bench guard`
+//! Collision monitor bench. What does one decision on a scan of 667 beams cost, and what taking in such a scan before it?
+//! `cargo bench -p zenav-edge --bench collision_monitor`
 //!
-//! A room of 5 m by 4 m with furniture at arm's length, seen by the shipped robots' own lidars with 667 beams each; with somebody
-//! who walks through it, and one more who has gone out of sight.
+//! A room of 5 m by 4 m with furniture at arm's length, seen by the shipped robots' own lidars with 667 beams each; one person walks
+//! through it, another has left the field of view.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(clippy::unwrap_used, reason = "a bench")]
@@ -87,10 +87,10 @@ fn decision(criterion: &mut Criterion) {
         let model = model(name);
         let (v, w) = (model.drive.top_speed(), model.drive.top_yaw_rate());
         for people in [false, true] {
-            let mut around = LocalObstacles::new(&model);
+            let mut obstacles = LocalObstacles::new(&model);
             let history = history(&model, people);
             for (sweep, base) in &history {
-                assert!(around.insert(sweep, *base));
+                assert!(obstacles.insert(sweep, *base));
             }
             let with = if people { "people" } else { "furniture" };
             for (motion, twist) in [
@@ -99,14 +99,14 @@ fn decision(criterion: &mut Criterion) {
                 ("turn", Twist2::new(0.0, w)),
                 ("back", Twist2::new(-v, 0.1 * w)),
             ] {
-                let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
-                guard.blind_speed = v;
+                let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+                monitor.blind_speed = v;
                 criterion.bench_function(&format!("guard/decision/{name}/{with}/{motion}"), |bencher| {
                     bencher.iter(|| {
-                        guard.judge(
+                        monitor.judge(
                             Stamp::from_secs(3.0),
                             black_box(twist),
-                            black_box(&around),
+                            black_box(&obstacles),
                             Pose2::IDENTITY,
                             &bump,
                         )
@@ -114,8 +114,8 @@ fn decision(criterion: &mut Criterion) {
                 });
             }
             let mut step = 0;
-            criterion.bench_function(&format!("guard/sweep/{name}/{with}"), |bencher| {
-                let mut around = LocalObstacles::new(&model);
+            criterion.bench_function(&format!("monitor/sweep/{name}/{with}"), |bencher| {
+                let mut obstacles = LocalObstacles::new(&model);
                 bencher.iter_batched_ref(
                     || {
                         // Round after round of the same seconds, on a clock that goes on.
@@ -124,7 +124,7 @@ fn decision(criterion: &mut Criterion) {
                         let sweep = Sweep::new(Stamp::from_secs(0.05 * step as f64), sweep.ranges.clone());
                         (sweep, *base)
                     },
-                    |(sweep, base)| assert!(around.insert(sweep, *base)),
+                    |(sweep, base)| assert!(obstacles.insert(sweep, *base)),
                     criterion::BatchSize::PerIteration,
                 );
             });

@@ -1,8 +1,8 @@
-//! May this plan move the robot? Trust but verify: every plan is judged on the robot before it is driven.
+//! Plan acceptance. May this plan move the robot? Trust but verify: the robot checks every plan before it drives it.
 //!
-//! A plan must be of the current grant and boot, newer than every one before, not expired, finite, monotone in time,
-//! within the robot's own limits, begin where the robot will be, and be free in the robot's own latest scan as far as
-//! that sees. A rejection has no effect but its reason.
+//! A plan must be of the current lease epoch and boot, newer than every one before, not expired, finite, monotone in time,
+//! within the robot's own limits, start where the robot will be, and be free of obstacles in the robot's latest scan as far as
+//! that sees. A rejection has no effect but an event with its reason.
 
 use nalgebra::Point2;
 use thiserror::Error;
@@ -17,9 +17,9 @@ const START_DISTANCE: f64 = 0.25;
 const START_YAW: f64 = 0.6;
 /// The same for the wheels' surface speed, m/s.
 const START_SPEED: f64 = 0.35;
-/// Overshoot of speed and acceleration limits that rounding and sampling explain, as a share.
+/// Tolerance of speed and acceleration limits for rounding and sampling, as a share.
 const LIMIT_SLACK: f64 = 0.02;
-/// Slack of a wheel's speed change between two points, rad/s.
+/// Tolerance of a wheel's speed change between two points, rad/s.
 const STEP_SLACK: f64 = 0.1;
 /// A trajectory ends at rest: largest wheel surface speed there, m/s.
 const END_SPEED: f64 = 0.1;
@@ -27,11 +27,11 @@ const END_SPEED: f64 = 0.1;
 const MOST_POINTS: usize = 100_000;
 /// Longest goal id.
 const LONGEST_ID: usize = 128;
-/// The footprint that is checked against the scan is smaller than the true one by this, for the noise of ranges, m.
+/// The footprint checked against the scan is smaller than the true one by this, for range noise, m.
 const SCAN_SLACK: f64 = 0.02;
-/// And by this for each metre from the robot, for the error of its heading.
+/// And by this for each metre from the robot, for heading error.
 const SCAN_SLACK_PER_METRE: f64 = 0.01;
-/// Farther from the robot than this the scan does not judge, m.
+/// Beyond this distance from the robot the scan is not used, m.
 const SCAN_HORIZON: f64 = 4.0;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
@@ -39,8 +39,8 @@ const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
 /// Why a plan was refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Rejection {
-    /// Another grant's.
-    #[error("it was written under epoch {got}; the current one is {current}")]
+    /// Of another lease epoch.
+    #[error("plan of epoch {got}, the current epoch is {current}")]
     WrongEpoch {
         /// The plan's.
         got: u64,
@@ -50,66 +50,66 @@ pub enum Rejection {
     /// Nobody holds a live lease, or an operator does.
     #[error("no mission holds a live lease")]
     NoLease,
-    /// Stopped by hand.
+    /// The stop is latched.
     #[error("the robot is stopped")]
     Stopped,
-    /// A behaviour of the edge's own runs.
-    #[error("the behaviour {0} runs")]
+    /// A maneuver is running.
+    #[error("maneuver {0} is running")]
     Busy(String),
-    /// Older than or the same as one seen before.
-    #[error("revision {}.{} is not newer than {}.{}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
+    /// Not newer than a plan seen before.
+    #[error("plan revision {}.{} is not newer than {}.{}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
     Stale {
         /// The plan's.
         got: Revision,
         /// The newest seen under this epoch.
         newest: Revision,
     },
-    /// The motion was thrown away before.
-    #[error("the motion {0} was discarded; a new one is needed")]
+    /// Its trajectory was discarded before.
+    #[error("trajectory {0} was discarded; send a new one")]
     Discarded(u64),
-    /// Based on another life of this edge.
-    #[error("it is based on boot {got}, this is {current}")]
+    /// Based on another boot of this edge.
+    #[error("plan based on boot {got}, the edge runs boot {current}")]
     WrongBoot {
         /// The plan's, shortened.
         got: String,
         /// This one.
         current: String,
     },
-    /// Based on a time that is yet to come.
-    #[error("it is based on a stamp {0:.3} s in the future")]
+    /// Based on a stamp in the future.
+    #[error("plan based on a stamp {0:.3} s in the future")]
     Future(f64),
     /// Based on a time before the last resume.
-    #[error("it is based on a stamp from before the robot was resumed")]
+    #[error("plan based on a stamp from before the robot was resumed")]
     BeforeResume,
-    /// Its time is over.
-    #[error("it expired {0:.3} s ago")]
+    /// Expired.
+    #[error("plan expired {0:.3} s ago")]
     Expired(f64),
     /// A number that is not finite, or a name that is too long.
     #[error("{0}")]
     Malformed(&'static str),
     /// Another frame than the map.
-    #[error("its frame is not `map`")]
+    #[error("plan frame is not `map`")]
     Frame,
-    /// Nowhere to go.
-    #[error("it has neither trajectory nor waypoints")]
+    /// Neither trajectory nor waypoints.
+    #[error("plan has neither trajectory nor waypoints")]
     Empty,
-    /// Time does not grow from point to point.
-    #[error("time does not grow at point {0}")]
+    /// Time does not increase from point to point.
+    #[error("time does not increase at point {0}")]
     TimeOrder(usize),
-    /// Faster than the robot is.
-    #[error("{what} at point {point} is {value:.3}, the limit {limit:.3}")]
+    /// Over a limit of the robot.
+    #[error("{what} at point {point} is {value:.3}, over the limit of {limit:.3}")]
     OverLimit {
-        /// Which quantity.
+        /// The quantity.
         what: &'static str,
-        /// Where.
+        /// Index of the point.
         point: usize,
         /// Its value.
         value: f64,
         /// The limit.
         limit: f64,
     },
-    /// It does not begin where the robot will be.
-    #[error("it starts {distance:.2} m, {yaw:.2} rad and {speed:.2} m/s from where the robot will be")]
+    /// It does not start where the robot will be.
+    #[error("trajectory starts {distance:.2} m, {yaw:.2} rad and {speed:.2} m/s from where the robot will be")]
     Start {
         /// m.
         distance: f64,
@@ -119,9 +119,9 @@ pub enum Rejection {
         speed: f64,
     },
     /// It does not end at rest.
-    #[error("it ends at {0:.2} m/s")]
+    #[error("trajectory ends at {0:.2} m/s, not at rest")]
     EndsMoving(f64),
-    /// Something stands there.
+    /// An obstacle is in its way.
     #[error("blocked in the latest scan at ({x:.2}, {y:.2}), {time:.1} s ahead")]
     Blocked {
         /// Obstacle, map frame, m.
@@ -131,12 +131,12 @@ pub enum Rejection {
         /// Plan time, s.
         time: f64,
     },
-    /// The same name for another motion.
-    #[error("motion {0} is known with another course")]
+    /// The same id for another trajectory.
+    #[error("trajectory {0} is known with other points")]
     Changed(u64),
 }
 
-/// The robot's own grant and clock, as a plan's head is judged by.
+/// The robot's lease, stop and clock, which a plan's header is checked against.
 #[derive(Clone, Debug)]
 pub struct Grant<'a> {
     /// Now, on the edge's clock.
@@ -157,7 +157,7 @@ pub struct Grant<'a> {
     pub max_validity: f64,
 }
 
-/// Judges a plan's head: who wrote it, when, for how long. Returns its expiry on the edge's clock.
+/// Checks a plan's header: who wrote it, when, for how long. Returns its expiry on the edge's clock.
 ///
 /// # Errors
 /// [`Rejection`].
@@ -193,10 +193,10 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
         return Err(Rejection::BeforeResume);
     }
     if !(plan.valid_for.is_finite() && plan.valid_for > 0.0) {
-        return Err(Rejection::Malformed("its validity is not a positive number"));
+        return Err(Rejection::Malformed("plan validity is not a positive number"));
     }
     if plan.goal_id.len() > LONGEST_ID {
-        return Err(Rejection::Malformed("its goal id is too long"));
+        return Err(Rejection::Malformed("plan goal id is too long"));
     }
     if plan.frame != "map" {
         return Err(Rejection::Frame);
@@ -208,7 +208,7 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
     Ok(expiry)
 }
 
-/// Judges a plan's course by itself: finite, monotone, within the limits of this robot.
+/// Checks a plan's content by itself: finite, monotone, within the limits of this robot.
 ///
 /// # Errors
 /// [`Rejection`].
@@ -217,7 +217,7 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
         return Err(Rejection::Empty);
     }
     if plan.trajectory.len() > MOST_POINTS || plan.waypoints.len() > MOST_POINTS {
-        return Err(Rejection::Malformed("it has too many points"));
+        return Err(Rejection::Malformed("plan has too many points"));
     }
     if !plan
         .waypoints
@@ -234,10 +234,10 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
         return Err(Rejection::Malformed("a trajectory point is not finite"));
     }
     if plan.splice.is_some_and(|splice| !splice.time.is_finite()) {
-        return Err(Rejection::Malformed("its splice is not finite"));
+        return Err(Rejection::Malformed("plan splice time is not finite"));
     }
     if plan.trajectory.first().is_some_and(|first| first.t.abs() > 1e-6) {
-        return Err(Rejection::Malformed("its trajectory does not begin at time zero"));
+        return Err(Rejection::Malformed("trajectory does not start at time zero"));
     }
     for (index, point) in plan.trajectory.iter().enumerate() {
         judge_speed(index, point.twist(), drive)?;
@@ -294,13 +294,13 @@ fn judge_step(point: usize, from: &TrajectoryPoint, to: &TrajectoryPoint, drive:
             });
         }
     }
-    // The course must be one that these speeds can drive.
+    // The poses must be reachable at these speeds.
     let (way, turn) = (from.pose().distance(&to.pose()), wrap_angle(to.yaw - from.yaw));
-    within("way to the point", point, way, drive.top_speed() * dt + 0.01)?;
+    within("distance to the point", point, way, drive.top_speed() * dt + 0.01)?;
     within("turn to the point", point, turn, drive.top_yaw_rate() * dt + 0.02)
 }
 
-/// Judges whether a trajectory begins where the robot will be.
+/// Checks that a trajectory starts where the robot will be.
 ///
 /// # Errors
 /// [`Rejection::Start`].
@@ -320,7 +320,7 @@ pub fn judge_start(
     }
 }
 
-/// Judges whether a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
+/// Checks that a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
 /// from `map_from_base`.
 ///
 /// # Errors
@@ -334,7 +334,7 @@ pub fn judge_free(
     let footprint = &model.footprint;
     let reach = footprint.circumscribed_radius();
     let mut last: Option<Pose2> = None;
-    // Only what the way may come near.
+    // Only obstacles near the checked part.
     let horizon = SCAN_HORIZON + reach;
     let near: Vec<_> = obstacles
         .iter()

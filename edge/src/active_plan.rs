@@ -7,7 +7,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
 use crate::local_obstacles::LocalObstacles;
-use crate::trackers::{Progress, ReferenceTrajectory, Tracker, TrackerInput, along_trajectory, through_waypoints};
+use crate::trackers::{Progress, Tracker, TrackerInput, along_trajectory, through_waypoints};
 
 /// Share of the normal deceleration that braking for the expiry reckons with.
 const BRAKING_SHARE: f64 = 0.9;
@@ -100,31 +100,31 @@ impl ActivePlan {
         };
         let old = current
             .filter(|old| !old.tracker.progress(&scene.map_from_base).finished)
-            .and_then(|old| Some((old.plan.trajectory_id, old.tracker.motion()?)));
+            .and_then(|old| Some((old.plan.trajectory_id, old.tracker.followed()?)));
         let splice = plan.splice.and_then(|splice| {
-            let (_, (timeline, time)) = old.filter(|(id, _)| *id == splice.trajectory_id)?;
-            Some((splice.time.clamp(timeline.start(), timeline.end()), timeline, time))
+            let (_, (old, now)) = old.filter(|(id, _)| *id == splice.trajectory_id)?;
+            Some((splice.time.clamp(old.start_time(), old.end_time()), old, now))
         });
-        let (timeline, time) = match splice {
+        let (trajectory, time) = match splice {
             Some((until, old, now)) => {
                 let planned = old.sample(until);
                 judge_start(first, planned.pose(), planned.twist(), drive)?;
                 let late = now - until;
                 if late > 0.0 {
-                    let there = ReferenceTrajectory::new(plan.trajectory.clone()).sample(late.min(LATE_SPLICE));
+                    let there = plan.trajectory.sample(late.min(LATE_SPLICE));
                     judge_start(&there, scene.map_from_base, old.sample(now).twist(), drive)?;
                 }
                 (old.spliced(now, until, &plan.trajectory), late)
             }
             None => {
                 judge_start(first, scene.map_from_base, scene.velocity, drive)?;
-                (ReferenceTrajectory::new(plan.trajectory.clone()), 0.0)
+                (plan.trajectory.clone(), 0.0)
             }
         };
         let obstacles: Vec<_> = scene.around.seen_in(scene.map_from_odom).collect();
-        judge_free(timeline.points(), scene.model, scene.map_from_base, &obstacles)?;
+        judge_free(&trajectory, scene.model, scene.map_from_base, &obstacles)?;
         let kind = scene.model.controller.tracker;
-        Ok(along_trajectory(kind, drive, timeline, time, &plan.waypoints))
+        Ok(along_trajectory(kind, drive, trajectory, time, &plan.waypoints))
     }
 
     /// Whether it has not expired.

@@ -1,28 +1,32 @@
-//! Who may command the robot, and may it move at all? The lease, the latched stop, and the link's age.
+//! Command authority. Who may command the robot, and may it move at all? The lease, the latched stop, the policy and the link.
 //!
-//! A stop needs no lease, latches across restarts, and voids the plan; so does every change of the lease's holder.
+//! A stop needs no lease, latches across restarts, and discards the plan; so does every change of the lease's holder.
 
 use zenav_protocol::lease::LeaseArbiter;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EventKind, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, LeaseState, Link, LostPolicy, ModeRequest,
+    Refusal, ResumeRequest, StopReply, StopRequest,
+};
 use zenav_protocol::time::Stamp;
 
+use crate::arbitration::{self, MotionSource};
 use crate::config::EdgeConfig;
 use crate::control_io::Persisted;
 use crate::event_log::EventLog;
 use crate::link;
 use crate::teleop::Dropped;
 
-/// Longest name of a holder or request.
+/// Longest name of a holder or request, bytes.
 const LONGEST_NAME: usize = 128;
-/// Stores that may have caught up with the leader, its own among them.
+/// Most stores that may have caught up with the leader, its own among them.
 const MOST_STANDBYS: usize = 8;
-/// First answers kept for repeated requests.
+/// Most first answers kept for repeated requests.
 const MEMORY: usize = 64;
 
 /// Lease, stop latch, policy and link.
 #[derive(Clone, Debug)]
 pub struct Authority {
-    book: LeaseArbiter,
+    arbiter: LeaseArbiter,
     stopped: bool,
     resumed: Option<Stamp>,
     policy: LostPolicy,
@@ -33,33 +37,33 @@ pub struct Authority {
     stored: Persisted,
 }
 
-/// An answer, and what it did to the plan.
+/// The answer to a request, and its effect on the plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision<R> {
-    /// To be sent once [`Authority::unstored`] has been stored.
+    /// To be sent after [`Authority::unpersisted`] has been persisted.
     pub answer: Result<R, Refusal>,
-    /// Why whatever the robot was doing is void now, if it is.
-    pub void: Option<&'static str>,
-    /// Whether another holder commands now.
+    /// Why the plan and any maneuver are to be discarded, if they are.
+    pub discard_reason: Option<&'static str>,
+    /// Whether another holder has the lease now.
     pub holder_changed: bool,
 }
 
 impl<R> Decision<R> {
-    fn harmless(answer: Result<R, Refusal>) -> Self {
+    fn without_effect(answer: Result<R, Refusal>) -> Self {
         Self {
             answer,
-            void: None,
+            discard_reason: None,
             holder_changed: false,
         }
     }
 }
 
 impl Authority {
-    /// As it was stored.
+    /// Starts from what the last boot persisted.
     #[must_use]
     pub fn new(config: &EdgeConfig, stored: Persisted) -> Self {
         Self {
-            book: LeaseArbiter::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
+            arbiter: LeaseArbiter::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
             stopped: stored.stopped,
             resumed: None,
             policy: config.on_lost,
@@ -72,37 +76,37 @@ impl Authority {
     }
 
     /// Answers a request for the lease; a repeated request gets the first answer.
-    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, journal: &mut EventLog) -> Decision<LeaseReply> {
+    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, events: &mut EventLog) -> Decision<LeaseReply> {
         if let Err(why) = well_formed(request) {
-            return Decision::harmless(Err(Refusal::bad_request(why)));
+            return Decision::without_effect(Err(Refusal::bad_request(why)));
         }
         if let Some((_, first)) = self.first_answers.iter().find(|(known, _)| known == request) {
-            return Decision::harmless(first.clone());
+            return Decision::without_effect(first.clone());
         }
-        let before = self.book.epoch();
-        let granted = self.book.request(now, request);
+        let before = self.arbiter.epoch();
+        let granted = self.arbiter.request(now, request);
         let holder_changed = granted.as_ref().is_ok_and(|granted| granted.holder_changed);
-        if holder_changed || self.book.epoch() != before {
+        if holder_changed || self.arbiter.epoch() != before {
             let reason = if request.action == LeaseAction::Acquire {
                 "granted"
             } else {
                 "released"
             };
-            let holder = self.book.state(now).holder;
-            journal.tell(
+            let holder = self.arbiter.state(now).holder;
+            events.record(
                 now,
                 EventKind::Lease {
                     holder,
-                    epoch: self.book.epoch(),
+                    epoch: self.arbiter.epoch(),
                     reason: reason.to_owned(),
                 },
             );
         }
-        self.live = self.book.is_live(now);
+        self.live = self.arbiter.is_live(now);
         let answer = granted.map(|granted| LeaseReply {
             epoch: granted.epoch,
-            ttl_secs: self.book.ttl().as_secs_f64(),
-            boot_id: journal.boot_id().to_owned(),
+            ttl_secs: self.arbiter.ttl().as_secs_f64(),
+            boot_id: events.boot_id().to_owned(),
         });
         if self.first_answers.len() == MEMORY {
             self.first_answers.pop_front();
@@ -110,23 +114,23 @@ impl Authority {
         self.first_answers.push_back((request.clone(), answer.clone()));
         Decision {
             answer,
-            void: holder_changed.then_some("another holder may command"),
+            discard_reason: holder_changed.then_some("the lease changed hands"),
             holder_changed,
         }
     }
 
-    /// Takes a heartbeat.
+    /// Renews the lease by a heartbeat.
     pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
-        self.book
+        self.arbiter
             .renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
     }
 
-    /// Whether twists by hand under this epoch may act now.
+    /// Whether teleop twists under this epoch may act now.
     ///
     /// # Errors
     /// [`Dropped`] unless it is the current one, and an operator's with a live lease.
     pub fn admit_teleop(&self, now: Stamp, epoch: u64) -> Result<(), Dropped> {
-        let current = self.book.epoch();
+        let current = self.arbiter.epoch();
         if epoch != current {
             return Err(Dropped::WrongEpoch { got: epoch, current });
         }
@@ -137,17 +141,17 @@ impl Authority {
         }
     }
 
-    /// The operator has sent a command that counts: as good as a heartbeat.
-    pub fn operator_commands(&mut self, now: Stamp) {
-        self.book.heard(now);
+    /// An admitted teleop command renews the lease like a heartbeat.
+    pub fn renew_as_operator(&mut self, now: Stamp) {
+        self.arbiter.heard(now);
     }
 
-    /// Stops and latches.
-    pub fn stop(&mut self, now: Stamp, request: &StopRequest, journal: &mut EventLog) -> Decision<StopReply> {
+    /// Stops the robot and latches.
+    pub fn stop(&mut self, now: Stamp, request: &StopRequest, events: &mut EventLog) -> Decision<StopReply> {
         let first = !self.stopped;
         self.stopped = true;
         if first {
-            journal.tell(
+            events.record(
                 now,
                 EventKind::Stopped {
                     by: name(request.by.as_deref()),
@@ -156,27 +160,27 @@ impl Authority {
         }
         Decision {
             answer: Ok(StopReply { stopped: true }),
-            void: Some("stopped by hand"),
+            discard_reason: Some("stopped by an operator"),
             holder_changed: false,
         }
     }
 
-    /// Allows a new plan, and nothing else.
-    pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, journal: &mut EventLog) -> Decision<StopReply> {
+    /// Releases the stop: allows a new plan, and nothing else.
+    pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
         if self.stopped {
             self.stopped = false;
             self.resumed = Some(now);
-            journal.tell(
+            events.record(
                 now,
                 EventKind::Resumed {
                     by: name(request.by.as_deref()),
                 },
             );
         }
-        Decision::harmless(Ok(StopReply { stopped: false }))
+        Decision::without_effect(Ok(StopReply { stopped: false }))
     }
 
-    /// Sets the policy, if asked to.
+    /// Sets the lost-link policy, if the request has one.
     ///
     /// # Errors
     /// [`Refusal`] without the current epoch.
@@ -188,7 +192,7 @@ impl Authority {
         Ok(self.policy)
     }
 
-    /// Whether a change under this epoch may be made now.
+    /// Whether a change under this epoch is admitted now.
     ///
     /// # Errors
     /// [`Refusal`] without an epoch, or with another one than the current live one.
@@ -196,46 +200,46 @@ impl Authority {
         let Some(epoch) = epoch else {
             return Err(Refusal::bad_request("a change needs the `epoch` of the lease"));
         };
-        if epoch != self.book.epoch() {
+        if epoch != self.arbiter.epoch() {
             return Err(Refusal::WrongEpoch {
                 got: epoch,
-                current: self.book.epoch(),
+                current: self.arbiter.epoch(),
             });
         }
-        if self.book.is_live(now) {
+        if self.arbiter.is_live(now) {
             Ok(())
         } else {
             Err(Refusal::rejected("the lease has expired"))
         }
     }
 
-    /// Tells of a lapsed lease and a changed link.
-    pub fn watch(&mut self, now: Stamp, journal: &mut EventLog) {
-        let live = self.book.is_live(now);
-        if self.live && !live && self.book.role().is_some() {
-            journal.tell(
+    /// Updates the link; records an expired lease and a changed link.
+    pub fn update_link(&mut self, now: Stamp, events: &mut EventLog) {
+        let live = self.arbiter.is_live(now);
+        if self.live && !live && self.arbiter.role().is_some() {
+            events.record(
                 now,
                 EventKind::Lease {
-                    holder: self.book.state(now).holder,
-                    epoch: self.book.epoch(),
+                    holder: self.arbiter.state(now).holder,
+                    epoch: self.arbiter.epoch(),
                     reason: "expired".to_owned(),
                 },
             );
         }
         self.live = live;
-        let link = link::link(self.book.age(now), self.config.stale_after, self.config.lost_after);
+        let link = link::link(self.arbiter.age(now), self.config.stale_after, self.config.lost_after);
         if link != self.link {
             self.link = link;
-            journal.tell(now, EventKind::LinkChanged { link });
+            events.record(now, EventKind::LinkChanged { link });
         }
     }
 
-    /// What must be stored before any answer goes out, if it has changed since the last call.
-    pub fn unstored(&mut self) -> Option<Persisted> {
+    /// State to persist before any reply goes out, if it has changed since the last call.
+    pub fn unpersisted(&mut self) -> Option<Persisted> {
         let wanted = Persisted {
-            epoch: self.book.epoch(),
+            epoch: self.arbiter.epoch(),
             stopped: self.stopped,
-            leader: self.book.leader().cloned(),
+            leader: self.arbiter.leader().cloned(),
         };
         (wanted != self.stored).then(|| {
             self.stored.clone_from(&wanted);
@@ -243,15 +247,15 @@ impl Authority {
         })
     }
 
-    /// What may move the robot.
+    /// Which source may move the robot.
     #[must_use]
-    pub fn motive(&self, now: Stamp, plan_valid: bool) -> link::MotionSource {
+    pub fn motion_source(&self, now: Stamp, plan_valid: bool) -> MotionSource {
         if self.stopped {
-            link::MotionSource::Brake
+            MotionSource::Brake
         } else {
-            link::motive(
-                self.book.is_live(now),
-                self.book.role(),
+            arbitration::motion_source(
+                self.arbiter.is_live(now),
+                self.arbiter.role(),
                 plan_valid,
                 self.policy,
                 self.link,
@@ -265,7 +269,7 @@ impl Authority {
         self.stopped
     }
 
-    /// When the robot was resumed last.
+    /// When the stop was last released.
     #[must_use]
     pub fn resumed(&self) -> Option<Stamp> {
         self.resumed
@@ -274,22 +278,22 @@ impl Authority {
     /// Whether somebody of this role holds a live lease.
     #[must_use]
     pub fn is_live_as(&self, now: Stamp, role: LeaseRole) -> bool {
-        self.book.is_live(now) && self.book.role() == Some(role)
+        self.arbiter.is_live(now) && self.arbiter.role() == Some(role)
     }
 
     /// The current epoch.
     #[must_use]
     pub fn epoch(&self) -> u64 {
-        self.book.epoch()
+        self.arbiter.epoch()
     }
 
-    /// The policy in force.
+    /// The lost-link policy in force.
     #[must_use]
     pub fn policy(&self) -> LostPolicy {
         self.policy
     }
 
-    /// The link as last watched.
+    /// The link as of the last update.
     #[must_use]
     pub fn link(&self) -> Link {
         self.link
@@ -298,11 +302,11 @@ impl Authority {
     /// The lease as the state shows it.
     #[must_use]
     pub fn lease_state(&self, now: Stamp) -> LeaseState {
-        self.book.state(now)
+        self.arbiter.state(now)
     }
 }
 
-/// Why the names in a request are none, if so.
+/// Checks the names in a request.
 fn well_formed(request: &LeaseRequest) -> Result<(), String> {
     let leads = request.leads.as_ref();
     let named = [("holder", &request.holder), ("request_id", &request.request_id)];

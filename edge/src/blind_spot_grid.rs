@@ -1,8 +1,8 @@
-//! Rolling free-space grid of the blind sector. Where no lidar looks, what of the floor is known to be free? What was seen free before,
-//! and where the robot stood.
+//! Blind-spot grid. Which floor in the blind spot is known to be free? A rolling free-space grid: floor that was seen free before it
+//! left the field of view.
 //!
-//! A ring buffer of cells around the robot in the odometry frame. What was never seen counts as occupied: a robot does not
-//! drive backwards into the unknown. Where it starts, the disc that it needs to turn is taken for free.
+//! A ring buffer of cells around the robot in the odometry frame. Floor that was never seen counts as occupied: a robot does not drive
+//! backwards into the unknown. At the start, the disc that the robot needs to turn is taken to be free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::robot::Footprint;
@@ -10,56 +10,56 @@ use zenav_protocol::robot::Footprint;
 use crate::field_of_view::{FieldOfView, ProjectedScan};
 use crate::local_obstacles::MEMORY_RANGE;
 
-/// After a return a cell is free again when this many sweeps have looked through it: thin legs are hit now and then only.
+/// A cell with a return is free again when beams of this many scans have passed through it: thin legs are hit only now and then.
 const DOUBT: u8 = 10;
-/// Side of a cell, m.
+/// Size of a cell, m.
 const CELL: f64 = 0.05;
-/// Cells a side, a power of two: more than twice the memory's range.
+/// Cells a side, a power of two: more than twice the memory range.
 const SIDE: i32 = 1 << SIDE_BITS;
 const SIDE_BITS: u32 = 7;
 const CELLS: usize = (SIDE * SIDE) as usize;
-/// Beams are followed up to this before what they met, m.
+/// Beams are traced up to this distance before their return, m.
 const SHORT: f64 = 0.02;
-/// What is free at the start beyond the robot itself, m.
+/// Free at the start beyond the circumscribed circle, m.
 const AT_START: f64 = 0.16;
 
-/// Floor that is known to be free.
+/// Floor that is known to be free, in a ring buffer around the robot.
 #[derive(Clone, Debug)]
 pub struct BlindSpotGrid {
     view: FieldOfView,
-    /// Radius of what is taken for free at the start, m.
+    /// Radius of the disc that is taken to be free at the start, m.
     reach: f64,
-    /// None before the first sweep.
+    /// `None` before the first scan.
     cells: Option<Box<[Cell; CELLS]>>,
-    /// Counts the sweeps.
+    /// Scans so far.
     sweep: u16,
 }
 
-/// What is known of a place.
+/// State of the floor at a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Floor {
-    /// The newest sweep tells.
+    /// In the field of view: the newest scan decides.
     InSight,
-    /// Out of sight, and free when it was seen last.
+    /// In the blind spot, and free when it was last seen.
     Free,
-    /// Out of sight, and something stood thereabouts: within a cell of it.
+    /// In the blind spot, and occupied when it was last seen, to within a cell.
     Occupied,
-    /// Never seen, or too long ago.
+    /// In the blind spot, and never seen or out of the grid since.
     Unknown,
 }
 
-/// A place of the ring.
+/// A cell of the ring buffer.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
-    /// Which round of the ring it stands for, 16 bits a side.
+    /// Which lap of the ring buffer it belongs to, 16 bits an axis.
     at: u32,
-    /// The sweep that looked through it last.
+    /// The last scan with a beam through it.
     looked: u16,
-    /// Zero: free.
+    /// Scans through it until it is free; zero: free.
     doubt: u8,
 }
 
-/// Stands for no place yet, or for one that is 200 km away.
+/// Belongs to no place yet, or to one 200 km away.
 const NOWHERE: Cell = Cell {
     at: 0x8000_8000,
     looked: 0,
@@ -67,7 +67,7 @@ const NOWHERE: Cell = Cell {
 };
 
 impl BlindSpotGrid {
-    /// Nothing known but what the robot needs to turn where it starts.
+    /// Nothing is known but the disc that the robot needs to turn at its start.
     #[must_use]
     pub(crate) fn new(view: FieldOfView, footprint: &Footprint) -> Self {
         let reach = match footprint {
@@ -83,39 +83,39 @@ impl BlindSpotGrid {
         }
     }
 
-    /// Whether there is a sector that no lidar sees.
+    /// Whether there is a blind spot: places around the robot that no lidar sees.
     #[must_use]
-    pub fn has_blind_sector(&self) -> bool {
-        self.view.has_blind_sector()
+    pub fn has_blind_spot(&self) -> bool {
+        self.view.has_blind_spot()
     }
 
-    /// Takes a sweep.
-    pub(crate) fn insert(&mut self, cast: &ProjectedScan<'_>) {
-        if !self.has_blind_sector() {
+    /// Takes a scan: traces its beams through the grid.
+    pub(crate) fn insert(&mut self, scan: &ProjectedScan<'_>) {
+        if !self.has_blind_spot() {
             return;
         }
         self.sweep = self.sweep.wrapping_add(1);
-        let (laser, sweep) = (cast.laser(), self.sweep);
-        let base = cast.odom_from_base * Point2::origin();
+        let (laser, sweep) = (scan.laser(), self.sweep);
+        let base = scan.odom_from_base * Point2::origin();
         let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach));
-        let stride = ((CELL / MEMORY_RANGE / cast.lidar.angle_increment()) as usize).max(1);
-        let at = |beam: usize| cast.ranges.get(beam).copied().unwrap_or(0.0);
-        let walked = cast.rays.iter().enumerate().step_by(stride);
+        let stride = ((CELL / MEMORY_RANGE / scan.lidar.angle_increment()) as usize).max(1);
+        let at = |beam: usize| scan.ranges.get(beam).copied().unwrap_or(0.0);
+        let walked = scan.rays.iter().enumerate().step_by(stride);
         for (nth, (beam, ray)) in walked.enumerate() {
             let mut range = f64::from(at(beam));
             if range.is_infinite() {
-                // A lost beam between two that met something is not a free one.
+                // A missing return between two returns is not free space.
                 range = f64::from(at(beam.saturating_sub(1)).min(at(beam + 1)).max(0.0));
             }
-            // What is not a number tells nothing.
-            if range.is_nan() || range < cast.lidar.range_min {
+            // NaN carries no information.
+            if range.is_nan() || range < scan.lidar.range_min {
                 continue;
             }
             // From column to column, or from row to row.
             let step = CELL / ray.x.abs().max(ray.y.abs());
             let (dx, dy) = (fixed(ray.x * step), fixed(ray.y * step));
             let steps = |range: f64| (range / step) as u32;
-            // Beams lie closer together the nearer they are: of two, one begins where the other alone would leave cells out.
+            // Beams are dense near the lidar: every other one begins where its neighbour alone would leave cells out.
             let begin = steps(MEMORY_RANGE).checked_shr(nth.trailing_zeros() + 1).unwrap_or(0);
             let mut x = fixed(laser.x) + i64::from(begin) * dx;
             let mut y = fixed(laser.y) + i64::from(begin) * dy;
@@ -124,9 +124,9 @@ impl BlindSpotGrid {
                 (x, y) = (x + dx, y + dy);
             }
         }
-        for (range, ray) in cast.ranges.iter().zip(cast.rays) {
+        for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            if range >= cast.lidar.range_min && range <= MEMORY_RANGE {
+            if range >= scan.lidar.range_min && range <= MEMORY_RANGE {
                 let (at, index) = place(laser + ray * range);
                 if let Some(cell) = cells.get_mut(index) {
                     *cell = Cell {
@@ -139,10 +139,10 @@ impl BlindSpotGrid {
         }
     }
 
-    /// What is known of a place (base frame of a robot at `odom_from_base`).
+    /// State of the floor at a place (base frame of a robot at `odom_from_base`).
     #[must_use]
     pub fn floor(&self, odom_from_base: &Isometry2<f64>, place: Point2<f64>) -> Floor {
-        if !self.is_blind(place) {
+        if !self.in_blind_spot(place) {
             return Floor::InSight;
         }
         let (at, index) = self::place(odom_from_base * place);
@@ -154,26 +154,26 @@ impl BlindSpotGrid {
         }
     }
 
-    /// Whether straight on (or back, for a negative speed) leads where the lidar does not look.
+    /// Whether driving straight ahead (back, for a negative speed) leads into the blind spot.
     #[must_use]
-    pub fn leads_into_the_blind(&self, v: f64) -> bool {
-        v != 0.0 && self.is_blind(Point2::new(v.signum() * 2.0 * MEMORY_RANGE, 0.0))
+    pub fn leads_into_blind_spot(&self, v: f64) -> bool {
+        v != 0.0 && self.in_blind_spot(Point2::new(v.signum() * 2.0 * MEMORY_RANGE, 0.0))
     }
 
-    /// Whether a place (base frame of a robot at `odom_from_base`) is out of sight and not known to be free.
+    /// Whether a place (base frame of a robot at `odom_from_base`) is in the blind spot and not known to be free.
     #[must_use]
     pub fn is_unknown(&self, odom_from_base: &Isometry2<f64>, place: Point2<f64>) -> bool {
         matches!(self.floor(odom_from_base, place), Floor::Occupied | Floor::Unknown)
     }
 
-    /// Whether a place (base frame) lies where the lidar does not look.
+    /// Whether a place (base frame) is in the blind spot.
     #[must_use]
-    pub fn is_blind(&self, place: Point2<f64>) -> bool {
-        self.view.is_blind(place)
+    pub fn in_blind_spot(&self, place: Point2<f64>) -> bool {
+        self.view.in_blind_spot(place)
     }
 }
 
-/// The floor that a robot needs to turn where it starts.
+/// A grid with the disc free that the robot needs to turn at its start.
 fn at_start(base: Point2<f64>, radius: f64) -> Box<[Cell; CELLS]> {
     let mut cells = Box::new([NOWHERE; CELLS]);
     let steps = (radius / CELL).ceil() as i32;
@@ -188,10 +188,10 @@ fn at_start(base: Point2<f64>, radius: f64) -> Box<[Cell; CELLS]> {
     cells
 }
 
-/// Nothing stands there, by a sweep.
+/// A beam of a scan passes through a cell.
 fn look_through(cells: &mut [Cell; CELLS], (at, index): Place, sweep: u16) {
     let Some(cell) = cells.get_mut(index) else { return };
-    // Without a branch: which of them it would be is as good as random.
+    // Branchless: the branch would be unpredictable.
     let doubt = cell.doubt.saturating_sub(u8::from(cell.looked != sweep));
     *cell = Cell {
         at,
@@ -200,10 +200,10 @@ fn look_through(cells: &mut [Cell; CELLS], (at, index): Place, sweep: u16) {
     };
 }
 
-/// The round of the ring that a place lies in, and its index in the ring.
+/// The lap of the ring buffer that a place belongs to, and its index there.
 type Place = (u32, usize);
 
-/// A coordinate in cells, with 16 bits below the point: a walk by these needs no rounding of floats.
+/// A coordinate in cells, fixed-point with 16 fractional bits: stepping needs no float rounding.
 fn fixed(coordinate: f64) -> i64 {
     (coordinate * (65536.0 / CELL)) as i64
 }
@@ -246,10 +246,10 @@ mod tests {
     #[test]
     fn what_was_never_seen_is_unknown_and_what_was_seen_stays_known() {
         let lidar = lidar("tiago");
-        let mut trodden = grid(&lidar, &jackal().footprint);
+        let mut grid = grid(&lidar, &jackal().footprint);
         let sweep = Sweep::new(Stamp(1), vec![2.0; lidar.beams]);
-        trodden.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
-        let floor = |base: Pose2, x: f64| trodden.floor(&rigid(base), Point2::new(x, 0.0));
+        grid.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
+        let floor = |base: Pose2, x: f64| grid.floor(&rigid(base), Point2::new(x, 0.0));
         assert_eq!(floor(Pose2::IDENTITY, -0.6), Floor::Unknown);
         assert_eq!(floor(Pose2::IDENTITY, -0.3), Floor::Free, "the start");
         assert_eq!(floor(Pose2::IDENTITY, 0.6), Floor::InSight);
@@ -262,15 +262,15 @@ mod tests {
     #[test]
     fn a_range_that_is_no_number_frees_nothing() {
         let lidar = lidar("tiago");
-        let mut trodden = grid(&lidar, &jackal().footprint);
+        let mut grid = grid(&lidar, &jackal().footprint);
         let sweep = Sweep::new(Stamp(1), vec![f32::NAN; lidar.beams]);
-        trodden.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
+        grid.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         let turned = rigid(Pose2::new(0.0, 0.0, PI));
-        assert_eq!(trodden.floor(&turned, Point2::new(-1.5, 0.0)), Floor::Unknown);
+        assert_eq!(grid.floor(&turned, Point2::new(-1.5, 0.0)), Floor::Unknown);
     }
 
     #[test]
-    fn a_lidar_that_looks_all_around_has_no_blind_sector() {
-        assert!(!grid(&lidar("neato"), &Footprint::Radius(0.17)).has_blind_sector());
+    fn a_lidar_with_a_full_circle_of_view_has_no_blind_spot() {
+        assert!(!grid(&lidar("neato"), &Footprint::Radius(0.17)).has_blind_spot());
     }
 }

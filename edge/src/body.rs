@@ -1,4 +1,4 @@
-//! What must a robot be able to do to be driven? Give its readings, take wheel speeds.
+//! Body. What must hardware offer to be driven? Readings, and a way to set wheel speeds.
 
 use thiserror::Error;
 use zenav_protocol::readings::Readings;

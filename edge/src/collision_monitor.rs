@@ -1,10 +1,10 @@
-//! May the robot move as it wants to? The guard has the last word: after the limiters, straight before the wheels.
+//! Collision monitor. May the robot move as it wants to? It has the last word: after the limiters, directly before the wheels.
 //!
-//! The wanted twist is scaled down, curvature kept, until the robot can rest before it touches anything that stands, before
-//! anything that moves could touch it, and within what was seen; what has gone out of sight it does not swing at (see
-//! [`crate::passive_safety`]). Where that would pin a robot that only grazes something within the margin, a time to collision of at
-//! least a second with the last centimetre allows it to go on slowly; motion that does not reduce the clearance is always free.
-//! A stale scan, a command that is not finite, and contact stop it.
+//! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving
+//! obstacle could reach it, and within the floor that the lidar has seen; it does not swing towards a moving obstacle that has left the
+//! field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to
+//! contact is at least a second; motion that does not reduce the clearance is always allowed.
+//! A stale scan, a command that is not finite, and bumper contact stop the robot.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};
@@ -12,48 +12,47 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::local_obstacles::LocalObstacles;
-use crate::passive_safety::{LAST_CENTIMETRE, Motion, approaches, closing, touched};
+use crate::passive_safety::{LEAST_CLEARANCE, Motion, approaches, closing_speed, contact_point};
 use crate::time_to_contact::SweptFootprint;
 
-/// Motion slower than this share of the wanted counts as stopped.
+/// Scaled to less than this share of the wanted twist, the motion counts as stopped.
 const STOPPED: f64 = 0.02;
-/// Motion faster than this share of the wanted counts as clear.
+/// Scaled to more than this share of the wanted twist, the motion counts as clear.
 const CLEAR: f64 = 0.95;
-/// From what it touches a robot drives off with at least this share of its speed.
+/// In contact, the robot must move away from what it touches at this share of its speed at least.
 const AWAY: f64 = 0.2;
 /// A zone must last this long before it is left for a milder one, s.
 const HYSTERESIS: f64 = 0.3;
 
-/// The last word.
+/// Judges every twist before it goes to the wheels.
 #[derive(Clone, Debug)]
 pub struct CollisionMonitor {
     model: RobotModel,
-    /// The footprint's distances are small against this: points farther away are not looked at.
     tick: f64,
     scan_timeout: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
-    /// Fastest speed to where the lidar does not look, m/s.
+    /// Largest speed into the lidar's blind spot, m/s.
     pub blind_speed: f64,
     zone: GuardZone,
     since: Stamp,
-    /// Why it stepped in last, and when that was told.
-    told: (&'static str, Stamp),
+    /// The reason last reported, and when.
+    reported: (&'static str, Stamp),
 }
 
-/// What the guard lets through.
+/// The twist that may be driven, and why it was limited.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
-    /// The twist to drive.
+    /// The twist that may be driven.
     pub twist: Twist2,
-    /// How near something is.
+    /// Clear, slowed or stopped.
     pub zone: GuardZone,
-    /// Why, when the zone has changed with this verdict, or stays for another reason.
+    /// The reason, when the zone has changed or holds for another reason.
     pub change: Option<String>,
 }
 
 impl CollisionMonitor {
-    /// A guard for a robot, with its control period and the age at which a scan is too old, both in s.
+    /// Monitors a robot with this control period; a scan older than `scan_timeout` stops it. Both in s.
     #[must_use]
     pub fn new(model: &RobotModel, tick: f64, scan_timeout: f64) -> Self {
         Self {
@@ -64,7 +63,7 @@ impl CollisionMonitor {
             blind_speed: model.controller.blind_speed,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
-            told: ("", Stamp::ZERO),
+            reported: ("", Stamp::ZERO),
         }
     }
 
@@ -79,11 +78,11 @@ impl CollisionMonitor {
         &mut self,
         now: Stamp,
         wanted: Twist2,
-        around: &LocalObstacles,
+        obstacles: &LocalObstacles,
         odom_from_base: Pose2,
         bump: &Bump,
     ) -> Verdict {
-        let (share, reason) = self.share(now, wanted, around, odom_from_base, bump);
+        let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump);
         let moving = self.model.drive.surface_speed(wanted) > 1e-3 || !wanted.is_finite();
         let zone = match share {
             _ if !moving => GuardZone::Clear,
@@ -103,22 +102,21 @@ impl CollisionMonitor {
         }
     }
 
-    /// How far the base could go along a twist's arc before contact, as a time at that twist, s; `None` for free way
-    /// within the horizon.
+    /// Time to contact with any known obstacle along a twist's arc, s; `None` without contact within the horizon.
     #[must_use]
     pub fn free_time(
         &self,
         twist: Twist2,
         horizon: f64,
-        around: &LocalObstacles,
+        obstacles: &LocalObstacles,
         odom_from_base: Pose2,
     ) -> Option<f64> {
-        let close = SweptFootprint::new(&self.model.footprint, LAST_CENTIMETRE, twist);
-        let times = around.in_base(odom_from_base).filter_map(|point| {
-            if close.holds(point) {
+        let close = SweptFootprint::new(&self.model.footprint, LEAST_CLEARANCE, twist);
+        let times = obstacles.in_base(odom_from_base).filter_map(|point| {
+            if close.contains(point) {
                 approaches(&self.model.footprint, twist, point).then_some(0.0)
             } else {
-                close.contact(point)
+                close.time_to_contact(point)
             }
         });
         times.filter(|time| *time < horizon).reduce(f64::min)
@@ -128,20 +126,20 @@ impl CollisionMonitor {
         &self,
         now: Stamp,
         wanted: Twist2,
-        around: &LocalObstacles,
+        obstacles: &LocalObstacles,
         odom_from_base: Pose2,
         bump: &Bump,
     ) -> (f64, &'static str) {
         if !wanted.is_finite() {
-            return (0.0, "the command is not a number");
+            return (0.0, "the command is not finite");
         }
-        let age = match around.age(now) {
+        let age = match obstacles.age(now) {
             Some(age) if age <= self.scan_timeout => age.max(0.0),
-            Some(_) => return (0.0, "the scan is too old"),
-            None => return (0.0, "no scan yet"),
+            Some(_) => return (0.0, "lidar scan too old"),
+            None => return (0.0, "no lidar scan yet"),
         };
         if bump.pressed && !self.leaves(wanted, bump) {
-            return (0.0, "contact");
+            return (0.0, "bumper contact");
         }
         let motion = Motion::new(
             &self.model.footprint,
@@ -155,15 +153,18 @@ impl CollisionMonitor {
             return (1.0, "");
         }
         let limits = [
-            (motion.past_obstacles(around, odom_from_base), "an obstacle in the way"),
-            (motion.past_intruders(around, odom_from_base), "something moves nearby"),
+            (motion.limit_static(obstacles, odom_from_base), "obstacle in the way"),
             (
-                motion.into_the_blind(around, odom_from_base, self.blind_speed),
-                "nobody looks where it leads (`blind_speed` allows more)",
+                motion.limit_dynamic(obstacles, odom_from_base),
+                "moving obstacle nearby",
             ),
             (
-                motion.past_the_lost(now, around, odom_from_base),
-                "something that moves is out of sight",
+                motion.limit_blind_spot(obstacles, odom_from_base, self.blind_speed),
+                "moving into the lidar's blind spot (`blind_speed` allows more)",
+            ),
+            (
+                motion.limit_occluded(now, obstacles, odom_from_base),
+                "a moving obstacle may be in the lidar's blind spot",
             ),
         ];
         limits
@@ -171,16 +172,16 @@ impl CollisionMonitor {
             .fold((1.0, ""), |least, limit| if limit.0 < least.0 { limit } else { least })
     }
 
-    /// Whether a motion leaves what is touched. Without a bearing the contact is taken to lie ahead.
+    /// Whether a motion moves away from the contact. Without a bearing the contact is taken to be ahead.
     fn leaves(&self, wanted: Twist2, bump: &Bump) -> bool {
-        let touched = touched(&self.model.footprint, bump);
-        let closing = closing(&self.model.footprint, wanted, touched);
-        // Along what is touched is not away from it.
+        let touched = contact_point(&self.model.footprint, bump);
+        let closing = closing_speed(&self.model.footprint, wanted, touched);
+        // Sliding along the contact is not moving away from it.
         closing < 1e-6 && (wanted.v.abs() < 1e-3 || closing < -AWAY * wanted.v.abs())
     }
 
-    /// Notes the zone; returns a reason when there is something to tell. Worse zones count at once, milder ones and other reasons
-    /// after a while.
+    /// Enters a zone; returns the reason when it is to be reported. A worse zone is entered at once, a milder one or another reason after
+    /// the hysteresis.
     fn enter(&mut self, now: Stamp, zone: GuardZone, reason: &'static str) -> Option<String> {
         let rank = |zone| match zone {
             GuardZone::Clear => 0,
@@ -193,14 +194,14 @@ impl CollisionMonitor {
         let leaves = rank(zone) < rank(self.zone) && now.secs_since(self.since) >= HYSTERESIS;
         let differs = rank(zone) == rank(self.zone)
             && zone != GuardZone::Clear
-            && reason != self.told.0
-            && now.secs_since(self.told.1) >= HYSTERESIS;
+            && reason != self.reported.0
+            && now.secs_since(self.reported.1) >= HYSTERESIS;
         if rank(zone) > rank(self.zone) || leaves || differs {
             self.zone = zone;
             self.since = now;
-            self.told = (reason, now);
+            self.reported = (reason, now);
             return Some(if zone == GuardZone::Clear {
-                "the way is free".to_owned()
+                "path clear".to_owned()
             } else {
                 reason.to_owned()
             });

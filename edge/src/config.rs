@@ -1,4 +1,4 @@
-//! What can be set at an edge? Every tunable of the robot's side that is not in the robot's own file.
+//! Edge configuration. What can be set for an edge that is not in the robot's own file?
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick is skipped and
-//! counted, never caught up. It never waits for the network.
+//! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick is
+//! skipped and counted, never caught up. It never waits for the network.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,12 +11,12 @@ use crate::body::Body;
 use crate::handoff::Handoff;
 use crate::pilot::Pilot;
 
-/// Time to come to rest at the end, in ticks.
+/// Most ticks to come to rest at shutdown.
 const HALTING_TICKS: u32 = 150;
-/// Wheel speed below which the body counts as at rest, m/s and rad/s.
+/// Speed below which the body counts as at rest, m/s.
 const AT_REST: f64 = 0.01;
 
-/// Stops the wheels however the thread ends, by a panic too.
+/// Stops the wheels however the thread ends, even by a panic.
 struct Wheels(Box<dyn Body>);
 
 impl Drop for Wheels {
@@ -27,14 +27,14 @@ impl Drop for Wheels {
     }
 }
 
-/// Ticks at absolute deadlines.
-struct Beat {
+/// A timer with absolute deadlines.
+struct Timer {
     period: Duration,
     deadline: Instant,
 }
 
-impl Beat {
-    /// Waits for the next tick; returns how many had to be left out, and how late this one is.
+impl Timer {
+    /// Waits for the next tick; returns how many were skipped, and how late this one is.
     fn wait(&mut self) -> (u64, Duration) {
         self.deadline += self.period;
         let now = Instant::now();
@@ -49,15 +49,15 @@ impl Beat {
     }
 }
 
-/// The pace that a body gives: how late is each tick by it?
+/// Ticks paced by the body's readings: how late is each?
 struct Pace {
     period: Duration,
     last: Option<(Stamp, Instant)>,
 }
 
 impl Pace {
-    /// Readings have come; returns how many before them never did, and how much longer than the pace it took.
-    fn heard(&mut self, stamp: Stamp, secs: f64) -> (u64, Option<Duration>) {
+    /// Readings have arrived; returns how many before them are missing, and how late they are.
+    fn arrived(&mut self, stamp: Stamp, secs: f64) -> (u64, Option<Duration>) {
         let now = Instant::now();
         let Some((before, then)) = self.last.replace((stamp, now)) else {
             return (0, None);
@@ -70,18 +70,18 @@ impl Pace {
     }
 }
 
-/// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, `speed` its time against wall
-/// time.
+/// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
+/// against wall time.
 pub fn run(
     body: Box<dyn Body>,
     mut pilot: Pilot,
-    exchange: &Arc<Handoff>,
+    handoff: &Arc<Handoff>,
     (tick, speed): (f64, f64),
     halt: &Arc<AtomicBool>,
 ) {
     let mut body = Wheels(body);
     let period = Duration::from_secs_f64(tick / speed);
-    let mut beat = (!body.0.gives_the_pace()).then(|| Beat {
+    let mut timer = (!body.0.gives_the_pace()).then(|| Timer {
         period,
         deadline: Instant::now(),
     });
@@ -91,8 +91,8 @@ pub fn run(
     let mut failing = false;
     loop {
         let mut late = None;
-        if let Some(beat) = &mut beat {
-            let (missed, by) = beat.wait();
+        if let Some(timer) = &mut timer {
+            let (missed, by) = timer.wait();
             missed_ticks += missed;
             late = Some(by);
         }
@@ -110,12 +110,12 @@ pub fn run(
             }
         };
         failing = false;
-        if beat.is_none() {
-            let (missed, by) = pace.heard(readings.stamp, tick);
+        if timer.is_none() {
+            let (missed, by) = pace.arrived(readings.stamp, tick);
             missed_ticks += missed;
             late = by;
         }
-        let mut inbox = exchange.take_inbox();
+        let mut inbox = handoff.take_inbox();
         (inbox.missed_ticks, inbox.late) = (missed_ticks, late);
         inbox.halt = halt.load(Ordering::Relaxed);
         halting += u32::from(inbox.halt);
@@ -124,7 +124,7 @@ pub fn run(
         if let Err(error) = body.0.drive(wheels) {
             tracing::error!(%error, "the wheels do not answer");
         }
-        exchange.put_outbox(readings.stamp, outbox);
+        handoff.put_outbox(readings.stamp, outbox);
         let velocity = pilot.velocity();
         let at_rest = wheels == [0.0; 2] && velocity.v.abs() < AT_REST && velocity.w.abs() < 5.0 * AT_REST;
         if halting > 0 && (at_rest || halting > HALTING_TICKS) {

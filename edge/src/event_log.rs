@@ -1,4 +1,4 @@
-//! What happened on the robot, in order? Events, numbered within one boot.
+//! Event log. What happened on the robot, in order? Events, numbered within one boot.
 
 use zenav_protocol::messages::{Event, EventKind};
 use zenav_protocol::time::Stamp;
@@ -12,7 +12,7 @@ pub struct EventLog {
 }
 
 impl EventLog {
-    /// The first event will be number one.
+    /// Empty; the first event gets sequence number one.
     #[must_use]
     pub fn new(boot_id: String) -> Self {
         Self {
@@ -22,8 +22,8 @@ impl EventLog {
         }
     }
 
-    /// Notes what happened.
-    pub fn tell(&mut self, now: Stamp, kind: EventKind) {
+    /// Records an event.
+    pub fn record(&mut self, now: Stamp, kind: EventKind) {
         self.sequence += 1;
         self.pending.push(Event {
             stamp: now,
@@ -33,13 +33,13 @@ impl EventLog {
         });
     }
 
-    /// This boot.
+    /// Id of this boot.
     #[must_use]
     pub fn boot_id(&self) -> &str {
         &self.boot_id
     }
 
-    /// What happened since the last call.
+    /// Takes the events since the last call.
     pub fn take(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.pending)
     }

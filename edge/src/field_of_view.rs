@@ -1,4 +1,5 @@
-//! Field of view. Where do the robot's lidars look together, and where do the beams of a sweep go?
+//! Field of view and scan projection. Which directions do the robot's lidars see together, and where do the beams of a scan lie in the
+//! odometry frame?
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -10,7 +11,7 @@ use zenav_protocol::time::Stamp;
 const SAMPLED_RANGE: f64 = 6.0;
 const SAMPLE: f64 = 0.01;
 
-/// A pose made ready for many points: sine and cosine are taken once.
+/// A pose for transforming many points: sine and cosine are computed once.
 pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
 }
@@ -41,7 +42,7 @@ impl Sector {
     }
 
     /// Whether nothing at this place is ever seen.
-    fn is_blind(&self, place: Point2<f64>) -> bool {
+    fn in_blind_spot(&self, place: Point2<f64>) -> bool {
         let local = place.coords - self.origin;
         let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
         if self.gap <= std::f64::consts::PI {
@@ -52,11 +53,11 @@ impl Sector {
     }
 
     /// Distance of a place from what is never seen, m: zero within it.
-    fn distance_to_blind(&self, place: Point2<f64>) -> f64 {
+    fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
         if self.gap == 0.0 {
             return f64::INFINITY;
         }
-        if self.is_blind(place) {
+        if self.in_blind_spot(place) {
             return 0.0;
         }
         let local = place.coords - self.origin;
@@ -75,7 +76,7 @@ impl Sector {
 #[derive(Clone, Debug)]
 pub(crate) struct FieldOfView {
     sectors: Vec<Sector>,
-    has_blind_sector: bool,
+    has_blind_spot: bool,
 }
 
 impl FieldOfView {
@@ -83,44 +84,44 @@ impl FieldOfView {
         let sectors: Vec<Sector> = lidars.into_iter().map(Sector::new).collect();
         let mut view = Self {
             sectors,
-            has_blind_sector: true,
+            has_blind_spot: true,
         };
-        view.has_blind_sector = match &view.sectors[..] {
+        view.has_blind_spot = match &view.sectors[..] {
             [] => true,
             [one] => one.gap > 0.0,
-            _ => view.is_blind_around(footprint),
+            _ => view.has_blind_place(footprint),
         };
         view
     }
 
     /// Whether any place outside of the footprint is blind, by looking at many.
-    fn is_blind_around(&self, footprint: &Footprint) -> bool {
+    fn has_blind_place(&self, footprint: &Footprint) -> bool {
         let rings = (SAMPLED_RANGE / SAMPLE).ceil() as u32;
         let directions = (0..360_u32).map(|degree| f64::from(degree).to_radians().sin_cos());
         directions.into_iter().any(|(sin, cos)| {
             let places = (0..rings).map(|ring| SAMPLE * f64::from(ring));
             places
                 .map(|range| Point2::new(range * cos, range * sin))
-                .any(|place| self.is_blind(place) && footprint.distance(place) > 0.0)
+                .any(|place| self.in_blind_spot(place) && footprint.distance(place) > 0.0)
         })
     }
 
     /// Whether some places are never seen.
-    pub(crate) fn has_blind_sector(&self) -> bool {
-        self.has_blind_sector
+    pub(crate) fn has_blind_spot(&self) -> bool {
+        self.has_blind_spot
     }
 
     /// Whether nothing at this place is ever seen.
-    pub(crate) fn is_blind(&self, place: Point2<f64>) -> bool {
-        self.has_blind_sector && self.sectors.iter().all(|sector| sector.is_blind(place))
+    pub(crate) fn in_blind_spot(&self, place: Point2<f64>) -> bool {
+        self.has_blind_spot && self.sectors.iter().all(|sector| sector.in_blind_spot(place))
     }
 
     /// A place is no nearer than this to what is never seen, m: zero within it, infinite where all is seen.
-    pub(crate) fn distance_to_blind(&self, place: Point2<f64>) -> f64 {
-        if !self.has_blind_sector {
+    pub(crate) fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
+        if !self.has_blind_spot {
             return f64::INFINITY;
         }
-        let distances = self.sectors.iter().map(|sector| sector.distance_to_blind(place));
+        let distances = self.sectors.iter().map(|sector| sector.distance_to_blind_spot(place));
         distances.fold(0.0, f64::max)
     }
 }
@@ -213,15 +214,15 @@ mod tests {
         for robot in ["jackal", "tiago"] {
             let one = view(robot);
             assert!(
-                one.has_blind_sector() && one.is_blind(behind) && !one.is_blind(ahead),
+                one.has_blind_spot() && one.in_blind_spot(behind) && !one.in_blind_spot(ahead),
                 "{robot}"
             );
-            assert_eq!(one.distance_to_blind(behind), 0.0);
+            assert_eq!(one.distance_to_blind_spot(behind), 0.0);
             let two = view(&format!("{robot}+rear_lidar"));
-            assert!(!two.has_blind_sector() && !two.is_blind(behind), "{robot}");
-            assert_eq!(two.distance_to_blind(behind), f64::INFINITY);
+            assert!(!two.has_blind_spot() && !two.in_blind_spot(behind), "{robot}");
+            assert_eq!(two.distance_to_blind_spot(behind), f64::INFINITY);
         }
-        assert!(!view("neato").has_blind_sector());
+        assert!(!view("neato").has_blind_spot());
     }
 
     #[test]
@@ -232,7 +233,7 @@ mod tests {
         }
         let view = FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint);
         let beside = Point2::new(0.0, 1.0);
-        assert!(view.has_blind_sector() && view.is_blind(beside) && !view.is_blind(Point2::new(-1.0, 0.0)));
-        assert!(view.distance_to_blind(Point2::new(1.0, 0.0)) > 0.3);
+        assert!(view.has_blind_spot() && view.in_blind_spot(beside) && !view.in_blind_spot(Point2::new(-1.0, 0.0)));
+        assert!(view.distance_to_blind_spot(Point2::new(1.0, 0.0)) > 0.3);
     }
 }

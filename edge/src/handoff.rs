@@ -1,4 +1,5 @@
-//! How do the control thread and the network meet? In two boxes behind short locks: neither ever waits for the other.
+//! Thread hand-off. How do the control thread and the network exchange messages? Through two bounded boxes behind short locks: neither
+//! ever waits for the other.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::take;
@@ -7,26 +8,27 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, oneshot};
 use zenav_protocol::messages::Refusal;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
-use crate::control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+use crate::control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
 
-/// Messages of each kind that wait for the next tick; further ones push the oldest out.
+/// Messages of each topic that wait for the next tick; a further one drops the oldest.
 const MOST_WAITING: usize = 32;
-/// Asks that wait for the next tick; further ones are refused.
-const MOST_QUESTIONS: usize = 256;
-/// Events that wait to be published; the oldest are lost first, and their numbers tell.
+/// Requests that wait for their reply; further ones are refused.
+const MOST_REQUESTS: usize = 256;
+/// Events that wait to be published; the oldest is dropped first, which the sequence numbers show.
 const MOST_EVENTS: usize = 256;
 
-/// Where an answer goes.
-type Reply = oneshot::Sender<Result<Answer, Refusal>>;
+/// Where a reply goes.
+type Reply = oneshot::Sender<Result<EdgeReply, Refusal>>;
 
-/// Both boxes.
+/// The two boxes.
 #[derive(Debug, Default)]
 pub struct Handoff {
     inward: Mutex<Inward>,
     outward: Mutex<Outward>,
     published: Notify,
-    answered: Notify,
+    replied: Notify,
 }
 
 #[derive(Debug, Default)]
@@ -43,7 +45,7 @@ struct Outward {
     latest: Vec<Publication>,
     events: VecDeque<Publication>,
     persist: Option<Persisted>,
-    answers: Vec<(Reply, Result<Answer, Refusal>)>,
+    replies: Vec<(Reply, Result<EdgeReply, Refusal>)>,
     closed: bool,
 }
 
@@ -56,19 +58,19 @@ pub struct Bundle {
     pub publications: Vec<Publication>,
 }
 
-/// What is to be stored, and then answered.
+/// State to persist, and the replies that wait for it.
 #[derive(Debug, Default)]
 pub struct PersistThenReply {
-    /// To be stored first.
+    /// Persisted first.
     pub persist: Option<Persisted>,
-    answers: Vec<(Reply, Result<Answer, Refusal>)>,
+    replies: Vec<(Reply, Result<EdgeReply, Refusal>)>,
 }
 
 impl PersistThenReply {
-    /// Sends the answers; `unless` something went wrong, which then is the answer to all.
+    /// Sends the replies; after a failure (`unless`) everybody gets that refusal instead.
     pub fn send(self, unless: Option<&Refusal>) {
-        for (reply, answer) in self.answers {
-            // Whoever asked may have given up meanwhile.
+        for (reply, answer) in self.replies {
+            // The asker may have given up meanwhile.
             let _ = reply.send(unless.map_or(answer, |refusal| Err(refusal.clone())));
         }
     }
@@ -93,22 +95,22 @@ impl Handoff {
         waiting.push(message);
     }
 
-    /// Network side: asks, and waits for the answer.
+    /// Network side: hands a request to the robot and waits for the reply.
     ///
     /// # Errors
     /// The robot's refusal, or that it is too busy, or gone.
-    pub async fn ask(&self, question: Question) -> Result<Answer, Refusal> {
+    pub async fn ask(&self, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
         let answer = {
             let mut inward = self.inward();
-            if inward.waiting.len() >= MOST_QUESTIONS {
+            if inward.waiting.len() >= MOST_REQUESTS {
                 return Err(Refusal::Busy {
-                    reason: format!("{MOST_QUESTIONS} asks wait already"),
+                    reason: format!("{MOST_REQUESTS} requests wait already"),
                 });
             }
             inward.tickets += 1;
             let (ticket, (reply, answer)) = (Ticket(inward.tickets), oneshot::channel());
             inward.waiting.insert(ticket, reply);
-            inward.inbox.questions.push((ticket, question));
+            inward.inbox.requests.push((ticket, request));
             answer
         };
         answer.await.unwrap_or_else(|_| {
@@ -118,7 +120,7 @@ impl Handoff {
         })
     }
 
-    /// Network side: waits for messages to publish; `None` when there will be no more.
+    /// Network side: waits for messages to publish; `None` once the control thread has ended.
     pub async fn bundle(&self) -> Option<Bundle> {
         loop {
             {
@@ -139,50 +141,50 @@ impl Handoff {
         }
     }
 
-    /// Network side: waits for something to store or to answer; `None` when there will be no more.
-    pub async fn clerking(&self) -> Option<PersistThenReply> {
+    /// Network side: waits for state to persist or replies to send; `None` once the control thread has ended.
+    pub async fn next_reply(&self) -> Option<PersistThenReply> {
         loop {
             {
                 let mut outward = self.outward();
-                if outward.persist.is_some() || !outward.answers.is_empty() {
+                if outward.persist.is_some() || !outward.replies.is_empty() {
                     return Some(PersistThenReply {
                         persist: outward.persist.take(),
-                        answers: take(&mut outward.answers),
+                        replies: take(&mut outward.replies),
                     });
                 }
                 if outward.closed {
                     return None;
                 }
             }
-            self.answered.notified().await;
+            self.replied.notified().await;
         }
     }
 
-    /// Control side: what came since the last tick.
+    /// Control side: takes what arrived since the last tick.
     pub fn take_inbox(&self) -> Inbox {
         take(&mut self.inward().inbox)
     }
 
-    /// Control side: what a tick gave.
+    /// Control side: hands over the output of a tick.
     pub fn put_outbox(&self, now: Stamp, outbox: Outbox) {
-        let replies: Vec<_> = if outbox.answers.is_empty() {
+        let replies: Vec<_> = if outbox.replies.is_empty() {
             Vec::new()
         } else {
             let mut inward = self.inward();
             outbox
-                .answers
+                .replies
                 .into_iter()
                 .filter_map(|(ticket, answer)| inward.waiting.remove(&ticket).map(|reply| (reply, answer)))
                 .collect()
         };
-        let clerking = outbox.persist.is_some() || !replies.is_empty();
+        let has_reply = outbox.persist.is_some() || !replies.is_empty();
         {
             let mut outward = self.outward();
             outward.now = Some(now);
             if outbox.persist.is_some() {
                 outward.persist = outbox.persist;
             }
-            outward.answers.extend(replies);
+            outward.replies.extend(replies);
             for publication in outbox.publications {
                 if matches!(publication, Publication::Event(_)) {
                     if outward.events.len() >= MOST_EVENTS {
@@ -196,12 +198,12 @@ impl Handoff {
             }
         }
         self.published.notify_one();
-        if clerking {
-            self.answered.notify_one();
+        if has_reply {
+            self.replied.notify_one();
         }
     }
 
-    /// Control side: no more ticks. Asks that still wait are refused.
+    /// Control side: there are no more ticks. Requests that still wait are refused.
     pub fn close(&self) {
         {
             let mut inward = self.inward();
@@ -210,7 +212,7 @@ impl Handoff {
         }
         self.outward().closed = true;
         self.published.notify_one();
-        self.answered.notify_one();
+        self.replied.notify_one();
     }
 }
 
@@ -221,8 +223,8 @@ mod tests {
     use zenav_protocol::messages::{Battery, Event, EventKind, Heartbeat, InfoRequest};
 
     #[tokio::test]
-    async fn of_each_kind_the_newest_waits_but_of_events_all() {
-        let exchange = Handoff::default();
+    async fn the_newest_message_of_each_kind_and_every_event_waits() {
+        let handoff = Handoff::default();
         for number in 1..=3_u64 {
             let battery = Battery {
                 stamp: Stamp(number),
@@ -236,7 +238,7 @@ mod tests {
                 kind: EventKind::Started,
             };
             let publications = vec![Publication::Battery(battery), Publication::Event(event)];
-            exchange.put_outbox(
+            handoff.put_outbox(
                 Stamp(number),
                 Outbox {
                     publications,
@@ -244,16 +246,16 @@ mod tests {
                 },
             );
         }
-        let bundle = exchange.bundle().await.unwrap();
+        let bundle = handoff.bundle().await.unwrap();
         assert_eq!((bundle.now, bundle.publications.len()), (Some(Stamp(3)), 4));
         assert!(matches!(bundle.publications.last(), Some(Publication::Battery(battery)) if battery.stamp == Stamp(3)));
     }
 
     #[test]
     fn a_flood_of_messages_keeps_the_newest() {
-        let exchange = Handoff::default();
+        let handoff = Handoff::default();
         for counter in 0..1000 {
-            exchange.put(
+            handoff.put(
                 Heartbeat {
                     holder: "m".into(),
                     epoch: 1,
@@ -262,7 +264,7 @@ mod tests {
                 |inbox| &mut inbox.heartbeats,
             );
         }
-        let heartbeats = exchange.take_inbox().heartbeats;
+        let heartbeats = handoff.take_inbox().heartbeats;
         assert_eq!(
             (heartbeats.len(), heartbeats.last().map(|last| last.counter)),
             (MOST_WAITING, Some(999))
@@ -270,14 +272,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_ask_that_nobody_answers_any_more_is_refused() {
-        let exchange = std::sync::Arc::new(Handoff::default());
+    async fn a_request_that_waits_at_shutdown_is_refused() {
+        let handoff = std::sync::Arc::new(Handoff::default());
         let asking = tokio::spawn({
-            let exchange = std::sync::Arc::clone(&exchange);
-            async move { exchange.ask(Question::Info(InfoRequest {})).await }
+            let handoff = std::sync::Arc::clone(&handoff);
+            async move { handoff.ask(EdgeRequest::Info(InfoRequest {})).await }
         });
         tokio::task::yield_now().await;
-        exchange.close();
+        handoff.close();
         assert!(matches!(asking.await.unwrap(), Err(Refusal::Internal { .. })));
     }
 }

@@ -1,29 +1,30 @@
 //! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
 //!
-//! [`Pilot`] is the whole of it, pure: readings and mail in, wheel speeds and messages out. [`service::run`] feeds it
-//! from the bus and a [`Body`] on its own thread. In the order of the data way:
+//! [`Pilot`] is the whole of it, pure: readings and messages in, wheel speeds and messages out. [`service::run`] connects it to the bus
+//! and to a [`Body`], on a thread of its own. In the order of the data way:
 //!
 //! | module | answers |
 //! |---|---|
-//! | [`body`] | what must a robot be able to do to be driven? |
+//! | [`body`] | what must hardware offer to be driven? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | [`local_obstacles`], [`moving_obstacles`], [`recent_places`], [`blind_spot_grid`] | what stands around it, what of it moves, and what was never seen? |
-//! | [`authority`], [`link`] | who may command it, and what may move it? |
+//! | [`local_obstacles`], [`moving_obstacles`], [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
+//! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`behaviours`], [`maneuvers`], [`mod@nearest_free`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
+//! | [`arbitration`] | which source moves it: plan, teleop, maneuver, wall follower, return to home, or nothing? |
+//! | [`maneuvers`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
 //! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
-//! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, tell and publish? |
+//! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, record and publish? |
 //! | [`pilot`], [`control_io`], [`config`] | what does it do in one tick? |
-//! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it meet the network? |
-//! | [`service`], [`state_file`] | how is it fed from the bus, and what outlives a restart? |
+//! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
+//! | [`service`], [`state_file`] | how is it connected to the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
 pub mod acceptance;
 pub mod active_plan;
+pub mod arbitration;
 pub mod authority;
-pub mod behaviours;
 pub mod blind_spot_grid;
 pub mod body;
 pub mod collision_monitor;
@@ -41,7 +42,6 @@ pub mod local_obstacles;
 pub mod loop_timing;
 pub mod maneuvers;
 pub mod moving_obstacles;
-pub mod nearest_free;
 pub mod params;
 pub mod passive_safety;
 pub mod pilot;
@@ -63,7 +63,7 @@ pub mod wheel_coordination;
 
 pub use body::{Body, BodyError};
 pub use config::EdgeConfig;
-pub use control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+pub use control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
 pub use pilot::Pilot;
 pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};

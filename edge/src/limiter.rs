@@ -1,15 +1,16 @@
-//! Which wheel speeds may follow the last ones? Speed limits that keep the curvature, then acceleration limits, and for a robot that has one
-//! the limit of the jerk.
+//! Limiter. Which wheel speeds may follow the last ones? Speed limits at constant curvature, then acceleration limits, then the jerk limit of
+//! a robot that has one.
 //!
-//! The jerk limits how a motion begins and changes, never how it ends: a command to rest brakes at once, and the guard comes after.
+//! The jerk limit shapes how a motion begins and changes, never how it ends: a command to rest brakes at once, and the collision monitor
+//! acts after it.
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::Drive;
 
-/// How fast the speed may fall.
+/// How hard the robot may brake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Braking {
-    /// Within the wheels' normal acceleration.
+    /// With the wheels' normal acceleration.
     Normal,
     /// As hard as the robot can.
     Hard,
@@ -20,7 +21,7 @@ pub enum Braking {
 pub struct Limiter {
     drive: Drive,
     last: [f64; 2],
-    /// How fast the wheels gained speed last, rad/s²; zero where somebody else braked.
+    /// Last acceleration of the wheels, rad/s²; zero after braking by others.
     gained: [f64; 2],
 }
 
@@ -78,7 +79,7 @@ impl Limiter {
         [wheel(0), wheel(1)]
     }
 
-    /// Records what was really set, `dt` seconds after the last.
+    /// Records the wheel speeds that were really commanded, `dt` seconds after the last ones.
     pub fn set(&mut self, wheels: [f64; 2], dt: f64) {
         let gained = [(wheels[0] - self.last[0]) / dt, (wheels[1] - self.last[1]) / dt];
         let most = self.drive.max_wheel_acceleration * (1.0 + 1e-9);
@@ -87,7 +88,7 @@ impl Limiter {
         self.last = wheels;
     }
 
-    /// What was set last, as a twist.
+    /// The last command, as a twist.
     #[must_use]
     pub fn twist(&self) -> Twist2 {
         self.drive.twist(self.last)
@@ -177,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn after_the_guard_has_braked_it_starts_anew_without_a_jump() {
+    fn after_the_collision_monitor_has_braked_it_starts_again_without_a_jump() {
         let drive = gentle(2.0);
         let mut limiter = Limiter::new(&drive);
         for _ in 0..100 {

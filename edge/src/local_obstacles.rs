@@ -1,4 +1,4 @@
-//! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind sector
+//! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind spot
 //! what earlier sweeps saw.
 //!
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
@@ -15,13 +15,13 @@ use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
 
-/// Remembered points farther off than this are let go, m.
+/// Remembered points beyond this distance are dropped, m.
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
-/// Remembered points at most.
+/// Most points remembered.
 const MEMORY_POINTS: usize = 2048;
-/// After so long without a sweep somebody may have come up where no lidar looks, s.
+/// After this long without a scan somebody may have entered the blind spot, s.
 const SILENCE: f64 = 0.5;
-/// Remembered points closer together than this say nothing more, m.
+/// Least spacing of remembered points, m.
 const SPACING: f64 = 0.02;
 
 /// Obstacle points around the robot.
@@ -29,10 +29,10 @@ const SPACING: f64 = 0.02;
 pub struct LocalObstacles {
     lidars: Vec<LidarView>,
     view: FieldOfView,
-    /// What was seen in what is the blind sector now, until it is seen again or left behind.
+    /// What was seen in what is the blind spot now, until it is seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
-    intruders: MovingObstacles,
-    trodden: BlindSpotGrid,
+    moving: MovingObstacles,
+    blind_spots: BlindSpotGrid,
 }
 
 /// What one lidar sees.
@@ -60,8 +60,8 @@ impl LocalObstacles {
         Self {
             lidars: lidars.collect(),
             remembered: VecDeque::new(),
-            intruders: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
-            trodden: BlindSpotGrid::new(view.clone(), &model.footprint),
+            moving: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
+            blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint),
             view,
         }
     }
@@ -84,9 +84,9 @@ impl LocalObstacles {
         let Some(scan) = projector.project(sweep, odom_from_base) else {
             return false;
         };
-        if self.view.has_blind_sector() {
+        if self.view.has_blind_spot() {
             if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
-                self.intruders.lose_at(odom_from_base.position(), sweep.stamp);
+                self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
             remember(&mut self.remembered, seen, &self.view, scan.odom_from_base.inverse());
         }
@@ -98,16 +98,16 @@ impl LocalObstacles {
                 seen.push(laser + ray * range);
             }
         }
-        self.intruders.insert(index, &scan);
-        self.trodden.insert(&scan);
+        self.moving.insert(index, &scan);
+        self.blind_spots.insert(&scan);
         *stamp = Some(sweep.stamp);
         true
     }
 
     /// Something was felt at a place (base frame): where no lidar looks it counts as something that moves.
     pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
-        if self.view.is_blind(place) {
-            self.intruders.lose_at(odom_from_base.transform_point(place), now);
+        if self.view.in_blind_spot(place) {
+            self.moving.note_occlusion(odom_from_base.transform_point(place), now);
         }
     }
 
@@ -143,20 +143,20 @@ impl LocalObstacles {
         self.lidars.iter().map(|lidar| &lidar.seen[..])
     }
 
-    /// What of the newest sweeps moves.
+    /// The moving ones among them.
     #[must_use]
-    pub fn intruders(&self) -> &MovingObstacles {
-        &self.intruders
+    pub fn moving(&self) -> &MovingObstacles {
+        &self.moving
     }
 
-    /// What of the floor is known to be free where no lidar looks.
+    /// The floor known to be free in the blind spot.
     #[must_use]
-    pub fn trodden(&self) -> &BlindSpotGrid {
-        &self.trodden
+    pub fn blind_spots(&self) -> &BlindSpotGrid {
+        &self.blind_spots
     }
 }
 
-/// Keeps of all known points those that no lidar can see from here.
+/// Keeps those known points that are in the blind spot from here.
 fn remember(
     remembered: &mut VecDeque<Point2<f64>>,
     seen: &[Point2<f64>],
@@ -165,7 +165,7 @@ fn remember(
 ) {
     let blind = |point: &Point2<f64>| {
         let place = base_from_odom * point;
-        view.is_blind(place) && place.coords.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+        view.in_blind_spot(place) && place.coords.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
     };
     remembered.retain(blind);
     let mut last = Point2::new(f64::INFINITY, 0.0);
@@ -200,46 +200,46 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
+    fn a_point_that_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let model = tiago();
-        let mut around = LocalObstacles::new(&model);
-        assert!(around.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let mut obstacles = LocalObstacles::new(&model);
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&model, 1.1, None), behind));
-        let points: Vec<_> = around.in_base(behind).collect();
+        assert!(obstacles.insert(&sweep(&model, 1.1, None), behind));
+        let points: Vec<_> = obstacles.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(around.insert(&sweep(&model, 100.0, None), behind));
-        assert_eq!(around.in_base(behind).count(), 1, "nobody has looked again");
+        assert!(obstacles.insert(&sweep(&model, 100.0, None), behind));
+        assert_eq!(obstacles.in_base(behind).count(), 1, "nobody has looked again");
         let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
-        assert!(around.insert(&sweep(&model, 110.0, None), gone));
-        assert_eq!(around.in_base(gone).count(), 0);
+        assert!(obstacles.insert(&sweep(&model, 110.0, None), gone));
+        assert_eq!(obstacles.in_base(gone).count(), 0);
     }
 
     #[test]
-    fn what_the_lidar_sees_again_is_not_remembered() {
+    fn a_point_back_in_view_is_not_remembered() {
         let model = tiago();
-        let mut around = LocalObstacles::new(&model);
-        around.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
-        around.insert(&sweep(&model, 1.1, None), Pose2::IDENTITY);
-        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        let mut obstacles = LocalObstacles::new(&model);
+        obstacles.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        obstacles.insert(&sweep(&model, 1.1, None), Pose2::IDENTITY);
+        assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
     }
 
     #[test]
-    fn a_broken_sweep_is_no_sweep() {
+    fn a_malformed_scan_is_ignored() {
         let model = tiago();
-        let mut around = LocalObstacles::new(&model);
-        assert!(!around.insert(&Sweep::new(Stamp(5), vec![1.0; 3]), Pose2::IDENTITY));
+        let mut obstacles = LocalObstacles::new(&model);
+        assert!(!obstacles.insert(&Sweep::new(Stamp(5), vec![1.0; 3]), Pose2::IDENTITY));
         let stranger = Sweep {
             lidar: "rear".to_owned(),
             ..sweep(&model, 0.5, None)
         };
-        assert!(!around.insert(&stranger, Pose2::IDENTITY));
-        assert_eq!(around.age(Stamp(6)), None);
-        assert!(around.insert(&sweep(&model, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
-        assert_eq!(around.in_base(Pose2::IDENTITY).count(), 0);
+        assert!(!obstacles.insert(&stranger, Pose2::IDENTITY));
+        assert_eq!(obstacles.age(Stamp(6)), None);
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
         assert!(
-            !around.insert(&sweep(&model, 1.0, None), Pose2::IDENTITY),
+            !obstacles.insert(&sweep(&model, 1.0, None), Pose2::IDENTITY),
             "the same stamp twice"
         );
     }
@@ -247,30 +247,30 @@ mod tests {
     #[test]
     fn every_lidar_is_heard_and_the_oldest_sweep_says_how_old_all_is() {
         let model = RobotModel::with_options("jackal+rear_lidar", |name| Err(name.to_owned())).unwrap();
-        let mut around = LocalObstacles::new(&model);
+        let mut obstacles = LocalObstacles::new(&model);
         let rear = |secs: f64, range: f32| {
             let mut rear = Sweep::new(Stamp::from_secs(secs), vec![f32::INFINITY; 720]);
             rear.lidar = "rear".to_owned();
             rear.ranges[360] = range;
             rear
         };
-        assert!(around.insert(&sweep(&model, 1.0, Some((360, 1.0))), Pose2::IDENTITY));
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((360, 1.0))), Pose2::IDENTITY));
         assert_eq!(
-            around.age(Stamp::from_secs(1.0)),
+            obstacles.age(Stamp::from_secs(1.0)),
             None,
             "the rear lidar has not looked yet"
         );
-        assert!(around.insert(&rear(0.9, 2.0), Pose2::IDENTITY));
-        assert!((around.age(Stamp::from_secs(1.0)).unwrap() - 0.1).abs() < 1e-9);
-        assert_eq!(around.stamp(), Some(Stamp::from_secs(1.0)));
-        let seen: Vec<f64> = around
+        assert!(obstacles.insert(&rear(0.9, 2.0), Pose2::IDENTITY));
+        assert!((obstacles.age(Stamp::from_secs(1.0)).unwrap() - 0.1).abs() < 1e-9);
+        assert_eq!(obstacles.stamp(), Some(Stamp::from_secs(1.0)));
+        let seen: Vec<f64> = obstacles
             .in_base(Pose2::IDENTITY)
             .map(|point| (100.0 * point.x).round())
             .collect();
         assert_eq!(seen, [112.0, -215.0]);
-        assert!(around.insert(&rear(1.1, f32::INFINITY), Pose2::IDENTITY));
+        assert!(obstacles.insert(&rear(1.1, f32::INFINITY), Pose2::IDENTITY));
         assert_eq!(
-            around.in_base(Pose2::IDENTITY).count(),
+            obstacles.in_base(Pose2::IDENTITY).count(),
             1,
             "the rear lidar sees that it has gone"
         );

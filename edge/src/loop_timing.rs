@@ -1,12 +1,12 @@
-//! How punctual is the control loop? The lateness of every tick in a histogram of fixed size, so that it can be kept for ever.
+//! Loop timing. How late are the control ticks? A histogram of fixed size over the lateness of every tick since start.
 
 use std::time::Duration;
 
 use zenav_protocol::messages::Pacing;
 
-/// Width of a bucket.
+/// Width of a histogram bucket.
 const BUCKET: Duration = Duration::from_micros(20);
-/// Buckets; the last one takes everything later.
+/// Number of buckets; the last one takes everything later.
 const BUCKETS: usize = 1000;
 
 /// Lateness of all ticks since start.
@@ -28,8 +28,8 @@ impl Default for LoopTiming {
 }
 
 impl LoopTiming {
-    /// Counts a tick that began this much too late.
-    pub fn note(&mut self, late: Duration) {
+    /// Records a tick that began this late.
+    pub fn record(&mut self, late: Duration) {
         let bucket = usize::try_from(late.as_nanos() / BUCKET.as_nanos()).unwrap_or(BUCKETS);
         if let Some(count) = self.counts.get_mut(bucket.min(BUCKETS - 1)) {
             *count += 1;
@@ -38,7 +38,7 @@ impl LoopTiming {
         self.latest = self.latest.max(late);
     }
 
-    /// What has been counted.
+    /// Count, percentiles and maximum.
     #[must_use]
     pub fn pacing(&self) -> Pacing {
         Pacing {
@@ -49,7 +49,7 @@ impl LoopTiming {
         }
     }
 
-    /// The lateness that a share of the ticks does not exceed, to a bucket's upper end, ms.
+    /// The lateness that a share of the ticks does not exceed, rounded up to a bucket, ms.
     fn percentile(&self, share: f64) -> f64 {
         let wanted = (share * self.ticks as f64).ceil() as u64;
         let mut counted = 0;
@@ -72,22 +72,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_hundred_ticks_one_may_be_late_and_the_worst_is_told_exactly() {
-        let mut punctuality = LoopTiming::default();
+    fn percentiles_are_rounded_up_to_a_bucket_and_the_maximum_is_exact() {
+        let mut timing = LoopTiming::default();
         for tick in 0..1000 {
             let late = if tick % 100 == 0 { 5_000 } else { 310 };
-            punctuality.note(Duration::from_micros(late));
+            timing.record(Duration::from_micros(late));
         }
-        let pacing = punctuality.pacing();
+        let pacing = timing.pacing();
         assert_eq!((pacing.ticks, pacing.late_max_ms), (1000, 5.0));
         assert!((pacing.late_p50_ms - 0.32).abs() < 1e-9 && (pacing.late_p99_ms - 0.32).abs() < 1e-9);
-        (0..10).for_each(|_| punctuality.note(Duration::from_secs(3600)));
-        assert_eq!(punctuality.pacing().late_max_ms, 3.6e6);
-        assert!((punctuality.pacing().late_p99_ms - 5.02).abs() < 1e-9);
+        (0..10).for_each(|_| timing.record(Duration::from_secs(3600)));
+        assert_eq!(timing.pacing().late_max_ms, 3.6e6);
+        assert!((timing.pacing().late_p99_ms - 5.02).abs() < 1e-9);
     }
 
     #[test]
-    fn nothing_counted_is_nothing_late() {
+    fn without_a_tick_nothing_is_late() {
         assert_eq!(LoopTiming::default().pacing().late_p99_ms, 0.0);
     }
 }

@@ -1,4 +1,4 @@
-//! The thin binary for the robot: one edge, nothing of the cloud.
+//! The robot's own binary: one edge, no cloud.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -30,13 +30,13 @@ struct Arguments {
     /// Folder of the stored epoch and stop latch.
     #[arg(long, default_value = "zenav-state")]
     state_dir: PathBuf,
-    /// Where the robot stands: X,Y,YAW in metres and radians (default: the world's start).
+    /// Start pose X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
-    /// What it does with a plan when nobody commands it any more: finish_horizon, stop, wall_follow or return_home.
+    /// Policy when the lease has expired: finish_horizon, stop, wall_follow or return_home.
     #[arg(long, default_value = "finish_horizon", value_parser = lost_policy)]
     on_lost: LostPolicy,
-    /// Drive the robot of this name in the world that `zenav sim serve` serves.
+    /// Drive the robot of this name in the world of `zenav sim serve`.
     #[arg(long)]
     attach: bool,
     #[cfg(feature = "sim")]

@@ -1,10 +1,11 @@
-//! Moving-obstacle detection. What moves around the robot? What stands where earlier sweeps saw free floor, and what lies behind a thing that has gone.
+//! Moving obstacles. Which returns of a scan belong to something that moves? Those where earlier scans saw free space, and those just
+//! behind a return that has departed.
 //!
-//! No tracking and no model of what moves: a return that lies well inside the range of an earlier sweep's beams past the
-//! same place is an intruder, whatever it is (visibility-based detection, after Pomerleau et al., "Long-term 3D map
-//! maintenance in dynamic environments", ICRA 2014). What goes away leaves no such trace: there, beams go through a place that an
-//! earlier sweep met, and what they meet next, no farther on than anything goes in that time, is the same thing. How fast it may go
-//! is for the guard to assume; where it was last seen beside the blind sector is remembered for a while.
+//! No tracking and no motion model: a return well inside the range of an earlier scan's beams through the same place has appeared there
+//! (visibility-based detection, after Pomerleau et al., "Long-term 3D map maintenance in dynamic environments", ICRA 2014). An obstacle
+//! that moves away leaves no such evidence: there, beams pass through a return of an earlier scan, and the next return behind it, no farther
+//! than anything moves in that time, is the same obstacle. The collision monitor assumes how fast it moves; one last seen beside the
+//! blind spot is remembered there for a while.
 
 use std::collections::VecDeque;
 
@@ -17,90 +18,90 @@ use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
 use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::scan_reprojection::ScanReprojection;
 
-/// Returns farther off than this do not matter yet, m.
+/// Returns beyond this range are ignored, m.
 const RANGE: f64 = 3.5;
-/// Sweeps looked back at, and the time between two of them at least, s.
-const LOOKS: (usize, f64) = (3, 0.32);
-/// An intruder is at least this wide, m, and so many times as wide as the beams lie apart where it is: an earlier sweep may
-/// have missed what is thinner.
+/// Reference scans, and the least time between two of them, s.
+const REFERENCES: (usize, f64) = (3, 0.32);
+/// A moving obstacle is at least this wide, m, and this many beam spacings at its range: an earlier scan may have missed a thinner one.
 const WIDTH: (f64, f64) = (0.04, 2.5);
-/// What has gone away is sought by a look at least so old, s: by then it is clearly farther off.
+/// Departed returns are looked for in a reference scan at least this old, s: by then the obstacle is clearly farther away.
 const GONE_AFTER: f64 = 0.3;
-/// Beams through neighbouring points lie no farther apart than this.
+/// Beams through neighbouring points are at most this far apart, in beams.
 const APART: usize = 8;
-/// What is met this near to where something moved within this time moves, too: something that turns round seems to rest, m and s.
+/// A return this near (m) to where something moved within this time (s) counts as moving, too: an obstacle that turns round seems to rest.
 const STILL: (f64, f64) = (0.2, 1.0);
-/// Points of what moves are no nearer together than this, m.
+/// Least spacing of the points of moving obstacles, m.
 const SPACING: f64 = 0.02;
-/// Places kept where something moved.
+/// Most places kept where something moved.
 const MOVED_PLACES: usize = 48;
-/// What was last seen as near to the blind sector as this may have gone into it, m, beyond what it moves between two sweeps.
+/// An obstacle last seen this near to the blind spot (m, plus its motion between two scans) may have entered it.
 const BESIDE: f64 = 0.3;
-/// What was farther from the robot than anything goes in this time, s, is not followed into the blind sector.
+/// An obstacle that needs longer than this to reach the robot, s, is not followed into the blind spot.
 const NEAR_SECS: f64 = 0.75;
-/// What was lost in the blind sector is reckoned with for this long, s.
-const LOST_SECS: f64 = 10.0;
-/// Places kept where something was lost.
-const LOST_PLACES: usize = 32;
-/// What comes out of the blind sector this much farther off than it could have gone is the same thing all the same, m.
+/// An obstacle that entered the blind spot is remembered for this long, s.
+const OCCLUDED_SECS: f64 = 10.0;
+/// Most places kept where an obstacle entered the blind spot.
+const OCCLUDED_PLACES: usize = 32;
+/// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one, m.
 const SURFACE: f64 = 0.1;
 
-/// Returns on what moves, and where it was lost.
+/// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
 pub struct MovingObstacles {
-    /// One a lidar.
+    /// One for each lidar.
     detectors: Vec<Detector>,
     view: FieldOfView,
-    /// As fast as anything may move, m/s.
+    /// Assumed speed of moving obstacles, m/s.
     fastest: f64,
-    /// What is farther from the lidar than this is not followed into the blind sector, m.
+    /// Obstacles beyond this distance from the lidar are not followed into the blind spot, m.
     near: f64,
-    /// Where something was lost in the blind sector.
-    lost: RecentPlaces,
+    /// Places where a moving obstacle entered the blind spot.
+    occluded: RecentPlaces,
 }
 
-/// Finds what moves in the sweeps of one lidar.
+/// Finds what moves in the scans of one lidar.
 #[derive(Clone, Debug)]
 struct Detector {
     lidar: LidarModel,
-    aim: ScanReprojection,
-    /// As fast as anything may move, m/s.
+    reprojection: ScanReprojection,
+    /// Assumed speed of moving obstacles, m/s.
     fastest: f64,
-    /// How far the beams of the newest sweep went past what stands there, m.
-    past: Vec<f32>,
-    looks: VecDeque<ReferenceScan>,
-    /// Points of the newest sweep, odometry frame.
+    /// Up to which range each beam of the newest scan saw free space, m.
+    free: Vec<f32>,
+    references: VecDeque<ReferenceScan>,
+    /// Points of moving obstacles in the newest scan, odometry frame.
     points: Vec<Point2<f64>>,
-    /// Which beams of the newest sweep met what has gone away.
-    receded: Vec<bool>,
-    /// Which beams of the newest sweep met something where an earlier look went past.
-    intruding: Vec<bool>,
-    /// Where something has moved lately.
+    /// Beams of the newest scan whose return lies just behind a departed one.
+    departed: Vec<bool>,
+    /// Beams of the newest scan whose return lies where a reference scan saw free space.
+    appeared: Vec<bool>,
+    /// Places where something moved recently.
     moved: RecentPlaces,
 }
 
+/// An earlier scan that new ones are compared with.
 #[derive(Clone, Debug)]
 struct ReferenceScan {
     stamp: Stamp,
     odom_from_laser: Isometry2<f64>,
     ranges: Vec<f32>,
-    /// How far the beams went past what stood there, m.
-    past: Vec<f32>,
+    /// Up to which range each beam saw free space, m.
+    free: Vec<f32>,
 }
 
-/// A run of neighbouring returns of an earlier look that beams go through now.
+/// A run of neighbouring returns of a reference scan that beams pass through now.
 #[derive(Clone, Copy, Debug)]
-struct Gone {
-    /// The first and the last, in the frame of the lidar now.
+struct DepartedRun {
+    /// The first and the last return, in the lidar frame now.
     ends: [Point2<f64>; 2],
-    /// The first and the last beam that go through them.
+    /// The first and the last beam through them.
     beams: (usize, usize),
-    /// The farthest, m.
+    /// Range of the farthest return, m.
     depth: f64,
 }
 
 impl MovingObstacles {
-    /// None yet. Nothing moves faster than `fastest`, m/s.
+    /// No scan yet; nothing moves faster than `fastest`, m/s.
     #[must_use]
     pub(crate) fn new(model: &RobotModel, view: FieldOfView, fastest: f64) -> Self {
         Self {
@@ -111,67 +112,66 @@ impl MovingObstacles {
             view,
             fastest,
             near: 2.0 * model.footprint.circumscribed_radius() + NEAR_SECS * fastest,
-            lost: RecentPlaces::new(LOST_PLACES),
+            occluded: RecentPlaces::new(OCCLUDED_PLACES),
         }
     }
 
-    /// Takes a sweep of the lidar of this index.
-    pub(crate) fn insert(&mut self, index: usize, cast: &ProjectedScan<'_>) {
-        let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(cast)) else {
+    /// Takes a scan of the lidar with this index.
+    pub(crate) fn insert(&mut self, index: usize, scan: &ProjectedScan<'_>) {
+        let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(scan)) else {
             return;
         };
-        self.lose(index, cast);
+        self.track_occlusions(index, scan);
         if let Some(detector) = self.detectors.get_mut(index) {
-            detector.note_moved(evident, cast.stamp);
+            detector.note_moved(evident, scan.stamp);
         }
     }
 
-    /// Notes what may go into the blind sector before the lidar's next sweep, and forgets what was lost long ago or has come out again.
-    fn lose(&mut self, index: usize, cast: &ProjectedScan<'_>) {
+    /// Remembers obstacles that may enter the blind spot before the lidar's next scan, and forgets those that are too old or have left it
+    /// again.
+    fn track_occlusions(&mut self, index: usize, scan: &ProjectedScan<'_>) {
         let Some(detector) = self.detectors.get(index) else {
             return;
         };
-        let step = self.fastest / cast.lidar.rate_hz;
-        let (beside, near, laser) = (BESIDE + step, self.near, cast.laser());
-        let (now, base_from_odom) = (cast.stamp, cast.odom_from_base.inverse());
-        // What moves by a single sweep may be a mistake: it is not worth the wait for it to come out.
+        let step = self.fastest / scan.lidar.rate_hz;
+        let (beside, near, laser) = (BESIDE + step, self.near, scan.laser());
+        let (now, base_from_odom) = (scan.stamp, scan.odom_from_base.inverse());
+        // Motion in a single scan may be a false detection: it is not worth waiting for.
         let since = STILL.0 + step;
         let goes = |place: &&Point2<f64>| {
-            self.view.distance_to_blind(base_from_odom * **place) <= beside
+            self.view.distance_to_blind_spot(base_from_odom * **place) <= beside
                 && (**place - laser).norm() <= near
                 && detector.moved.any_within(since, **place)
         };
         let points = &detector.points;
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
         let fastest = self.fastest;
-        self.lost.retain(|lost| {
-            let age = now.secs_since(lost.stamp);
+        self.occluded.retain(|occluded| {
+            let age = now.secs_since(occluded.stamp);
             let reach = fastest * age + SURFACE;
-            let is_out = places.is_empty() && points.iter().any(|place| lost.is_within(reach, *place));
-            age <= LOST_SECS && !is_out
+            let is_out = places.is_empty() && points.iter().any(|place| occluded.is_within(reach, *place));
+            age <= OCCLUDED_SECS && !is_out
         });
         for place in places {
-            self.lose_at(place, now);
+            self.note_occlusion(place, now);
         }
     }
 
-    /// Something was last seen, or felt, at a place (odometry frame).
-    pub fn lose_at(&mut self, place: Point2<f64>, stamp: Stamp) {
-        self.lost.note(place, stamp);
+    /// A moving obstacle was last seen, or felt by the bumper, at a place (odometry frame).
+    pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
+        self.occluded.note(place, stamp);
     }
 
-    /// What may be in the blind sector now.
-    pub fn lost(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
-        self.lost.iter()
+    /// Where moving obstacles entered the blind spot.
+    pub fn occluded(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
+        self.occluded.iter()
     }
 
-    /// What moves, in the base frame of a robot at `odom_from_base`.
+    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
-        self.detectors
-            .iter()
-            .flat_map(|detector| &detector.points)
-            .map(move |point| base_from_odom * point)
+        let points = self.detectors.iter().flat_map(|detector| &detector.points);
+        points.map(move |point| base_from_odom * point)
     }
 }
 
@@ -179,28 +179,28 @@ impl Detector {
     fn new(lidar: &LidarModel, fastest: f64) -> Self {
         Self {
             lidar: lidar.clone(),
-            aim: ScanReprojection::new(lidar),
+            reprojection: ScanReprojection::new(lidar),
             fastest,
-            past: Vec::new(),
-            looks: VecDeque::new(),
+            free: Vec::new(),
+            references: VecDeque::new(),
             points: Vec::new(),
-            receded: Vec::new(),
-            intruding: Vec::new(),
+            departed: Vec::new(),
+            appeared: Vec::new(),
             moved: RecentPlaces::new(MOVED_PLACES),
         }
     }
 
-    /// Takes a sweep; returns how many of the points found in it moved by themselves, not only near to what does.
-    fn insert(&mut self, cast: &ProjectedScan<'_>) -> usize {
+    /// Takes a scan; returns how many of the points found in it moved by themselves, not only near to something that moves.
+    fn insert(&mut self, scan: &ProjectedScan<'_>) -> usize {
         self.points.clear();
-        self.aim.past(cast.ranges, &mut self.past);
-        self.find_receded(cast);
-        self.find_intruding(cast);
-        self.moved.retain(|trace| cast.stamp.secs_since(trace.stamp) <= STILL.1);
-        let laser = cast.laser();
+        self.reprojection.free_ranges(scan.ranges, &mut self.free);
+        self.find_departed(scan);
+        self.find_appeared(scan);
+        self.moved.retain(|place| scan.stamp.secs_since(place.stamp) <= STILL.1);
+        let laser = scan.laser();
         let (low, high) = self.moved.bounds(STILL.0);
         let (mut begun, mut still) = (0, Vec::new());
-        for (beam, (range, ray)) in cast.ranges.iter().zip(cast.rays).enumerate() {
+        for (beam, (range, ray)) in scan.ranges.iter().zip(scan.rays).enumerate() {
             let range = f64::from(*range);
             if !self.is_near(range) {
                 self.end_run(&mut begun, laser);
@@ -208,7 +208,7 @@ impl Detector {
             }
             let point = laser + ray * range;
             let is_one = |marked: &[bool]| marked.get(beam).is_some_and(|marked| *marked);
-            if is_one(&self.receded) || is_one(&self.intruding) {
+            if is_one(&self.departed) || is_one(&self.appeared) {
                 self.points.push(point);
                 continue;
             }
@@ -222,7 +222,7 @@ impl Detector {
         let evident = self.points.len();
         thin(&mut still);
         self.points.append(&mut still);
-        self.look(cast);
+        self.keep_reference(scan);
         evident
     }
 
@@ -233,33 +233,33 @@ impl Detector {
         }
     }
 
-    /// Whether a range is a return that matters.
+    /// Whether a range is a return near enough to matter.
     fn is_near(&self, range: f64) -> bool {
         range >= self.lidar.range_min && range <= RANGE.min(self.lidar.range_max)
     }
 
-    /// Notes the beams that meet what stood nearer at an earlier look.
-    fn find_receded(&mut self, cast: &ProjectedScan<'_>) {
-        self.receded.clear();
-        let old = |look: &&ReferenceScan| cast.stamp.secs_since(look.stamp) >= GONE_AFTER;
-        let Some(look) = self.looks.iter().rev().find(old) else {
+    /// Finds the beams whose return lies just behind a departed one.
+    fn find_departed(&mut self, scan: &ProjectedScan<'_>) {
+        self.departed.clear();
+        let old = |reference: &&ReferenceScan| scan.stamp.secs_since(reference.stamp) >= GONE_AFTER;
+        let Some(reference) = self.references.iter().rev().find(old) else {
             return;
         };
-        self.receded.resize(cast.ranges.len(), false);
-        let gone_for = cast.stamp.secs_since(look.stamp);
-        let laser_from_look = cast.odom_from_laser.inverse() * look.odom_from_laser;
-        self.aim.lay(&laser_from_look, &look.ranges);
-        let (mut runs, mut run): (Vec<Gone>, Option<Gone>) = (Vec::new(), None);
-        let beams = self.aim.beams_past(&self.past).zip(&look.ranges);
+        self.departed.resize(scan.ranges.len(), false);
+        let gone_for = scan.stamp.secs_since(reference.stamp);
+        let laser_from_reference = scan.odom_from_laser.inverse() * reference.odom_from_laser;
+        self.reprojection.reproject(&laser_from_reference, &reference.ranges);
+        let (mut runs, mut run): (Vec<DepartedRun>, Option<DepartedRun>) = (Vec::new(), None);
+        let beams = self.reprojection.beams_through(&self.free).zip(&reference.ranges);
         for (from, (beam, range)) in beams.enumerate() {
             let beam = beam.filter(|_| self.is_near(f64::from(*range)));
-            let through = beam.and_then(|beam| Some((beam, self.aim.point(from)?)));
+            let through = beam.and_then(|beam| Some((beam, self.reprojection.point(from)?)));
             if let Some((beam, here)) = through {
-                // At the seam of a full circle the beams begin anew.
+                // At the seam of a full circle the beam numbers wrap.
                 if run.is_some_and(|gone| beam.abs_diff(gone.beams.1) > APART && beam.abs_diff(gone.beams.0) > APART) {
                     runs.extend(run.take());
                 }
-                let gone = run.get_or_insert(Gone {
+                let gone = run.get_or_insert(DepartedRun {
                     ends: [here; 2],
                     beams: (beam, beam),
                     depth: 0.0,
@@ -273,19 +273,19 @@ impl Detector {
         }
         runs.extend(run);
         for gone in runs {
-            self.mark(&gone, cast.ranges, gone_for);
+            self.mark(&gone, scan.ranges, gone_for);
         }
     }
 
-    /// Marks what is met behind a run of points that have gone.
-    fn mark(&mut self, gone: &Gone, ranges: &[f32], gone_for: f64) {
+    /// Marks the returns just behind a departed run.
+    fn mark(&mut self, gone: &DepartedRun, ranges: &[f32], gone_for: f64) {
         let least = WIDTH.0.max(WIDTH.1 * self.lidar.angle_increment() * gone.depth);
         if (gone.ends[1] - gone.ends[0]).norm() < least {
             return;
         }
-        let farthest = gone.depth + self.fastest * gone_for + self.aim.depth;
+        let farthest = gone.depth + self.fastest * gone_for + self.reprojection.depth;
         let (first, last) = gone.beams;
-        for (marked, range) in self.receded.iter_mut().zip(ranges).take(last + 1).skip(first) {
+        for (marked, range) in self.departed.iter_mut().zip(ranges).take(last + 1).skip(first) {
             *marked |= f64::from(*range) <= farthest;
         }
     }
@@ -303,42 +303,50 @@ impl Detector {
         self.points.truncate(*begun);
     }
 
-    /// Notes the beams that met something where an earlier look went past.
-    fn find_intruding(&mut self, cast: &ProjectedScan<'_>) {
-        self.intruding.clear();
-        self.intruding.resize(cast.ranges.len(), false);
-        for look in &self.looks {
-            let look_from_laser = look.odom_from_laser.inverse() * cast.odom_from_laser;
-            self.aim.lay(&look_from_laser, cast.ranges);
-            for (intruding, beam) in self.intruding.iter_mut().zip(self.aim.beams_past(&look.past)) {
-                *intruding |= beam.is_some();
+    /// Finds the beams whose return lies where a reference scan saw free space.
+    fn find_appeared(&mut self, scan: &ProjectedScan<'_>) {
+        self.appeared.clear();
+        self.appeared.resize(scan.ranges.len(), false);
+        for reference in &self.references {
+            let reference_from_laser = reference.odom_from_laser.inverse() * scan.odom_from_laser;
+            self.reprojection.reproject(&reference_from_laser, scan.ranges);
+            for (appeared, beam) in self
+                .appeared
+                .iter_mut()
+                .zip(self.reprojection.beams_through(&reference.free))
+            {
+                *appeared |= beam.is_some();
             }
         }
     }
 
-    fn look(&mut self, cast: &ProjectedScan<'_>) {
+    fn keep_reference(&mut self, scan: &ProjectedScan<'_>) {
         let due = self
-            .looks
+            .references
             .back()
-            .is_none_or(|last| cast.stamp.secs_since(last.stamp) >= LOOKS.1);
+            .is_none_or(|last| scan.stamp.secs_since(last.stamp) >= REFERENCES.1);
         if !due {
             return;
         }
-        let oldest = (self.looks.len() == LOOKS.0).then(|| self.looks.pop_front()).flatten();
-        let (mut ranges, mut past) = oldest.map(|look| (look.ranges, look.past)).unwrap_or_default();
+        let oldest = (self.references.len() == REFERENCES.0)
+            .then(|| self.references.pop_front())
+            .flatten();
+        let (mut ranges, mut free) = oldest
+            .map(|reference| (reference.ranges, reference.free))
+            .unwrap_or_default();
         ranges.clear();
-        ranges.extend_from_slice(cast.ranges);
-        past.clone_from(&self.past);
-        self.looks.push_back(ReferenceScan {
-            stamp: cast.stamp,
-            odom_from_laser: cast.odom_from_laser,
+        ranges.extend_from_slice(scan.ranges);
+        free.clone_from(&self.free);
+        self.references.push_back(ReferenceScan {
+            stamp: scan.stamp,
+            odom_from_laser: scan.odom_from_laser,
             ranges,
-            past,
+            free,
         });
     }
 }
 
-/// Leaves out points close to the one before.
+/// Drops points close to the one before.
 fn thin(points: &mut Vec<Point2<f64>>) {
     let mut last = Point2::new(f64::INFINITY, 0.0);
     points.retain(|point| {
@@ -367,7 +375,7 @@ mod tests {
         MovingObstacles::new(model, view, fastest)
     }
 
-    /// A wall across the way at `wall`, and a post of some beams at `post`, both in the odometry frame.
+    /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
     fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, post: Option<f64>) -> Sweep {
         let laser = base * lidar.mount;
         let range = |beam: usize| {
@@ -384,19 +392,19 @@ mod tests {
     }
 
     #[test]
-    fn what_has_gone_from_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
+    fn a_departed_return_at_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
         let robot = robot("neato");
         let lidar = robot.first_lidar().unwrap();
-        let mut intruders = none_yet(&robot, 0.3);
+        let mut tracked = none_yet(&robot, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
             let range = |beam: usize| {
                 let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
                 (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
             };
             let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
-            intruders.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
+            tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
-        let points: Vec<_> = intruders.in_base(Pose2::IDENTITY).collect();
+        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).collect();
         assert!(
             !points.is_empty() && points.iter().all(|point| point.x < -1.0),
             "{points:?}"
@@ -404,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_nearer_intrudes_and_what_stands_does_not() {
+    fn an_approaching_post_is_detected_and_a_static_one_is_not() {
         let robot = robot("tiago");
         let lidar = robot.first_lidar().unwrap();
         let (mut still, mut moving) = (none_yet(&robot, 0.6), none_yet(&robot, 0.6));
@@ -413,9 +421,9 @@ mod tests {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
             let base = Pose2::new(0.05 * f64::from(step), 0.0, 0.0);
-            for (intruders, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
+            for (tracked, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
                 let sweep = sweep(lidar, secs, base, Some(post));
-                intruders.insert(0, &projector.project(&sweep, base).unwrap());
+                tracked.insert(0, &projector.project(&sweep, base).unwrap());
             }
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);

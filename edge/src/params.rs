@@ -1,4 +1,4 @@
-//! Which gains can be changed while the robot runs? All that its file has, within the same bounds.
+//! Parameters. Which gains can be changed while the robot runs? All gains of its file, within the same bounds.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::settings::Settings as _;
 use zenav_protocol::wall_following::WallFollowing;
 
-/// One gain, or all of them without a name; those of the wall follower too.
+/// One gain, or all of them without a name; those of the wall follower included.
 ///
 /// # Errors
 /// [`Refusal::NotFound`] for an unknown name.
@@ -31,7 +31,7 @@ pub fn read(gains: &ControllerGains, wall: &WallFollowing, name: Option<&str>) -
     }
 }
 
-/// Sets one gain, for a robot whose outline reaches `reach` m from its origin.
+/// Sets one gain, for a robot with circumscribed radius `reach`, m.
 ///
 /// # Errors
 /// [`Refusal::NotFound`] for an unknown name, [`Refusal::Rejected`] for a value out of bounds or one that does not fit the others.
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_set_is_read_again() {
+    fn a_value_that_was_set_is_read_back() {
         let (mut gains, mut wall) = (ControllerGains::default(), WallFollowing::default());
         write(&mut gains, &mut wall, 0.3, "heading_gain", 3.0).unwrap();
         write(&mut gains, &mut wall, 0.3, "wall_min_points", 7.0).unwrap();

@@ -1,12 +1,11 @@
-//! How fast may a robot go, so that it rests before anything could be touched? Four answers: past what stands, past what
-//! moves, into what was never seen, and past what has gone out of sight. Each is a share of the wanted twist, whose curvature stays.
+//! Passive safety. How fast may a robot go, so that it is at rest before any contact? Four limits: static obstacles, moving obstacles,
+//! the lidar's blind spot, and moving obstacles that have left the field of view. Each is a share of the wanted twist at constant curvature.
 //!
-//! Standing things: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the free way along
-//! the robot's own arc. Moving ones: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban
-//! scenarios", Automatika 2009): whatever moves may come at the robot as fast as the robot itself can go; by the time that
-//! it could arrive the robot rests. Out of sight (Bouraine et al., "Provably safe navigation for mobile robots with limited
-//! field-of-views in dynamic environments", Autonomous Robots 2012): by that time no point of the outline goes outwards faster than
-//! gently, by driving or by turning.
+//! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's
+//! own arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a
+//! moving obstacle may come at the robot at the assumed speed; by the time that it could arrive the robot is at rest. Occluded
+//! (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous Robots
+//! 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -19,31 +18,31 @@ use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::time_to_contact::SweptFootprint;
 
-/// Least time to collision with the last centimetre while creeping inside the margin, s.
+/// Least time to contact while creeping inside the margin, s.
 const CREEP_TIME: f64 = 1.0;
-/// Closer than this nothing is approached, m.
-pub(crate) const LAST_CENTIMETRE: f64 = 0.01;
-/// Shares of the wanted twist that are tried against what moves.
+/// No obstacle nearer than this is approached, m.
+pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
+/// Shares of the wanted twist that are tried against moving obstacles.
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
-/// The motors answer as a first-order lag: after so many time constants beyond braking the robot is at rest.
+/// Motors respond with a first-order lag: this many time constants after braking the robot is at rest.
 const LAGS_TO_REST: f64 = 3.0;
-/// What falls back faster than this share of the robot's speed is left behind: it can only run after the robot.
+/// An obstacle that recedes faster than this share of the robot's speed is left behind: it could only chase the robot.
 const LEFT_BEHIND: f64 = 0.3;
-/// Spacing of the outline's samples and of the poses that they are checked at, m.
+/// Spacing of the samples of the outline, and of the poses that they are checked at, m.
 const SAMPLE: f64 = 0.04;
-/// Distance kept from what was never seen beyond the margin, m: odometry drifts, and cells are coarse.
+/// Distance kept from unseen floor beyond the margin, m: odometry drifts, and cells are coarse.
 const UNSEEN_MARGIN: f64 = 0.03;
-/// Most poses checked.
+/// Most poses that are checked along the stopping distance.
 const MAX_POSES: f64 = 100.0;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
 
-/// A wanted motion, and how it can be ended.
+/// A wanted motion, and how fast it can be brought to rest.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion<'a> {
     /// Outline on the floor.
     pub footprint: &'a Footprint,
-    /// What is wanted.
+    /// The wanted twist, base frame.
     pub twist: Twist2,
     /// Speed of the faster wheel's contact point, m/s.
     pub speed: f64,
@@ -53,7 +52,7 @@ pub struct Motion<'a> {
     pub braking: f64,
     /// Time constant of the motors, s.
     pub lag: f64,
-    /// As fast as anything else may move, m/s.
+    /// Assumed speed of moving obstacles, m/s.
     pub others: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
@@ -75,71 +74,73 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Way until rest at a share of the speed, m.
-    fn way(&self, share: f64) -> f64 {
+    /// Distance until rest at a share of the speed, m.
+    fn stopping_distance(&self, share: f64) -> f64 {
         let speed = share * self.speed;
         speed * self.reaction + 0.5 * speed * speed / self.braking
     }
 
     /// Time until rest at a share of the speed, s.
-    fn time(&self, share: f64) -> f64 {
+    fn stopping_time(&self, share: f64) -> f64 {
         self.reaction + share * self.speed / self.braking + LAGS_TO_REST * self.lag
     }
 
-    /// The largest share that stops within a free way (m).
+    /// The largest share that stops within a free distance (m).
     fn share_within(&self, free: f64) -> f64 {
         let lag = self.braking * self.reaction;
         ((lag * lag + 2.0 * self.braking * free).sqrt() - lag) / self.speed
     }
 
-    /// Past all that is known to stand, from `odom_from_base`.
+    /// Limit by static obstacles, for a robot at `odom_from_base`.
     #[must_use]
-    pub fn past_obstacles(&self, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let near = self.footprint.circumscribed_radius() + self.margin + self.way(1.0) + LAST_CENTIMETRE;
+    pub fn limit_static(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        let near = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0) + LEAST_CLEARANCE;
         let outer = SweptFootprint::new(self.footprint, self.margin, self.twist);
-        let inner = SweptFootprint::new(self.footprint, LAST_CENTIMETRE.min(self.margin), self.twist);
+        let inner = SweptFootprint::new(self.footprint, LEAST_CLEARANCE.min(self.margin), self.twist);
         let mut share: f64 = 1.0;
-        for point in around.in_base(odom_from_base) {
+        for point in obstacles.in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near {
                 continue;
             }
-            let stopping = if outer.holds(point) {
+            let stopping = if outer.contains(point) {
                 0.0
             } else {
-                let Some(time) = outer.contact(point) else { continue };
+                let Some(time) = outer.time_to_contact(point) else {
+                    continue;
+                };
                 self.share_within(self.speed * time)
             };
             if stopping >= share {
                 continue;
             }
-            let creeping = if inner.holds(point) {
+            let creeping = if inner.contains(point) {
                 if approaches(self.footprint, self.twist, point) {
                     0.0
                 } else {
                     1.0
                 }
             } else {
-                inner.contact(point).map_or(1.0, |time| time / CREEP_TIME)
+                inner.time_to_contact(point).map_or(1.0, |time| time / CREEP_TIME)
             };
             share = share.min(stopping.max(creeping));
         }
         share
     }
 
-    /// Past all that moves.
+    /// Limit by moving obstacles in view.
     #[must_use]
-    pub fn past_intruders(&self, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+    pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let mut shares = SHARES.iter();
         let mut share = shares.next().copied().unwrap_or(0.0);
         let mut reach = self.reach(share);
-        let near = self.footprint.circumscribed_radius() + self.keep_off(1.0) + self.way(1.0);
-        for point in around.intruders().in_base(odom_from_base) {
+        let near = self.footprint.circumscribed_radius() + self.protective_distance(1.0) + self.stopping_distance(1.0);
+        for point in obstacles.moving().in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near
-                || closing(self.footprint, self.twist, point) < -LEFT_BEHIND * self.speed
+                || closing_speed(self.footprint, self.twist, point) < -LEFT_BEHIND * self.speed
             {
                 continue;
             }
-            while share > 0.0 && reach.holds(self.footprint, point) {
+            while share > 0.0 && reach.contains(self.footprint, point) {
                 share = shares.next().copied().unwrap_or(0.0);
                 reach = self.reach(share);
             }
@@ -147,53 +148,53 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Distance that something which moves covers before the robot rests, and the margin, m.
-    fn keep_off(&self, share: f64) -> f64 {
-        self.margin + self.others * self.time(share)
+    /// Distance that a moving obstacle covers until the robot is at rest, plus the margin, m (ISO 13855's separation distance).
+    fn protective_distance(&self, share: f64) -> f64 {
+        self.margin + self.others * self.stopping_time(share)
     }
 
-    /// What may touch the robot before it rests.
+    /// Where a moving obstacle may reach the robot before it is at rest.
     fn reach(&self, share: f64) -> Reach {
-        let secs = self.way(share) / (share * self.speed).max(1e-9);
+        let secs = self.stopping_distance(share) / (share * self.speed).max(1e-9);
         let twist = Twist2::new(share * self.twist.v, share * self.twist.w);
         Reach {
-            keep_off: self.keep_off(share),
+            protective_distance: self.protective_distance(share),
             there_from_here: [0.0, 0.5, 1.0].map(|part| rigid(Pose2::IDENTITY.advance(twist, part * secs).inverse())),
         }
     }
 
-    /// Into what the lidar does not see: only as far as it was seen before, and backwards no faster than `allowed` (m/s), for
-    /// somebody may have come up behind.
+    /// Limit by the lidar's blind spot: the robot moves only over floor that was seen before, and straight into the blind spot no faster
+    /// than `allowed` (m/s), because somebody may have come up unseen.
     #[must_use]
-    pub fn into_the_blind(&self, around: &LocalObstacles, odom_from_base: Pose2, allowed: f64) -> f64 {
-        let trodden = around.trodden();
-        if !trodden.has_blind_sector() {
+    pub fn limit_blind_spot(&self, obstacles: &LocalObstacles, odom_from_base: Pose2, allowed: f64) -> f64 {
+        let grid = obstacles.blind_spots();
+        if !grid.has_blind_spot() {
             return 1.0;
         }
         let odom_from_base = rigid(odom_from_base);
         let reach = self.footprint.circumscribed_radius();
         let outline_speed = self.twist.v.abs() + self.twist.w.abs() * reach;
-        let way = self.way(1.0) * (outline_speed / self.speed).max(1.0);
+        let way = self.stopping_distance(1.0) * (outline_speed / self.speed).max(1.0);
         let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
         let step = way / outline_speed / poses;
         let mut fastest: f64 = 0.0;
-        let samples: Vec<_> = outline(self.footprint, self.margin + UNSEEN_MARGIN)
+        let samples: Vec<_> = outline_samples(self.footprint, self.margin + UNSEEN_MARGIN)
             .into_iter()
             .filter(|(at, normal)| {
-                // What moves out gently may touch what it likes.
+                // A point that moves outwards this slowly does no harm.
                 let outward = self.outward(*at, *normal);
                 fastest = fastest.max(outward);
                 outward > GENTLE
             })
-            .map(|(at, normal)| (at, at - normal * (self.margin + UNSEEN_MARGIN - LAST_CENTIMETRE)))
+            .map(|(at, normal)| (at, at - normal * (self.margin + UNSEEN_MARGIN - LEAST_CLEARANCE)))
             .collect();
         let mut share: f64 = 1.0;
         'poses: for pose in 1..=poses as u32 {
             let there = rigid(Pose2::IDENTITY.advance(self.twist, f64::from(pose) * step));
             for (outer, inner) in &samples {
-                let floor = trodden.floor(&odom_from_base, there * outer);
-                let met = || trodden.floor(&odom_from_base, there * inner) == Floor::Occupied;
-                // A cell that was met is coarse: what stands in it is remembered as a point, too.
+                let floor = grid.floor(&odom_from_base, there * outer);
+                let met = || grid.floor(&odom_from_base, there * inner) == Floor::Occupied;
+                // An occupied cell is coarse: its obstacle is remembered as a point, too.
                 if floor == Floor::Unknown || (floor != Floor::InSight && met()) {
                     share = self.share_within(self.speed * f64::from(pose - 1) * step);
                     break 'poses;
@@ -201,33 +202,33 @@ impl<'a> Motion<'a> {
             }
         }
         share = share.max(GENTLE / fastest.max(1e-9));
-        if trodden.leads_into_the_blind(self.twist.v) {
+        if grid.leads_into_blind_spot(self.twist.v) {
             share = share.min(allowed.max(GENTLE) / self.twist.v.abs().max(1e-9));
         }
         share.min(1.0)
     }
 
-    /// Past what has gone out of sight, and may be anywhere within its reach by now: no faster than gently outwards, where
-    /// the lidar does not look; and where it does, not to swing at what may come round into sight.
+    /// Limit by moving obstacles that have left the field of view and may be anywhere within their reach by now: inside the blind spot no
+    /// point of the outline moves outwards faster than gently, outside it none swings towards what may come into view.
     #[must_use]
-    pub fn past_the_lost(&self, now: Stamp, around: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+    pub fn limit_occluded(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let base_from_odom = rigid(odom_from_base.inverse());
         let mut shares = SHARES.iter();
         let mut share = shares.next().copied().unwrap_or(0.0);
-        for lost in around.intruders().lost() {
-            let age = now.secs_since(lost.stamp).max(0.0);
-            let distance = self.footprint.distance(base_from_odom * lost.place);
-            while share > 0.0 && distance <= self.keep_off(share) + self.others * age {
+        for occluded in obstacles.moving().occluded() {
+            let age = now.secs_since(occluded.stamp).max(0.0);
+            let distance = self.footprint.distance(base_from_odom * occluded.place);
+            while share > 0.0 && distance <= self.protective_distance(share) + self.others * age {
                 share = shares.next().copied().unwrap_or(0.0);
             }
         }
         if share >= 1.0 {
             return share;
         }
-        let fastest = outline(self.footprint, 0.0)
+        let fastest = outline_samples(self.footprint, 0.0)
             .into_iter()
             .map(|(at, normal)| {
-                if around.trodden().is_blind(at) {
+                if obstacles.blind_spots().in_blind_spot(at) {
                     self.outward(at, normal)
                 } else {
                     self.twist.w * (at.x * normal.y - at.y * normal.x)
@@ -243,25 +244,25 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Within this distance of the outline, now or on the way to rest, something that moves may touch it.
+/// The outline grown by the protective distance, now and until rest.
 struct Reach {
-    keep_off: f64,
+    protective_distance: f64,
     there_from_here: [Isometry2<f64>; 3],
 }
 
 impl Reach {
-    fn holds(&self, footprint: &Footprint, point: Point2<f64>) -> bool {
+    fn contains(&self, footprint: &Footprint, point: Point2<f64>) -> bool {
         self.there_from_here
             .iter()
-            .any(|there_from_here| footprint.distance(there_from_here * point) <= self.keep_off)
+            .any(|there_from_here| footprint.distance(there_from_here * point) <= self.protective_distance)
     }
 }
 
-/// Where the outline was touched (base frame), a little outside of it. Without a bearing that is ahead.
-pub(crate) fn touched(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
+/// Where the bumper was touched (base frame), just outside the outline. Without a bearing that is ahead.
+pub(crate) fn contact_point(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
     let bearing = bump.bearing.unwrap_or(0.0);
     let toward = Vector2::new(bearing.cos(), bearing.sin());
-    // Found by halving along the bearing.
+    // Bisection along the bearing.
     let (mut inside, mut outside) = (0.0, 2.0 * footprint.circumscribed_radius());
     for _ in 0..20 {
         let middle = 0.5 * (inside + outside);
@@ -275,7 +276,7 @@ pub(crate) fn touched(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
 }
 
 /// Points on the grown outline with their outward normals, base frame.
-fn outline(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
+fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
     match footprint {
         Footprint::Radius(radius) => {
             let radius = radius + margin;
@@ -304,12 +305,12 @@ fn outline(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>
     }
 }
 
-/// How fast a twist brings the outline nearer to a resting point (base frame), m/s; negative: away from it.
-pub(crate) fn closing(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
+/// How fast a twist brings the outline nearer to a static point (base frame), m/s; negative: away from it.
+pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
     const STEP: f64 = 1e-3;
     let motion = Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
     let (here, there) = (footprint.distance(point), footprint.distance(point + motion * STEP));
-    // Inside the outline (noise, or the robot saw itself) distances are zero: go by the way to the base.
+    // Inside the outline (noise, or the robot saw itself) distances are zero: use the direction to the base.
     if here > 0.0 {
         (here - there) / STEP
     } else {
@@ -319,5 +320,5 @@ pub(crate) fn closing(footprint: &Footprint, twist: Twist2, point: Point2<f64>) 
 
 /// Whether a twist brings the outline nearer to a point (base frame).
 pub(crate) fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool {
-    closing(footprint, twist, point) > 1e-6
+    closing_speed(footprint, twist, point) > 1e-6
 }

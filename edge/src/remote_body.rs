@@ -1,5 +1,5 @@
-//! How is a robot in another process a [`Body`]? Its readings and wheel speeds go over the bus: a world that is served for many robots
-//! (`zenav sim serve`), or a driver in any language.
+//! Remote body. How is a robot in another process a [`Body`]? Readings and wheel speeds go over the bus: a world server for many robots
+//! (`zenav sim serve`), or a hardware driver in any language.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
@@ -18,11 +18,11 @@ use zenav_protocol::topics;
 
 use crate::body::{Body, BodyError};
 
-/// Readings that wait in the bus.
+/// Most readings that wait in the bus.
 const QUEUE: usize = 32;
 /// Wall time without readings after which the body counts as silent.
 const SILENCE: Duration = Duration::from_millis(200);
-/// Wall time for a served world to answer; then it is asked over a new link.
+/// Wall time for a world server to answer; then it is asked over a new session.
 const ATTACH: Duration = Duration::from_secs(3);
 
 /// A body on the other side of the bus.
@@ -34,32 +34,32 @@ pub struct RemoteBody {
     runtime: Handle,
 }
 
-/// A robot of a served world, and the link that it was got over.
+/// A robot of a world server, and the session that it was attached over.
 pub struct Attached {
-    /// The link.
+    /// The session.
     pub bus: Bus,
     /// The robot's body.
     pub body: RemoteBody,
-    /// What the world said.
+    /// The world server's reply.
     pub reply: AttachReply,
 }
 
-/// There is no such body.
+/// Why no body was attached.
 #[derive(Debug, Error)]
 pub enum AttachError {
-    /// Nobody serves a world, or it does not take the robot.
-    #[error("no body in a served world: {0}")]
+    /// No world server answers, or it does not accept the robot.
+    #[error("cannot attach to a world server: {0}")]
     Ask(#[from] AskError),
     /// The bus.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The world's numbers cannot be driven by.
-    #[error("the served world {0} has ticks of {1} s at {2} times real time: expected positive numbers")]
+    /// The world's tick or speed is not a positive number.
+    #[error("world {0} has ticks of {1} s at {2} times real time: expected positive numbers")]
     Pace(String, f64, f64),
 }
 
 impl AttachError {
-    /// The exit code of a command line that got no body.
+    /// The command line's exit code for this error.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
@@ -70,11 +70,11 @@ impl AttachError {
 }
 
 impl RemoteBody {
-    /// Puts a robot into the world that is served on a bus, or takes hold of it again. Waits for as long as nobody serves one, and says
-    /// so. In a Tokio runtime only.
+    /// Adds a robot to the world that is served on a bus, or takes over one that is in it already. Waits, and logs it, as long as nobody serves
+    /// a world. In a Tokio runtime only.
     ///
     /// # Errors
-    /// [`AttachError`]: the world does not take the robot, or another edge drives it.
+    /// [`AttachError`]: the world does not accept the robot, or another edge drives it.
     pub async fn attach(
         config: &BusConfig,
         robot: &Id,
@@ -95,7 +95,7 @@ impl RemoteBody {
                     if let Some(wanted) = start.filter(|wanted| wanted.distance(&reply.start) > 1e-3) {
                         let here = reply.start;
                         tracing::warn!(
-                            "robot `{robot}` was in the world already and stays at ({:.2}, {:.2}): its start ({:.2}, {:.2}) is left out",
+                            "robot `{robot}` is in the world already, at ({:.2}, {:.2}): its start ({:.2}, {:.2}) is ignored",
                             here.x,
                             here.y,
                             wanted.x,
@@ -107,10 +107,7 @@ impl RemoteBody {
                 // Zenoh takes a router that comes within 0.1 s of another's leaving for that one, and tells it nothing: a link that
                 // nothing comes over may be such a one.
                 Err(AttachError::Ask(AskError::Timeout { .. })) => {
-                    tracing::info!(
-                        connect = config.connect.join(", "),
-                        "waiting for a world: nobody serves one there"
-                    );
+                    tracing::info!(connect = config.connect.join(", "), "waiting for a world server");
                     bus.close().await;
                 }
                 Err(error) => {
@@ -130,7 +127,7 @@ impl RemoteBody {
         Ok((Self::new(bus, &request.robot, request.edge)?, reply))
     }
 
-    /// The body that publishes this robot's readings; `edge` is the number under which it is driven. In a Tokio runtime only.
+    /// The body that publishes this robot's readings; `edge` identifies who drives it. In a Tokio runtime only.
     ///
     /// # Errors
     /// [`BusError`] when its topics cannot be declared.
@@ -161,7 +158,7 @@ impl RemoteBody {
 
 impl Body for RemoteBody {
     fn read(&mut self) -> Result<Readings, BodyError> {
-        // The control thread itself waits and decodes: Zenoh's thread wakes it, and no other has to have its turn before.
+        // The control thread itself waits and decodes: Zenoh's thread wakes it directly, without another task switch.
         let readings = &mut self.readings;
         let heard = self
             .runtime
@@ -184,7 +181,7 @@ impl Body for RemoteBody {
         }
         if readings.stamp <= self.stamp {
             let reason = format!(
-                "readings of {} s after those of {} s: where the world began anew, start the edge anew",
+                "readings of {} s after those of {} s: after a restart of the world, restart the edge",
                 readings.stamp.as_secs(),
                 self.stamp.as_secs()
             );

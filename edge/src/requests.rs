@@ -1,59 +1,69 @@
-//! How are asks to the robot answered? Every one of them works with no cloud.
+//! Requests. How does the robot answer asks? Each of them works without a cloud.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, BehaviourAction, BehaviourReply, BehaviourReport, BehaviourRequest, BehaviourState, InfoReply,
+    InfoRequest, LeaseReply, LeaseRequest, ModeReply, ModeRequest, ParamReply, ParamRequest, Refusal, ResumeRequest,
+    StopReply, StopRequest,
+};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::authority::Decision;
-use crate::control_io::{Answer, Question};
 use crate::maneuvers::Maneuver;
-use crate::nearest_free::{backs_into_the_unknown, nearest_free};
+use crate::maneuvers::nearest_free::{drives_into_unknown, nearest_free};
 use crate::params;
 use crate::pilot::Pilot;
 
-/// Longest id of a behaviour's execution.
+/// Longest id of a maneuver's execution, bytes.
 const LONGEST_ID: usize = 128;
 
 impl Pilot {
-    /// Answers one ask.
-    pub(crate) fn answer(&mut self, now: Stamp, question: Question) -> Result<Answer, Refusal> {
-        match question {
-            Question::Lease(request) => {
-                let ruling = self.authority.lease(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Lease)
-            }
-            Question::Stop(request) => {
-                let ruling = self.authority.stop(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Stop)
-            }
-            Question::Resume(request) => {
-                let ruling = self.authority.resume(now, &request, &mut self.journal);
-                self.carry_out(now, ruling).map(Answer::Stop)
-            }
-            Question::Mode(request) => {
-                let on_lost = self.authority.set_policy(now, &request)?;
-                Ok(Answer::Mode(ModeReply {
-                    mode: self.mode(),
-                    on_lost,
-                }))
-            }
-            Question::Param(request) => self.param(now, &request).map(Answer::Param),
-            Question::Maneuver(request) => self
-                .behaviour(now, &request)
-                .map(|report| Answer::Maneuver(BehaviourReply { report })),
-            Question::Info(InfoRequest {}) => Ok(Answer::Info(Box::new(self.info(now)))),
+    /// Answers one request. A new ask of the edge's is an arm here.
+    pub(crate) fn answer(&mut self, now: Stamp, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
+        match request {
+            EdgeRequest::Lease(request) => self.lease(now, &request).map(EdgeReply::Lease),
+            EdgeRequest::Stop(request) => self.stop(now, &request).map(EdgeReply::Stop),
+            EdgeRequest::Resume(request) => self.resume(now, &request).map(EdgeReply::Resume),
+            EdgeRequest::Mode(request) => self.set_mode(now, &request).map(EdgeReply::Mode),
+            EdgeRequest::Param(request) => self.param(now, &request).map(EdgeReply::Param),
+            EdgeRequest::Behaviour(request) => self.maneuver(now, &request).map(EdgeReply::Behaviour),
+            EdgeRequest::Info(InfoRequest {}) => Ok(EdgeReply::Info(self.info(now))),
         }
     }
 
-    fn carry_out<R>(&mut self, now: Stamp, ruling: Decision<R>) -> Result<R, Refusal> {
-        if let Some(reason) = ruling.void {
+    fn lease(&mut self, now: Stamp, request: &LeaseRequest) -> Result<LeaseReply, Refusal> {
+        let decision = self.authority.lease(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn stop(&mut self, now: Stamp, request: &StopRequest) -> Result<StopReply, Refusal> {
+        let decision = self.authority.stop(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn resume(&mut self, now: Stamp, request: &ResumeRequest) -> Result<StopReply, Refusal> {
+        let decision = self.authority.resume(now, request, &mut self.events);
+        self.carry_out(now, decision)
+    }
+
+    fn set_mode(&mut self, now: Stamp, request: &ModeRequest) -> Result<ModeReply, Refusal> {
+        let on_lost = self.authority.set_policy(now, request)?;
+        Ok(ModeReply {
+            mode: self.mode(),
+            on_lost,
+        })
+    }
+
+    fn carry_out<R>(&mut self, now: Stamp, decision: Decision<R>) -> Result<R, Refusal> {
+        if let Some(reason) = decision.discard_reason {
             self.discard(now, reason);
         }
-        if ruling.holder_changed {
+        if decision.holder_changed {
             self.forget_discarded();
         }
-        ruling.answer
+        decision.answer
     }
 
     fn param(&mut self, now: Stamp, request: &ParamRequest) -> Result<ParamReply, Refusal> {
@@ -64,24 +74,29 @@ impl Pilot {
             self.authority.admit(now, request.epoch)?;
             let reach = self.config.model.footprint.circumscribed_radius();
             params::write(&mut self.gains, &mut self.wall_following, reach, name, value)?;
-            self.guard.margin = self.gains.guard_margin;
+            self.collision_monitor.margin = self.gains.guard_margin;
         }
         params::read(&self.gains, &self.wall_following, request.name.as_deref())
     }
 
-    fn behaviour(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {
+    fn maneuver(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<BehaviourReply, Refusal> {
+        self.maneuver_report(now, request)
+            .map(|report| BehaviourReply { report })
+    }
+
+    fn maneuver_report(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<Option<BehaviourReport>, Refusal> {
         if request.id.is_empty() || request.id.len() > LONGEST_ID {
             return Err(Refusal::bad_request(format!("`id`: expected 1 to {LONGEST_ID} bytes")));
         }
-        let known = self.behaviours.report(&request.id).cloned();
+        let known = self.maneuvers.report(&request.id).cloned();
         match request.action {
             BehaviourAction::Report => return Ok(known),
             BehaviourAction::Cancel => {
                 self.authority.admit(now, request.epoch)?;
-                if self.behaviours.running() == Some(request.id.as_str()) {
-                    self.behaviours.cancel(now, "canceled", &mut self.journal);
+                if self.maneuvers.running() == Some(request.id.as_str()) {
+                    self.maneuvers.cancel(now, "canceled", &mut self.events);
                 }
-                return Ok(self.behaviours.report(&request.id).cloned());
+                return Ok(self.maneuvers.report(&request.id).cloned());
             }
             _ if known.is_some() => return Ok(known),
             _ => self.authority.admit(now, request.epoch)?,
@@ -89,41 +104,43 @@ impl Pilot {
         if self.authority.is_stopped() {
             return Err(Refusal::rejected("the robot is stopped"));
         }
-        if let Some(running) = self.behaviours.running() {
+        if let Some(running) = self.maneuvers.running() {
             return Err(Refusal::Busy {
-                reason: format!("the behaviour {running} runs"),
+                reason: format!("maneuver {running} is running"),
             });
         }
         let odom_from_base = self.estimator.odom_from_base();
-        let way_to_free = |clearance, within| {
-            let points: Vec<_> = self.around.in_base(odom_from_base).collect();
+        let escape = |clearance, within| {
+            let points: Vec<_> = self.obstacles.in_base(odom_from_base).collect();
             let is_free = |base_from_there: Pose2, twist, secs| {
                 let there = odom_from_base * base_from_there;
-                self.guard.free_time(twist, secs, &self.around, there).is_none()
-                    && !backs_into_the_unknown(&self.config.model.footprint, &self.around, there, twist, secs)
+                self.collision_monitor
+                    .free_time(twist, secs, &self.obstacles, there)
+                    .is_none()
+                    && !drives_into_unknown(&self.config.model.footprint, &self.obstacles, there, twist, secs)
             };
             nearest_free(&self.config.model.footprint, &points, clearance, within, is_free)
         };
-        let behaviour = Maneuver::begin(
+        let maneuver = Maneuver::begin(
             &request.id,
             &request.action,
             now,
             odom_from_base,
             &self.config.model.drive,
-            way_to_free,
+            escape,
         )
         .map_err(Refusal::bad_request)?;
-        self.discard_plan(now, "a behaviour was started");
-        let blocked = behaviour.sweep().and_then(|(twist, secs)| {
-            self.guard
-                .free_time(twist, secs, &self.around, self.estimator.odom_from_base())
+        self.discard_plan(now, "a maneuver was started");
+        let blocked = maneuver.sweep().and_then(|(twist, secs)| {
+            self.collision_monitor
+                .free_time(twist, secs, &self.obstacles, self.estimator.odom_from_base())
         });
         Ok(Some(match blocked {
             Some(_) => {
-                let report = behaviour.report(BehaviourState::Failed, Some("something is in the way"));
-                self.behaviours.refuse(now, report, &mut self.journal)
+                let report = maneuver.report(BehaviourState::Failed, Some("obstacle in the way"));
+                self.maneuvers.refuse(now, report, &mut self.events)
             }
-            None => self.behaviours.start(behaviour),
+            None => self.maneuvers.start(maneuver),
         }))
     }
 
@@ -135,10 +152,10 @@ impl Pilot {
             robot: self.config.robot.to_string(),
             boot: Some(BasedOn {
                 stamp: now,
-                boot_id: self.journal.boot_id().to_owned(),
+                boot_id: self.events.boot_id().to_owned(),
             }),
             model: Some(self.config.model.clone()),
-            pacing: Some(self.punctuality.pacing()),
+            pacing: Some(self.loop_timing.pacing()),
             ..InfoReply::default()
         }
     }

@@ -1,4 +1,5 @@
-//! How does a robot that has lost everybody come back to where it started? The way that it came, backwards: it had room there.
+//! Return to home. How does a robot whose link is lost get back to where it started? Along the path that it came by, backwards: it had room
+//! there.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -6,18 +7,18 @@ use zenav_protocol::robot::RobotModel;
 
 use crate::trackers::{Tracker, TrackerInput, through_waypoints};
 
-/// Spacing of the places kept of the way, m; a way that comes as near to itself has gone round, and the round is forgotten.
+/// Spacing of the recorded trail, m; where the trail comes this near to itself the loop is cut off.
 const SPACING: f64 = 0.2;
-/// Places kept at most: of a longer way every other one is forgotten.
+/// Most places recorded: a longer trail keeps every other place.
 const MOST: usize = 4096;
 
-/// The way back.
+/// The recorded trail, and the tracker that follows it back.
 #[derive(Clone, Debug)]
 pub struct ReturnHome {
-    /// Where the robot was, from its start on, map frame.
+    /// Places of the robot since its start, map frame.
     trail: Vec<Point2<f64>>,
     spacing: f64,
-    /// Follows it back.
+    /// Follows the trail back.
     tracker: Option<Box<dyn Tracker>>,
 }
 
@@ -32,8 +33,8 @@ impl Default for ReturnHome {
 }
 
 impl ReturnHome {
-    /// Keeps where the robot is on its way out, and ends a way back.
-    pub fn note(&mut self, place: Point2<f64>) {
+    /// Records where the robot is while something else moves it; ends a return.
+    pub fn record(&mut self, place: Point2<f64>) {
         self.tracker = None;
         let near = |known: &Point2<f64>| (known - place).norm() < self.spacing;
         if let Some(known) = self.trail.iter().position(near) {
@@ -49,15 +50,15 @@ impl ReturnHome {
         self.trail.push(place);
     }
 
-    /// The wanted twist on the way back.
+    /// The wanted twist of the return.
     pub fn step(&mut self, view: &TrackerInput, model: &RobotModel) -> Twist2 {
         if self.trail.len() < 2 {
             return Twist2::ZERO;
         }
         let back = || {
             let kind = model.controller.tracker;
-            let way = self.trail.iter().rev().copied().collect();
-            through_waypoints(kind, &model.drive, view.map_from_base, way)
+            let path = self.trail.iter().rev().copied().collect();
+            through_waypoints(kind, &model.drive, view.map_from_base, path)
         };
         let tracker = self.tracker.get_or_insert_with(back);
         tracker.step(view, &model.controller)
@@ -79,20 +80,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_are_forgotten_and_a_long_way_is_thinned() {
-        let mut homing = ReturnHome::default();
+    fn loops_are_cut_off_and_a_long_trail_is_thinned() {
+        let mut return_home = ReturnHome::default();
         for step in 0..100 {
-            homing.note(Point2::new(0.05 * f64::from(step), 0.0));
+            return_home.record(Point2::new(0.05 * f64::from(step), 0.0));
         }
-        assert!((20..=25).contains(&homing.trail.len()), "{:?}", homing.trail);
+        assert!((20..=25).contains(&return_home.trail.len()), "{:?}", return_home.trail);
         for step in 0..100 {
             let angle = 0.0628 * f64::from(step);
-            homing.note(Point2::new(4.95, 1.0) + nalgebra::Vector2::new(angle.sin(), -angle.cos()));
+            return_home.record(Point2::new(4.95, 1.0) + nalgebra::Vector2::new(angle.sin(), -angle.cos()));
         }
-        assert!(homing.trail.len() <= 30, "{:?}", homing.trail);
+        assert!(return_home.trail.len() <= 30, "{:?}", return_home.trail);
         for step in 0..4_200 {
-            homing.note(Point2::new(0.0, 1.0 + 0.3 * f64::from(step)));
+            return_home.record(Point2::new(0.0, 1.0 + 0.3 * f64::from(step)));
         }
-        assert!(homing.trail.len() <= MOST && homing.trail[0] == Point2::origin());
+        assert!(return_home.trail.len() <= MOST && return_home.trail[0] == Point2::origin());
     }
 }

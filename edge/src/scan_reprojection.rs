@@ -1,23 +1,23 @@
-//! Which beams of one sweep went past what another one met? For all of its points at once.
+//! Scan reprojection. Which beams of one scan pass through the returns of another? For all of its points at once.
 //!
-//! In single precision and without branches, so that the compiler lays several points side by side: an error of 1e-5 rad or of a
-//! micrometre is far below what beams lie apart and what ranges are worth.
+//! In single precision and without branches, so that the compiler vectorises it: an error of 1e-5 rad or of a micrometre is far below the
+//! spacing of beams and the noise of ranges.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::robot::LidarModel;
 
-/// A beam went past a place when it and so many on either side went farther by far.
+/// A beam passes through a place when it and this many neighbours on either side are longer by the free depth.
 const NEIGHBOURS: usize = 2;
-/// By far: this much, m, beyond the noise of ranges.
+/// Free depth, m, beyond the noise of ranges.
 const DEPTH: f64 = 0.03;
-/// The same in standard deviations of a range.
+/// Free depth in standard deviations of a range.
 const DEPTH_SIGMAS: f64 = 4.0;
-/// And for each metre of range: heading errors and the beams' spacing.
+/// Free depth for each metre of range: heading errors and the spacing of beams.
 const DEPTH_PER_METRE: f64 = 0.01;
 
-/// The beams of a lidar, and where the points of a sweep lie among them.
+/// The beams of a lidar, and the points of a scan seen among them.
 #[derive(Clone, Debug)]
 pub(crate) struct ScanReprojection {
     /// Directions of the beams in the frame of the lidar.
@@ -25,15 +25,15 @@ pub(crate) struct ScanReprojection {
     /// Bearing of the first beam, rad.
     first: f32,
     beams_per_radian: f32,
-    /// Whether the beams go all around.
+    /// Whether the beams cover a full circle.
     closed: bool,
-    /// Where the points of the sweep are that was laid out, m.
+    /// The reprojected points, m.
     points: (Vec<f32>, Vec<f32>),
     /// Their bearings, in beams from half a beam before the first.
     bearings: Vec<f32>,
     /// Their distances, m.
     distances: Vec<f32>,
-    /// By how much, m, a beam that went past something is longer.
+    /// How much longer a beam is that passes through a return, m.
     pub(crate) depth: f64,
 }
 
@@ -52,21 +52,21 @@ impl ScanReprojection {
         }
     }
 
-    /// Up to where each beam of a sweep went past what stands there, m.
-    pub(crate) fn past(&self, ranges: &[f32], past: &mut Vec<f32>) {
+    /// Up to which range each beam of a scan saw free space, m.
+    pub(crate) fn free_ranges(&self, ranges: &[f32], free: &mut Vec<f32>) {
         let (depth, scale) = (self.depth as f32, (1.0 / (1.0 + DEPTH_PER_METRE)) as f32);
-        past.clear();
-        past.extend((0..ranges.len()).map(|beam| {
+        free.clear();
+        free.extend((0..ranges.len()).map(|beam| {
             let beams = beam.saturating_sub(NEIGHBOURS)..(beam + NEIGHBOURS + 1).min(ranges.len());
             let least = ranges.get(beams).unwrap_or_default().iter();
-            // Written so that NaN went nowhere.
+            // NaN counts as no range.
             let went = |range: &f32| if *range > 0.0 { *range } else { 0.0 };
             (least.map(went).fold(f32::INFINITY, f32::min) - depth) * scale
         }));
     }
 
-    /// Lays the points of a sweep out as they are seen from where another one was taken.
-    pub(crate) fn lay(&mut self, there_from_here: &Isometry2<f64>, ranges: &[f32]) {
+    /// Reprojects the points of a scan into the lidar frame of another one.
+    pub(crate) fn reproject(&mut self, there_from_here: &Isometry2<f64>, ranges: &[f32]) {
         let (rotation, shift) = (there_from_here.rotation, there_from_here.translation.vector);
         let (cos, sin) = (rotation.re as f32, rotation.im as f32);
         let (east, north) = (shift.x as f32, shift.y as f32);
@@ -82,16 +82,16 @@ impl ScanReprojection {
         }
     }
 
-    /// Where a point of the sweep is that was laid out.
+    /// A reprojected point.
     pub(crate) fn point(&self, nth: usize) -> Option<Point2<f64>> {
         let (x, y) = (self.points.0.get(nth)?, self.points.1.get(nth)?);
         Some(Point2::new(f64::from(*x), f64::from(*y)))
     }
 
-    /// For each point of the sweep that was laid out the beam that went past it.
-    pub(crate) fn beams_past<'a>(&'a self, past: &'a [f32]) -> impl Iterator<Item = Option<usize>> + 'a {
+    /// For each reprojected point the beam that passes through it.
+    pub(crate) fn beams_through<'a>(&'a self, free: &'a [f32]) -> impl Iterator<Item = Option<usize>> + 'a {
         let last = if self.closed {
-            past.len().saturating_sub(1)
+            free.len().saturating_sub(1)
         } else {
             usize::MAX
         };
@@ -100,8 +100,8 @@ impl ScanReprojection {
             .zip(&self.distances)
             .map(move |(bearing, distance)| {
                 let beam = (*bearing as usize).min(last);
-                let is_past = past.get(beam).is_some_and(|past| past > distance) && *bearing >= 0.0;
-                is_past.then_some(beam)
+                let is_through = free.get(beam).is_some_and(|free| free > distance) && *bearing >= 0.0;
+                is_through.then_some(beam)
             })
     }
 }
@@ -128,7 +128,7 @@ mod tests {
     use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
-    fn bearings_are_near_enough() {
+    fn bearings_are_accurate_to_2e_5_rad() {
         for step in -3141..=3141 {
             let at = step as f32 * 1e-3;
             assert!((angle(1.7 * at.cos(), 1.7 * at.sin()) - at).abs() < 2e-5, "{at}");
@@ -136,10 +136,9 @@ mod tests {
     }
 
     proptest! {
-        /// Beside the same reckoned a point at a time, in double precision; but for what lies on the edge between two beams, or as far
-        /// off as by far.
+        /// Compared with one point at a time in double precision, except on the edge between two beams or at the free depth itself.
         #[test]
-        fn a_beam_went_past_what_lies_before_it_and_its_neighbours(
+        fn a_beam_passes_through_points_nearer_than_itself_and_its_neighbours(
             name in prop::sample::select(vec!["tiago", "neato"]),
             shift in (-1.0..1.0, -1.0..1.0, -3.0..3.0),
             ranges in prop::collection::vec((0.2_f32..6.0, 0.2_f32..6.0, 0_u8..20), 40),
@@ -155,18 +154,18 @@ mod tests {
                 })
                 .unzip();
             let there_from_here = Isometry2::new(Vector2::new(shift.0, shift.1), shift.2);
-            let mut aim = ScanReprojection::new(&lidar);
-            let mut past = Vec::new();
-            aim.past(&there, &mut past);
-            aim.lay(&there_from_here, &here);
-            for (nth, beam) in aim.beams_past(&past).enumerate() {
+            let mut reprojection = ScanReprojection::new(&lidar);
+            let mut free = Vec::new();
+            reprojection.free_ranges(&there, &mut free);
+            reprojection.reproject(&there_from_here, &here);
+            for (nth, beam) in reprojection.beams_through(&free).enumerate() {
                 let angle = lidar.angle_min() + nth as f64 * lidar.angle_increment();
                 let point = Vector2::new(angle.cos(), angle.sin()) * f64::from(here[nth]);
                 let point = there_from_here * Point2::from(point);
-                prop_assert!((aim.point(nth).unwrap() - point).norm() < 1e-5);
+                prop_assert!((reprojection.point(nth).unwrap() - point).norm() < 1e-5);
                 let bearing = (point.y.atan2(point.x) - lidar.angle_min()) / lidar.angle_increment() + 0.5;
                 let distance = point.coords.norm();
-                let by_far = distance + DEPTH + DEPTH_SIGMAS * lidar.noise + DEPTH_PER_METRE * distance;
+                let free_depth = distance + DEPTH + DEPTH_SIGMAS * lidar.noise + DEPTH_PER_METRE * distance;
                 let last = (lidar.beams - 1) as f64;
                 let at = if name == "neato" { bearing.floor().min(last) } else { bearing.floor() };
                 if (bearing - bearing.round()).abs() < 1e-3 {
@@ -176,10 +175,10 @@ mod tests {
                     .filter(|beam| (*beam as f64 - at).abs() <= NEIGHBOURS as f64)
                     .map(|beam| f64::from(there[beam]))
                     .collect();
-                if beams.iter().any(|range| (range - by_far).abs() < 1e-4) {
+                if beams.iter().any(|range| (range - free_depth).abs() < 1e-4) {
                     continue;
                 }
-                let expected = (at >= 0.0 && at <= last && beams.iter().all(|range| *range > by_far)).then_some(at as usize);
+                let expected = (at >= 0.0 && at <= last && beams.iter().all(|range| *range > free_depth)).then_some(at as usize);
                 prop_assert_eq!(beam, expected);
             }
         }

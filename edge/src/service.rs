@@ -1,4 +1,4 @@
-//! How is the pilot fed from the bus? Thin: typed topics in, typed topics and answers out, the control loop between.
+//! Edge service. How is the pilot connected to the bus? Typed topics and requests in, topics and replies out, the control loop between.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -7,26 +7,28 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use serde::{Serialize, de::DeserializeOwned};
+use serde::de::DeserializeOwned;
 use thiserror::Error;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
-use zenav_protocol::bus::{Bus, BusError, Publisher, Shutdown};
-use zenav_protocol::messages::*;
+use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
+use zenav_protocol::messages::{
+    Battery, Bump, EdgeState, Event, Gps, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
+};
 use zenav_protocol::robot::RobotModel;
-use zenav_protocol::topics::{self, Ask, Topic};
+use zenav_protocol::topics::{self, EdgeRequest, Topic};
 
 use crate::body::Body;
 use crate::config::EdgeConfig;
 use crate::control;
-use crate::control_io::{Answer, Inbox, Publication, Question};
+use crate::control_io::{Inbox, Publication};
 use crate::handoff::{Bundle, Handoff};
 use crate::pilot::Pilot;
 use crate::state_file::{StateError, StateFile};
 
-/// Messages of a topic that wait in the bus.
+/// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
-/// Time for the last messages and answers at the end.
+/// Time for the last messages and replies at shutdown.
 const DRAIN: Duration = Duration::from_secs(2);
 
 /// How an edge is run.
@@ -34,31 +36,31 @@ const DRAIN: Duration = Duration::from_secs(2);
 pub struct ServiceConfig {
     /// The robot.
     pub edge: EdgeConfig,
-    /// Folder of the stored epoch and stop latch.
+    /// Folder of the persisted epoch and stop latch.
     pub state_dir: PathBuf,
-    /// Simulated time against wall time; 1 for a real body.
+    /// Rate of simulated time against wall time; 1 for a real body.
     pub speed: f64,
-    /// Whether this edge publishes its body's time as the clock of all: one edge of a simulated world does.
+    /// Whether this edge publishes its body's time as the simulated clock: one edge of a simulated world does.
     pub gives_the_time: bool,
 }
 
 /// Why an edge did not start or ended early.
 #[derive(Debug, Error)]
 pub enum EdgeError {
-    /// The bus.
+    /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The stored state.
+    /// The persisted state cannot be used.
     #[error(transparent)]
     State(#[from] StateError),
     /// The control thread could not be started.
     #[error("no control thread: {0}")]
     Thread(std::io::Error),
-    /// The speed is not one.
+    /// The speed is not a positive number.
     #[error("speed {0}: expected a positive number")]
     Speed(f64),
-    /// The control thread broke off; the wheels were stopped.
-    #[error("the control thread broke off")]
+    /// The control thread panicked; the wheels were stopped.
+    #[error("the control thread panicked")]
     Panicked,
 }
 
@@ -74,130 +76,49 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     let robot = config.edge.robot.to_string();
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;
-    // A new boot counts only if the next one can be told from it: find out now whether the folder can be written.
+    // Fail now if the folder cannot be written: later an epoch or a stop could not be persisted.
     file.save(&stored)?;
 
-    let exchange = Arc::new(Handoff::default());
+    let handoff = Arc::new(Handoff::default());
     let mut intake = JoinSet::new();
-    hear(&mut intake, &bus, &exchange, &topics::PLAN, &robot, |inbox| {
+    hear(&mut intake, &bus, &handoff, &topics::PLAN, &robot, |inbox| {
         &mut inbox.plans
     })?;
-    hear(&mut intake, &bus, &exchange, &topics::HEARTBEAT, &robot, |inbox| {
+    hear(&mut intake, &bus, &handoff, &topics::HEARTBEAT, &robot, |inbox| {
         &mut inbox.heartbeats
     })?;
-    hear(&mut intake, &bus, &exchange, &topics::TELEOP, &robot, |inbox| {
+    hear(&mut intake, &bus, &handoff, &topics::TELEOP, &robot, |inbox| {
         &mut inbox.teleops
     })?;
-    hear(&mut intake, &bus, &exchange, &topics::CORRECTION, &robot, |inbox| {
+    hear(&mut intake, &bus, &handoff, &topics::CORRECTION, &robot, |inbox| {
         &mut inbox.corrections
     })?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::LEASE,
-        &robot,
-        Question::Lease,
-        |answer| match answer {
-            Answer::Lease(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::STOP,
-        &robot,
-        Question::Stop,
-        |answer| match answer {
-            Answer::Stop(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::RESUME,
-        &robot,
-        Question::Resume,
-        |answer| match answer {
-            Answer::Stop(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::MODE,
-        &robot,
-        Question::Mode,
-        |answer| match answer {
-            Answer::Mode(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::PARAM,
-        &robot,
-        Question::Param,
-        |answer| match answer {
-            Answer::Param(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::BEHAVIOUR,
-        &robot,
-        Question::Maneuver,
-        |answer| match answer {
-            Answer::Maneuver(reply) => Some(reply),
-            _ => None,
-        },
-    )?;
-    serve(
-        &mut intake,
-        &bus,
-        &exchange,
-        &topics::EDGE_INFO,
-        &robot,
-        Question::Info,
-        |answer| match answer {
-            Answer::Info(reply) => Some(*reply),
-            _ => None,
-        },
-    )?;
+    for server in bus.serve_part(&[&robot])? {
+        intake.spawn(serve(server, Arc::clone(&handoff)));
+    }
 
     let mut output = JoinSet::new();
     let publishers = Publishers::new(&bus, &robot, &config.edge.model, config.gives_the_time)?;
-    output.spawn(publish(publishers, Arc::clone(&exchange)));
-    output.spawn(persist_then_reply(file, Arc::clone(&exchange)));
+    output.spawn(publish(publishers, Arc::clone(&handoff)));
+    output.spawn(persist_then_reply(file, Arc::clone(&handoff)));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
 
     let halt = Arc::new(AtomicBool::new(false));
     let pace = (config.edge.tick, config.speed);
     let pilot = Pilot::new(config.edge, new_boot_id(), stored);
-    let ended = spawn_control(body, pilot, Arc::clone(&exchange), pace, Arc::clone(&halt))?;
+    let ended = spawn_control(body, pilot, Arc::clone(&handoff), pace, Arc::clone(&halt))?;
     tracing::info!(robot, "edge is up");
 
     let result = supervise(ended, &halt, &shutdown).await;
-    tracing::info!(robot, "the robot is stopped, the edge ends");
+    tracing::info!(robot, "robot stopped, edge ends");
     drop(alive);
     intake.shutdown().await;
-    exchange.close();
+    handoff.close();
     let _ = tokio::time::timeout(DRAIN, async { while output.join_next().await.is_some() {} }).await;
     result
 }
 
-/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread broke off.
+/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread panicked.
 async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown: &Shutdown) -> Result<(), EdgeError> {
     tokio::select! {
         early = &mut ended => return early.map_err(|_| EdgeError::Panicked),
@@ -209,13 +130,13 @@ async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown
 fn spawn_control(
     body: Box<dyn Body>,
     pilot: Pilot,
-    exchange: Arc<Handoff>,
+    handoff: Arc<Handoff>,
     pace: (f64, f64),
     halt: Arc<AtomicBool>,
 ) -> Result<oneshot::Receiver<()>, EdgeError> {
     let (done, ended) = oneshot::channel();
     let control = move || {
-        control::run(body, pilot, &exchange, pace, &halt);
+        control::run(body, pilot, &handoff, pace, &halt);
         let _ = done.send(());
     };
     std::thread::Builder::new()
@@ -225,7 +146,7 @@ fn spawn_control(
     Ok(ended)
 }
 
-/// A name for this life of the edge that no other one has.
+/// A unique id of this boot.
 fn new_boot_id() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     format!("{:x}-{:x}", since.as_nanos(), std::process::id())
@@ -235,49 +156,26 @@ fn new_boot_id() -> String {
 fn hear<T: DeserializeOwned + Send + 'static>(
     tasks: &mut JoinSet<()>,
     bus: &Bus,
-    exchange: &Arc<Handoff>,
+    handoff: &Arc<Handoff>,
     topic: &'static Topic<T>,
     robot: &str,
     place: fn(&mut Inbox) -> &mut Vec<T>,
 ) -> Result<(), BusError> {
     let mut subscription = bus.subscribe(topic, &[robot], QUEUE)?;
-    let exchange = Arc::clone(exchange);
+    let handoff = Arc::clone(handoff);
     tasks.spawn(async move {
         while let Some(received) = subscription.next().await {
-            exchange.put(received.message, place);
+            handoff.put(received.message, place);
         }
     });
     Ok(())
 }
 
-/// Carries an ask to the pilot and its answer back.
-fn serve<Q, R>(
-    tasks: &mut JoinSet<()>,
-    bus: &Bus,
-    exchange: &Arc<Handoff>,
-    ask: &'static Ask<Q, R>,
-    robot: &str,
-    question: fn(Q) -> Question,
-    reply: fn(Answer) -> Option<R>,
-) -> Result<(), BusError>
-where
-    Q: DeserializeOwned + Clone + Send + Sync + 'static,
-    R: Serialize + Send + Sync + 'static,
-{
-    let mut server = bus.serve(ask, &[robot])?;
-    let exchange = Arc::clone(exchange);
-    tasks.spawn(async move {
-        while let Some(request) = server.next().await {
-            match exchange.ask(question(request.body.clone())).await.map(reply) {
-                Ok(Some(reply)) => request.reply(&reply),
-                Ok(None) => request.refuse(&Refusal::Internal {
-                    reason: "an answer to another question".to_owned(),
-                }),
-                Err(refusal) => request.refuse(&refusal),
-            }
-        }
-    });
-    Ok(())
+/// Carries the requests of one ask to the pilot, and its replies back, one at a time.
+async fn serve(mut server: PartServer<EdgeRequest>, handoff: Arc<Handoff>) {
+    while let Some(Call { request, responder }) = server.next().await {
+        responder.send(handoff.ask(request).await);
+    }
 }
 
 /// One publisher a topic.
@@ -349,17 +247,17 @@ impl Publishers {
     }
 }
 
-async fn publish(publishers: Publishers, exchange: Arc<Handoff>) {
-    while let Some(bundle) = exchange.bundle().await {
+async fn publish(publishers: Publishers, handoff: Arc<Handoff>) {
+    while let Some(bundle) = handoff.bundle().await {
         publishers.put(&bundle);
     }
 }
 
-/// Stores, then answers: nobody learns an epoch or a latch that a power cut could take back.
-async fn persist_then_reply(file: StateFile, exchange: Arc<Handoff>) {
+/// Persists, then replies: nobody learns of an epoch or a latch that a power cut could take back.
+async fn persist_then_reply(file: StateFile, handoff: Arc<Handoff>) {
     let mut unsaved = None;
-    while let Some(clerking) = exchange.clerking().await {
-        unsaved = clerking.persist.clone().or(unsaved);
+    while let Some(reply) = handoff.next_reply().await {
+        unsaved = reply.persist.clone().or(unsaved);
         let failure = match &unsaved {
             None => None,
             Some(state) => match save(file.clone(), state.clone()).await {
@@ -368,14 +266,14 @@ async fn persist_then_reply(file: StateFile, exchange: Arc<Handoff>) {
                     None
                 }
                 Err(reason) => {
-                    tracing::error!(reason, "done, but not stored");
+                    tracing::error!(reason, "done, but not persisted");
                     Some(Refusal::Internal {
-                        reason: format!("done, but not stored: {reason}"),
+                        reason: format!("done, but not persisted: {reason}"),
                     })
                 }
             },
         };
-        clerking.send(failure.as_ref());
+        reply.send(failure.as_ref());
     }
 }
 

@@ -1,5 +1,5 @@
-//! How is a simulated robot a [`Body`]? All robots of a process share one world, which moves on when each of them has asked for its next
-//! readings: none ever acts on another time than the others.
+//! Simulated body. How is a simulated robot a [`Body`]? All robots of a process share one world, which steps when each of them has asked for
+//! its next readings: all act at the same simulated time.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -10,18 +10,18 @@ use zenav_sim::{Simulation, Truth};
 
 use crate::body::{Body, BodyError};
 
-/// Wall time that a robot waits for the others before it says so; its wheels are stopped then.
+/// Wall time that a robot waits for the others before it reports an error; its wheels are stopped then.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A robot in a world of its own process.
 pub struct SimBody {
     shared: Arc<Shared>,
     robot: usize,
-    /// Whether the world waits for this robot no more until it moves on: the robot has asked for its next readings.
+    /// The step count when this robot asked for its next readings, if it has.
     asked: Option<u64>,
 }
 
-/// A look at the true world, for a referee. It never goes to the pilot.
+/// Ground truth of one robot, for judges of a run. The pilot never sees it.
 #[derive(Clone)]
 pub struct Referee {
     shared: Arc<Shared>,
@@ -29,11 +29,11 @@ pub struct Referee {
 }
 
 struct Shared {
-    world: Mutex<Turn>,
+    world: Mutex<SharedWorld>,
     stepped: Condvar,
 }
 
-struct Turn {
+struct SharedWorld {
     simulation: Simulation,
     /// Steps made.
     steps: u64,
@@ -43,7 +43,7 @@ struct Turn {
     asked: usize,
 }
 
-impl Turn {
+impl SharedWorld {
     /// Makes the step that all have asked for. Returns whether it was made.
     fn step(&mut self) -> bool {
         let everybody = self.asked >= self.driven && self.driven > 0;
@@ -57,17 +57,17 @@ impl Turn {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Turn> {
+    fn lock(&self) -> MutexGuard<'_, SharedWorld> {
         self.world.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl SimBody {
-    /// All robots of a simulation in their order, each with its referee. The world stands still until each of them is driven or dropped.
+    /// All robots of a simulation in order, each with its ground truth. The world stands still until each of them is driven or dropped.
     #[must_use]
     pub fn all(simulation: Simulation) -> Vec<(Self, Referee)> {
         let robots = simulation.robots();
-        let turn = Turn {
+        let turn = SharedWorld {
             simulation,
             steps: 0,
             driven: robots,
@@ -94,14 +94,14 @@ impl SimBody {
 }
 
 impl SimBody {
-    /// Asks for the next readings without waiting for them, so that one thread can drive several robots.
+    /// Requests the next readings without waiting for them, so that one thread can drive several robots.
     pub fn ask(&mut self) {
         let shared = Arc::clone(&self.shared);
         self.ask_of(&mut shared.lock());
     }
 
     /// Returns the steps made when the robot asked.
-    fn ask_of(&mut self, turn: &mut Turn) -> u64 {
+    fn ask_of(&mut self, turn: &mut SharedWorld) -> u64 {
         let before = *self.asked.get_or_insert_with(|| {
             turn.asked += 1;
             turn.steps
@@ -124,7 +124,7 @@ impl Body for SimBody {
             .wait_timeout_while(turn, PATIENCE, |turn| turn.steps == before)
             .unwrap_or_else(PoisonError::into_inner);
         if turn.steps == before {
-            return Err(BodyError("another robot of this world does not move on".to_owned()));
+            return Err(BodyError("another robot of this world does not step".to_owned()));
         }
         self.asked = None;
         Ok(turn.simulation.readings(self.robot))
@@ -137,7 +137,7 @@ impl Body for SimBody {
 }
 
 impl Drop for SimBody {
-    /// The robot stays where it is, as an obstacle to the others, who wait for it no more.
+    /// The robot stays where it is, as an obstacle to the others, which no longer wait for it.
     fn drop(&mut self) {
         let mut turn = self.shared.lock();
         turn.driven -= 1;

@@ -1,5 +1,5 @@
-//! What outlives a restart of the edge, and where does it lie? The last epoch, the stop latch and who keeps the goals, in one small file,
-//! replaced as a whole: write beside it, fsync, rename, fsync the folder. A locked file beside it keeps a second edge out.
+//! State file. What outlives a restart of the edge? The last epoch, the stop latch and which store leads, in one small file that is replaced
+//! atomically: write beside it, fsync, rename, fsync the folder. A lock file beside it keeps a second edge out.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -15,7 +15,7 @@ use crate::control_io::Persisted;
 #[derive(Clone, Debug)]
 pub struct StateFile {
     path: PathBuf,
-    /// Locked as long as somebody has the state.
+    /// Locked while the state is in use.
     _lock: Arc<File>,
 }
 
@@ -30,7 +30,7 @@ pub enum StateError {
         /// Why.
         source: io::Error,
     },
-    /// Another edge has the robot's state.
+    /// Another edge uses the robot's state.
     #[error("{path}: in use by another edge; expected one process a robot")]
     Locked {
         /// The locked file.
@@ -73,7 +73,7 @@ impl StateFile {
         })
     }
 
-    /// What is stored; the beginning of everything when there is no file yet.
+    /// The persisted state; the default when there is no file yet.
     ///
     /// # Errors
     /// [`StateError`].
@@ -91,7 +91,7 @@ impl StateFile {
         }
     }
 
-    /// Stores, durably: after a return without an error no power cut loses it.
+    /// Persists durably: after a return without an error no power cut loses it.
     ///
     /// # Errors
     /// [`StateError::Io`]; what was stored before is still there.

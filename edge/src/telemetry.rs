@@ -13,12 +13,12 @@ use crate::estimator::{Estimator, Tally};
 const STATE: f64 = 0.1;
 /// Period of markers, s.
 const MARKER: f64 = 0.2;
-/// Period of what hardly changes (battery, contact), s.
+/// Period of what changes slowly (battery, bumper), s.
 const SLOW: f64 = 1.0;
 /// Least time between two events about dropped inputs, s.
 const DROPPED: f64 = 10.0;
 
-/// The schedule.
+/// When each message is due.
 #[derive(Clone, Debug, Default)]
 pub struct Telemetry {
     state: Due,
@@ -33,7 +33,7 @@ pub struct Telemetry {
 struct Due(Stamp);
 
 impl Due {
-    /// Whether it is time; the next time is one period later, or later still after a pause.
+    /// Whether a message is due; the next one is due a period later, or later still after a pause.
     fn now(&mut self, now: Stamp, period: f64) -> bool {
         let due = now >= self.0;
         if due {
@@ -45,7 +45,7 @@ impl Due {
 }
 
 impl Telemetry {
-    /// The sensors' and the estimator's messages of one tick.
+    /// The messages of sensors and estimator of one tick.
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
@@ -73,7 +73,7 @@ impl Telemetry {
         }
     }
 
-    /// Whether more inputs were dropped than was told, and it is time to tell.
+    /// An event when more inputs were dropped since the last one, at most one in a while.
     pub fn dropped(&mut self, now: Stamp, tally: Tally) -> Option<EventKind> {
         let Tally { too_late, broken, .. } = tally;
         if self.told == (too_late, broken) || !self.dropped.now(now, DROPPED) {
@@ -94,7 +94,7 @@ impl Telemetry {
     }
 }
 
-/// A sweep as a message, with the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
+/// A scan as a message, with the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
 #[must_use]
 pub fn scan(sweep: &Sweep, model: &RobotModel, estimator: &Estimator) -> Option<Scan> {
     let (_, lidar) = model.all_lidars().find(|(name, _)| *name == sweep.lidar)?;
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropped_inputs_are_told_at_once_and_not_again_until_there_are_more_and_some_time_has_passed() {
+    fn dropped_inputs_are_reported_at_once_and_then_only_when_there_are_more_and_some_time_has_passed() {
         let mut telemetry = Telemetry::default();
         let mut told = Vec::new();
         for second in 1..40 {

@@ -1,5 +1,5 @@
-//! Does a twist by hand still count? Only from the operator's own epoch, echoing a fresh edge stamp, newer than all before, and until
-//! that stamp is a dead-man's time old: what was recorded and is sent again moves nothing.
+//! Teleop input with a dead-man switch. Does a teleop twist act? Only under the operator's epoch, echoing a fresh edge stamp, newer than all
+//! before, and only until that stamp is older than the dead-man timeout: a replayed recording never moves the robot.
 
 use std::mem::{Discriminant, discriminant};
 
@@ -14,76 +14,76 @@ use crate::event_log::EventLog;
 /// Least time between two events about the same cause, s.
 const TOLD: f64 = 10.0;
 
-/// Why a twist by hand does not count.
+/// Why a teleop message is dropped.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Dropped {
-    /// Of an earlier holder, or made up.
-    #[error("its epoch is {got}, the current one is {current}")]
+    /// It is of another epoch than the current one.
+    #[error("epoch {got} is not the current epoch {current}")]
     WrongEpoch {
         /// The message's.
         got: u64,
         /// The robot's.
         current: u64,
     },
-    /// Nobody drives by hand now.
+    /// No operator holds the lease.
     #[error("no operator holds a live lease")]
     NoOperator,
-    /// Infinite, or not a number.
-    #[error("its twist is not finite")]
+    /// The twist is infinite or not a number.
+    #[error("the twist is not finite")]
     NotFinite,
-    /// Its echo is from the future.
-    #[error("it echoes a stamp that this robot has not sent yet")]
+    /// The echoed stamp is in the future.
+    #[error("the echoed stamp is in the future")]
     NotSentYet,
-    /// Its echo is from long ago.
-    #[error("it echoes a stamp {age:.2} s old, more than {dead_man} s")]
+    /// The echoed stamp is too old.
+    #[error("the echoed stamp is {age:.2} s old, older than the dead-man timeout of {dead_man} s")]
     Old {
-        /// s.
+        /// Age of the echoed stamp, s.
         age: f64,
-        /// s.
+        /// The timeout, s.
         dead_man: f64,
     },
-    /// Out of order, or sent again.
-    #[error("a later one came before it")]
+    /// A newer message has acted already.
+    #[error("a newer message has arrived before it")]
     Overtaken,
-    /// Which of two came first cannot be told.
-    #[error("another one had the same echo: only a stop counts then")]
+    /// Another message echoes the same stamp: their order is unknown.
+    #[error("another message echoes the same stamp: only a stop is taken then")]
     SameEcho,
 }
 
-/// The operator's stick with a dead-man's switch.
+/// The newest teleop message, while the dead-man switch is held.
 #[derive(Clone, Debug)]
 pub struct DeadMan {
-    dead_man: f64,
-    /// The newest message that counted.
+    timeout: f64,
+    /// The newest message taken.
     newest: Option<Teleop>,
-    /// Whether it still acts.
+    /// Whether it may still act.
     held: bool,
     told: Vec<(Discriminant<Dropped>, Stamp)>,
 }
 
 impl DeadMan {
-    /// Let go; a twist counts until the stamp that it echoes is `dead_man` seconds old.
+    /// Released; a twist acts until the stamp that it echoes is `dead_man` seconds old.
     #[must_use]
     pub fn new(dead_man: f64) -> Self {
         Self {
-            dead_man,
+            timeout: dead_man,
             newest: None,
             held: false,
             told: Vec::new(),
         }
     }
 
-    /// Takes what arrived: those of the operator who holds the lease act and renew it. Why others do not is told, for each cause once in
-    /// a while.
-    pub fn hear(&mut self, now: Stamp, teleops: &[Teleop], authority: &mut Authority, journal: &mut EventLog) {
+    /// Takes what arrived: messages of the operator who holds the lease act and renew it. Why others are dropped is recorded, for each cause
+    /// at most once in a while.
+    pub fn receive(&mut self, now: Stamp, teleops: &[Teleop], authority: &mut Authority, events: &mut EventLog) {
         for teleop in teleops {
             let taken = authority
                 .admit_teleop(now, teleop.epoch)
                 .and_then(|()| self.take(now, teleop));
             match taken {
-                Ok(true) => authority.operator_commands(now),
+                Ok(true) => authority.renew_as_operator(now),
                 Ok(false) => {}
-                Err(dropped) if self.is_news(now, &dropped) => journal.tell(
+                Err(dropped) if self.is_news(now, &dropped) => events.record(
                     now,
                     EventKind::TeleopDropped {
                         reason: dropped.to_string(),
@@ -94,10 +94,10 @@ impl DeadMan {
         }
     }
 
-    /// Takes a twist whose epoch is the operator's current one. Returns whether it is a new one: the same message again is harmless.
+    /// Takes a message of the operator's current epoch. Returns whether it is new: the same message again has no effect.
     ///
     /// # Errors
-    /// [`Dropped`]. Of several messages with one echo the first counts, and a stop always: nobody can tell which was sent last.
+    /// [`Dropped`]. Of several messages with one echo the first is taken, and a stop always: their order is unknown.
     pub fn take(&mut self, now: Stamp, teleop: &Teleop) -> Result<bool, Dropped> {
         let age = now.secs_since(teleop.echo);
         if !teleop.twist.is_finite() {
@@ -106,8 +106,8 @@ impl DeadMan {
         if age < 0.0 {
             return Err(Dropped::NotSentYet);
         }
-        if age > self.dead_man {
-            let dead_man = self.dead_man;
+        if age > self.timeout {
+            let dead_man = self.timeout;
             return Err(Dropped::Old { age, dead_man });
         }
         if let Some(newest) = self.newest.as_ref().filter(|newest| newest.epoch == teleop.epoch) {
@@ -136,20 +136,20 @@ impl DeadMan {
         true
     }
 
-    /// Lets go at once.
+    /// Releases the switch at once.
     pub fn release(&mut self) {
         self.held = false;
     }
 
-    /// Whether a motion has just ended because no command follows: told once.
-    pub fn has_run_out(&mut self, now: Stamp) -> bool {
+    /// Whether a motion has just timed out: true once.
+    pub fn just_expired(&mut self, now: Stamp) -> bool {
         let over = self.acting().filter(|teleop| !self.is_fresh(now, teleop));
         let moved = over.is_some_and(|teleop| teleop.twist != Twist2::ZERO);
         self.held &= over.is_none();
         moved
     }
 
-    /// The twist wanted now.
+    /// The wanted twist now.
     #[must_use]
     pub fn twist(&self, now: Stamp) -> Twist2 {
         self.acting()
@@ -162,7 +162,7 @@ impl DeadMan {
     }
 
     fn is_fresh(&self, now: Stamp, teleop: &Teleop) -> bool {
-        now.secs_since(teleop.echo) <= self.dead_man
+        now.secs_since(teleop.echo) <= self.timeout
     }
 }
 
@@ -183,60 +183,64 @@ mod tests {
     }
 
     #[test]
-    fn what_is_old_or_of_the_future_or_no_number_or_out_of_order_does_not_count() {
-        let mut stick = DeadMan::new(0.3);
+    fn a_message_that_is_old_or_of_the_future_or_not_finite_or_out_of_order_is_dropped() {
+        let mut switch = DeadMan::new(0.3);
         let now = at(10.0);
-        assert!(matches!(stick.take(now, &teleop(9.6, 0.5)), Err(Dropped::Old { .. })));
-        assert_eq!(stick.take(now, &teleop(10.1, 0.5)), Err(Dropped::NotSentYet));
-        assert_eq!(stick.take(now, &teleop(9.9, f64::NAN)), Err(Dropped::NotFinite));
-        assert_eq!(stick.take(now, &teleop(9.9, 0.5)), Ok(true));
-        assert_eq!(stick.take(now, &teleop(9.8, 0.1)), Err(Dropped::Overtaken));
-        assert_eq!(stick.twist(now).v, 0.5);
+        assert!(matches!(switch.take(now, &teleop(9.6, 0.5)), Err(Dropped::Old { .. })));
+        assert_eq!(switch.take(now, &teleop(10.1, 0.5)), Err(Dropped::NotSentYet));
+        assert_eq!(switch.take(now, &teleop(9.9, f64::NAN)), Err(Dropped::NotFinite));
+        assert_eq!(switch.take(now, &teleop(9.9, 0.5)), Ok(true));
+        assert_eq!(switch.take(now, &teleop(9.8, 0.1)), Err(Dropped::Overtaken));
+        assert_eq!(switch.twist(now).v, 0.5);
     }
 
     #[test]
-    fn a_twist_acts_until_its_echo_is_a_dead_mans_time_old_however_late_it_came() {
-        let mut stick = DeadMan::new(0.3);
-        assert_eq!(stick.take(at(10.2), &teleop(10.0, 0.5)), Ok(true));
-        assert_eq!(stick.twist(at(10.29)).v, 0.5);
-        assert!(!stick.has_run_out(at(10.29)));
-        assert_eq!(stick.twist(at(10.31)), Twist2::ZERO);
-        assert!(stick.has_run_out(at(10.31)));
-        assert!(!stick.has_run_out(at(10.33)), "told once");
+    fn a_twist_acts_until_its_echo_is_older_than_the_timeout_however_late_it_came() {
+        let mut switch = DeadMan::new(0.3);
+        assert_eq!(switch.take(at(10.2), &teleop(10.0, 0.5)), Ok(true));
+        assert_eq!(switch.twist(at(10.29)).v, 0.5);
+        assert!(!switch.just_expired(at(10.29)));
+        assert_eq!(switch.twist(at(10.31)), Twist2::ZERO);
+        assert!(switch.just_expired(at(10.31)));
+        assert!(!switch.just_expired(at(10.33)), "reported once");
     }
 
     #[test]
     fn a_replay_never_moves_it_after_a_later_message() {
-        let mut stick = DeadMan::new(0.3);
+        let mut switch = DeadMan::new(0.3);
         let (drive, stop) = (teleop(10.0, 0.5), teleop(10.0, 0.0));
-        assert_eq!(stick.take(at(10.05), &drive), Ok(true));
-        assert_eq!(stick.take(at(10.06), &drive), Ok(false), "the same again is harmless");
-        assert_eq!(stick.take(at(10.07), &teleop(10.0, 0.7)), Err(Dropped::SameEcho));
-        assert_eq!(stick.take(at(10.08), &stop), Ok(true), "a stop always counts");
-        assert_eq!(stick.take(at(10.09), &drive), Err(Dropped::SameEcho));
-        assert_eq!(stick.twist(at(10.09)), Twist2::ZERO);
+        assert_eq!(switch.take(at(10.05), &drive), Ok(true));
         assert_eq!(
-            stick.take(at(10.15), &teleop(10.1, 0.4)),
+            switch.take(at(10.06), &drive),
+            Ok(false),
+            "the same message again has no effect"
+        );
+        assert_eq!(switch.take(at(10.07), &teleop(10.0, 0.7)), Err(Dropped::SameEcho));
+        assert_eq!(switch.take(at(10.08), &stop), Ok(true), "a stop always counts");
+        assert_eq!(switch.take(at(10.09), &drive), Err(Dropped::SameEcho));
+        assert_eq!(switch.twist(at(10.09)), Twist2::ZERO);
+        assert_eq!(
+            switch.take(at(10.15), &teleop(10.1, 0.4)),
             Ok(true),
             "a newer echo drives on"
         );
-        stick.release();
-        assert_eq!(stick.take(at(10.16), &teleop(10.1, 0.4)), Ok(false));
-        assert_eq!(stick.twist(at(10.16)), Twist2::ZERO, "what was let go stays let go");
+        switch.release();
+        assert_eq!(switch.take(at(10.16), &teleop(10.1, 0.4)), Ok(false));
+        assert_eq!(switch.twist(at(10.16)), Twist2::ZERO, "released stays released");
     }
 
     /// Stamps come every `period`, messages every 50 ms with the newest stamp heard; each way takes `way`.
     fn stutters(period: f64, way: f64) -> bool {
-        let mut stick = DeadMan::new(0.3);
+        let mut switch = DeadMan::new(0.3);
         let mut began = false;
         (0..2000_u32).any(|tick| {
             let now = 100.0 + f64::from(tick) * 0.005;
             let sent = now - way;
             if tick.is_multiple_of(10) {
                 let echo = ((sent - way) / period).floor() * period;
-                let _ = stick.take(at(now), &teleop(echo, 0.5));
+                let _ = switch.take(at(now), &teleop(echo, 0.5));
             }
-            let drives = stick.twist(at(now)) != Twist2::ZERO;
+            let drives = switch.twist(at(now)) != Twist2::ZERO;
             began |= drives;
             began && !drives
         })
@@ -249,16 +253,16 @@ mod tests {
             !stutters(0.02, 0.1),
             "who echoes every tick, over 200 ms there and back"
         );
-        assert!(stutters(0.02, 0.14), "slower than the dead-man's time");
+        assert!(stutters(0.02, 0.14), "slower than the dead-man timeout");
     }
 
     #[test]
-    fn why_a_message_was_dropped_is_told_once_in_a_while_for_each_cause() {
-        let mut stick = DeadMan::new(0.3);
+    fn a_drop_is_reported_once_in_a_while_for_each_cause() {
+        let mut switch = DeadMan::new(0.3);
         let old = |age| Dropped::Old { age, dead_man: 0.3 };
-        assert!(stick.is_news(at(1.0), &old(0.4)));
-        assert!(!stick.is_news(at(1.1), &old(0.5)));
-        assert!(stick.is_news(at(1.1), &Dropped::NotFinite));
-        assert!(stick.is_news(at(11.1), &old(0.6)));
+        assert!(switch.is_news(at(1.0), &old(0.4)));
+        assert!(!switch.is_news(at(1.1), &old(0.5)));
+        assert!(switch.is_news(at(1.1), &Dropped::NotFinite));
+        assert!(switch.is_news(at(11.1), &old(0.6)));
     }
 }

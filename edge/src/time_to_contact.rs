@@ -1,4 +1,4 @@
-//! When does a footprint that moves along an arc first touch a point? Exactly, for discs and convex polygons.
+//! Time to contact of a swept footprint. When does a footprint that moves along an arc first touch a point? Exact, for discs and convex polygons.
 //!
 //! In the base frame of a robot with a constant twist, a resting point travels on a circle around the instantaneous
 //! centre of rotation (0, v/w), or on a straight line; the contact is where that curve enters the outline.
@@ -14,7 +14,7 @@ use zenav_protocol::robot::Footprint;
 pub struct SweptFootprint {
     shape: Shape,
     motion: Motion,
-    /// Points whose distance to the centre of rotation lies outside this band are never met.
+    /// Points whose distance to the centre of rotation lies outside this band are never touched.
     band: (f64, f64),
 }
 
@@ -71,18 +71,18 @@ impl SweptFootprint {
         Self { shape, motion, band }
     }
 
-    /// Whether the grown outline holds a point now (base frame).
+    /// Whether the grown outline contains a point now (base frame).
     #[must_use]
-    pub fn holds(&self, point: Point2<f64>) -> bool {
+    pub fn contains(&self, point: Point2<f64>) -> bool {
         match &self.shape {
             Shape::Disc(radius) => point.coords.norm_squared() < radius * radius,
             Shape::Polygon(corners) => edges(corners).all(|(a, b)| (b - a).perp(&(point - a)) > 0.0),
         }
     }
 
-    /// Time until the grown outline first touches a point that it does not hold now (base frame), s.
+    /// Time until the grown outline first touches a point that it does not contain now (base frame), s; `None` for no contact.
     #[must_use]
-    pub fn contact(&self, point: Point2<f64>) -> Option<f64> {
+    pub fn time_to_contact(&self, point: Point2<f64>) -> Option<f64> {
         match self.motion {
             Motion::Rest => None,
             Motion::Straight { v } => {
@@ -104,7 +104,7 @@ impl SweptFootprint {
         }
     }
 
-    /// Way until a point that comes along the x axis enters, m.
+    /// Distance until a point that moves along the x axis enters, m.
     fn straight(&self, point: Point2<f64>, sign: f64) -> Option<f64> {
         match &self.shape {
             Shape::Disc(radius) => {
@@ -159,7 +159,7 @@ fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = (Point2<f64>, Point2<f
     corners.iter().copied().zip(corners.iter().copied().cycle().skip(1))
 }
 
-/// Every edge moved outwards by `margin`; corners stay sharp, so the grown outline holds the rounded one.
+/// Every edge moved outwards by `margin`; corners stay sharp, so the grown outline contains the rounded one.
 fn grown(corners: &[Point2<f64>], margin: f64) -> Vec<Point2<f64>> {
     let count = corners.len();
     let outward = |a: Point2<f64>, b: Point2<f64>| {
@@ -214,18 +214,18 @@ mod tests {
         #[test]
         fn contact_agrees_with_small_steps(which in 0..3_usize, v in -1.0..1.0, w in -2.0..2.0, x in -1.5..1.5, y in -1.5..1.5, margin in 0.0..0.1) {
             let (twist, point) = (Twist2::new(v, w), Point2::new(x, y));
-            let sweeper = SweptFootprint::new(&footprints()[which], margin, twist);
-            prop_assume!(!sweeper.holds(point));
+            let swept = SweptFootprint::new(&footprints()[which], margin, twist);
+            prop_assume!(!swept.contains(point));
             let mut stepped = None;
             for step in 1..=4000 {
                 let secs = f64::from(step) * 0.0005;
                 let local = Pose2::IDENTITY.advance(twist, secs).inverse().transform_point(point);
-                if sweeper.holds(local) {
+                if swept.contains(local) {
                     stepped = Some(secs);
                     break;
                 }
             }
-            match (sweeper.contact(point), stepped) {
+            match (swept.time_to_contact(point), stepped) {
                 (Some(exact), Some(stepped)) => prop_assert!(exact <= stepped + 1e-9 && stepped - exact < 0.05, "{exact} {stepped}"),
                 // A graze may hide between two steps, and a contact after the last step is out of their sight.
                 (Some(_), None) => (),
@@ -235,25 +235,25 @@ mod tests {
         }
 
         #[test]
-        fn a_grown_outline_holds_every_point_within_the_margin(which in 0..3_usize, x in -0.6..0.6, y in -0.6..0.6) {
+        fn a_grown_outline_contains_every_point_within_the_margin(which in 0..3_usize, x in -0.6..0.6, y in -0.6..0.6) {
             let footprint = &footprints()[which];
             let point = Point2::new(x, y);
             if footprint.distance(point) < 0.05 - 1e-9 {
-                prop_assert!(SweptFootprint::new(footprint, 0.05, Twist2::ZERO).holds(point));
+                prop_assert!(SweptFootprint::new(footprint, 0.05, Twist2::ZERO).contains(point));
             }
         }
     }
 
     #[test]
     fn a_disc_that_turns_on_the_spot_touches_nothing() {
-        let sweeper = SweptFootprint::new(&Footprint::Radius(0.265), 0.01, Twist2::new(0.0, 1.0));
-        assert_eq!(sweeper.contact(Point2::new(0.28, 0.0)), None);
+        let swept = SweptFootprint::new(&Footprint::Radius(0.265), 0.01, Twist2::new(0.0, 1.0));
+        assert_eq!(swept.time_to_contact(Point2::new(0.28, 0.0)), None);
     }
 
     #[test]
     fn a_wall_straight_ahead_is_met_after_the_free_way() {
-        let sweeper = SweptFootprint::new(&Footprint::Radius(0.265), 0.03, Twist2::new(0.5, 0.0));
-        assert!((sweeper.contact(Point2::new(1.295, 0.0)).unwrap() - 2.0).abs() < 1e-12);
-        assert_eq!(sweeper.contact(Point2::new(-1.0, 0.0)), None, "it lies behind");
+        let swept = SweptFootprint::new(&Footprint::Radius(0.265), 0.03, Twist2::new(0.5, 0.0));
+        assert!((swept.time_to_contact(Point2::new(1.295, 0.0)).unwrap() - 2.0).abs() < 1e-12);
+        assert_eq!(swept.time_to_contact(Point2::new(-1.0, 0.0)), None, "it lies behind");
     }
 }

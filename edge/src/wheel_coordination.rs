@@ -1,18 +1,19 @@
-//! How do both wheels slow down together? Where one can brake no harder, the other brakes in proportion: the robot stays on its curve.
+//! Wheel coordination. How do both wheels brake together? Where one wheel is at its braking limit, the other brakes in proportion: the robot
+//! stays on its curve.
 //!
-//! The guard reckons with the curve that is driven. Told to rest at once, each motor would brake as hard as it can, the inner wheel of
-//! a curve would rest before the outer one, and the robot would swing into what it was to stop before.
+//! The collision monitor predicts the curve that is driven. With independent motors, each braking as hard as it can, the inner wheel of a
+//! curve would stop before the outer one, and the robot would swing into the obstacle that it stops for.
 
 use zenav_protocol::robot::Drive;
 
-/// The motors, as the robot's file tells of them: a first-order lag, and limits of how fast they gain and lose speed.
+/// A model of the motors from the robot file: a first-order lag, and limits of acceleration and deceleration.
 #[derive(Clone, Debug)]
 pub struct WheelCoordination {
     lag: f64,
     /// Limits, rad/s².
-    gain: f64,
-    loss: f64,
-    /// Where they should be by now (left, right; rad/s). Not measured: what encoders that fail tell must not keep a robot going.
+    acceleration: f64,
+    deceleration: f64,
+    /// Predicted speed (left, right; rad/s). Not measured: a failing encoder must not keep a robot moving.
     speed: [f64; 2],
 }
 
@@ -22,19 +23,19 @@ impl WheelCoordination {
     pub fn new(drive: &Drive) -> Self {
         Self {
             lag: drive.motor_lag,
-            gain: drive.max_wheel_acceleration,
-            loss: (drive.wheel_braking()).max(drive.max_wheel_acceleration),
+            acceleration: drive.max_wheel_acceleration,
+            deceleration: drive.wheel_braking().max(drive.max_wheel_acceleration),
             speed: [0.0; 2],
         }
     }
 
-    /// The wheels may have been stopped by something else: the next command is not to push on.
-    pub fn may_rest(&mut self) {
+    /// The wheels may have been stopped by something else: the next command starts from rest.
+    pub fn reset(&mut self) {
         self.speed = [0.0; 2];
     }
 
-    /// The commands (left, right; rad/s) for the next `dt` seconds that lead to a target: as fast as can be, and both wheels alike.
-    pub fn lead(&mut self, target: [f64; 2], dt: f64) -> [f64; 2] {
+    /// The commands (left, right; rad/s) for the next `dt` seconds that reach a target as fast as possible with both wheels in proportion.
+    pub fn command(&mut self, target: [f64; 2], dt: f64) -> [f64; 2] {
         let answer = if self.lag > 0.0 {
             1.0 - (-dt / self.lag).exp()
         } else {
@@ -42,17 +43,17 @@ impl WheelCoordination {
         };
         let change = [target[0] - self.speed[0], target[1] - self.speed[1]];
         let largest = answer * change[0].abs().max(change[1].abs());
-        // A motor that is told to change by more does not change faster.
-        let most = self.loss * dt;
+        // A larger commanded change does not make a motor faster.
+        let most = self.deceleration * dt;
         let share = if largest > most { most / largest } else { 1.0 };
         let command = [self.speed[0] + share * change[0], self.speed[1] + share * change[1]];
         for (speed, command) in self.speed.iter_mut().zip(command) {
             let wanted = *speed + answer * (command - *speed);
             let most = dt
                 * if wanted.abs() < speed.abs() {
-                    self.loss
+                    self.deceleration
                 } else {
-                    self.gain
+                    self.acceleration
                 };
             *speed += (wanted - *speed).clamp(-most, most);
         }
@@ -108,12 +109,12 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_to_rest_stays_on_its_curve_and_rests_as_soon() {
+    fn a_braking_robot_stays_on_its_curve_and_stops_as_soon() {
         let drive = jackal();
         for (v, w) in [(1.5, 2.4), (1.0, -3.0), (-1.2, 1.5), (2.0, 0.0)] {
             let twist = Twist2::new(v, w);
-            let mut motors = WheelCoordination::new(&drive);
-            let (led, way) = rest(twist, |target| motors.lead(target, TICK));
+            let mut wheels = WheelCoordination::new(&drive);
+            let (led, way) = rest(twist, |target| wheels.command(target, TICK));
             let (told, shortest) = rest(twist, |target| target);
             let off = off_the_curve(twist, led);
             assert!(off < 1e-3, "{twist:?}: {off}");
@@ -125,22 +126,22 @@ mod tests {
     }
 
     #[test]
-    fn what_something_stopped_does_not_push_on() {
-        let mut motors = WheelCoordination::new(&jackal());
+    fn wheels_stopped_by_something_else_start_from_rest() {
+        let mut wheels = WheelCoordination::new(&jackal());
         for _ in 0..50 {
-            motors.lead([10.0, 10.0], TICK);
+            wheels.command([10.0, 10.0], TICK);
         }
-        assert!(motors.lead([0.0; 2], TICK)[0] > 5.0);
-        motors.may_rest();
-        assert_eq!(motors.lead([0.0; 2], TICK), [0.0; 2]);
+        assert!(wheels.command([0.0; 2], TICK)[0] > 5.0);
+        wheels.reset();
+        assert_eq!(wheels.command([0.0; 2], TICK), [0.0; 2]);
     }
 
     proptest! {
         #[test]
-        fn commands_lead_to_the_target(targets in prop::collection::vec((-30.0..30.0_f64, -30.0..30.0_f64), 1..20)) {
-            let mut motors = WheelCoordination::new(&jackal());
+        fn commands_reach_the_target(targets in prop::collection::vec((-30.0..30.0_f64, -30.0..30.0_f64), 1..20)) {
+            let mut wheels = WheelCoordination::new(&jackal());
             for (left, right) in targets {
-                let commands: Vec<_> = (0..200).map(|_| motors.lead([left, right], TICK)).collect();
+                let commands: Vec<_> = (0..200).map(|_| wheels.command([left, right], TICK)).collect();
                 prop_assert_eq!(commands[199], [left, right]);
             }
         }

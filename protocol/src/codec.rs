@@ -1,8 +1,19 @@
-//! How does a message become bytes, and bytes a message? JSON wherever a person may read, CBOR (RFC 8949) for bulk.
+//! Codec. How does a message become bytes, and bytes a message?
 //!
-//! A receiver goes by the sample's encoding, and takes everything that is not CBOR for JSON, so that a goal typed into any
-//! Zenoh client works. What comes from outside is bounded before it is looked at: size by the key's limit, depth by
-//! [`MAX_DEPTH`] (CBOR) and serde_json's own 128 (JSON). Neither decoder allocates by a length that the input merely claims.
+//! JSON wherever a person may read, CBOR (RFC 8949) for bulk. A receiver decodes by the sample's encoding, and everything that is not CBOR as
+//! JSON, so that a goal typed into any Zenoh client works. Input from outside is bounded before it is decoded: its size by the key's limit,
+//! its depth by [`MAX_DEPTH`] (CBOR) or serde_json's own 128 (JSON). Neither decoder allocates by a length that the input merely claims.
+//!
+//! ```
+//! use zenav_protocol::codec::{Encoding, decode, encode};
+//! use zenav_protocol::geometry::Pose2;
+//!
+//! let pose = Pose2::new(1.0, 2.0, 0.5);
+//! let bytes = encode(&pose, Encoding::Json).unwrap();
+//! assert_eq!(bytes, br#"{"x":1.0,"y":2.0,"yaw":0.5}"#);
+//! assert_eq!(decode::<Pose2>(&bytes, Encoding::Json, 1024).unwrap(), pose);
+//! assert_eq!(decode::<Pose2>(&bytes, Encoding::Json, 8).unwrap_err().to_string(), "28 bytes, at most 8 here");
+//! ```
 
 use std::fmt;
 
@@ -36,7 +47,7 @@ impl Encoding {
         }
     }
 
-    /// The decoder for an encoding's name: CBOR by its name (a schema suffix after `;` is ignored), all else JSON.
+    /// The encoding by its name: CBOR for `application/cbor` (a schema suffix after `;` is ignored), JSON for everything else.
     #[must_use]
     pub fn of(mime: &str) -> Self {
         let name = mime.split(';').next().unwrap_or_default().trim();
@@ -54,29 +65,29 @@ impl fmt::Display for Encoding {
     }
 }
 
-/// Why bytes are not a message, or a message not bytes.
+/// Why a message could not be decoded or encoded.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum CodecError {
-    /// More bytes than the key allows; they were not looked at.
+    /// The payload is larger than its key allows; it was not decoded.
     #[error("{got} bytes, at most {limit} here")]
     TooLarge {
         /// The key's limit, bytes.
         limit: usize,
-        /// What came, bytes.
+        /// Size of the payload, bytes.
         got: usize,
     },
-    /// Not this message in this encoding.
+    /// The payload is not this message in this encoding.
     #[error("{reason}")]
     Malformed {
-        /// What was expected, and for JSON line and column.
+        /// What the decoder expected; for JSON, with line and column.
         reason: String,
     },
-    /// The message has no form in this encoding (a map with keys that are not strings, say).
+    /// The encoding cannot express the message, for example a JSON map whose keys are not strings.
     #[error("cannot be encoded as {encoding}: {reason}")]
     Unencodable {
-        /// Wanted encoding.
+        /// The encoding asked for.
         encoding: Encoding,
-        /// What stands against it.
+        /// What the encoder objects to.
         reason: String,
     },
 }
@@ -96,10 +107,10 @@ impl CodecError {
     }
 }
 
-/// A message as bytes, in one buffer. In JSON a number that is not finite becomes `null`.
+/// Encodes a message. In JSON a number that is not finite becomes `null`.
 ///
 /// # Errors
-/// [`CodecError::Unencodable`] for a type that the encoding cannot express: a fault of the program, not of the data.
+/// [`CodecError::Unencodable`] for a type that the encoding cannot express: a bug in the program, not in the data.
 pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<Vec<u8>, CodecError> {
     let mut bytes = Vec::with_capacity(256);
     match encoding {
@@ -119,10 +130,10 @@ pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<
     Ok(bytes)
 }
 
-/// A message from bytes of at most `max_bytes`.
+/// Decodes a message of at most `max_bytes`.
 ///
 /// # Errors
-/// [`CodecError::TooLarge`] without a look at the bytes; [`CodecError::Malformed`] for anything else than exactly one message.
+/// [`CodecError::TooLarge`], without decoding anything; [`CodecError::Malformed`] for anything but exactly one message.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8], encoding: Encoding, max_bytes: usize) -> Result<T, CodecError> {
     if bytes.len() > max_bytes {
         return Err(CodecError::TooLarge {

@@ -1,4 +1,4 @@
-//! Text of configuration files. What did a user write, and where? Pairs of coordinates, values out of their bounds, lines of keys in a TOML file, numbers in messages.
+//! Configuration text. What did a user write in a file, on which line, and is it within its bounds?
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::settings::Bounds;
 
-/// Two numbers, and no third: a reader that takes the first two of `[1, 2, 3]` would hide a mistake.
+/// Exactly two numbers: reading the first two of `[1, 2, 3]` would hide a mistake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<f64>")]
 pub struct Pair(pub [f64; 2]);
@@ -35,24 +35,24 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
     Pair::deserialize(deserializer).map(|Pair(numbers)| numbers)
 }
 
-/// A setting with a value out of its bounds.
+/// A setting whose value is out of bounds.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{key}` {problem}")]
 pub struct OutOfBounds {
-    /// The setting's key, the sections before it joined by dots.
+    /// Key of the setting, with the sections before it joined by dots.
     pub key: String,
-    /// What it is, and what was expected.
+    /// The value found, and what was expected.
     pub problem: String,
 }
 
 impl OutOfBounds {
-    /// A value that lies outside of its bounds.
+    /// For a number outside its range.
     #[must_use]
     pub fn outside(key: &str, value: f64, bounds: &Bounds, unit: &str) -> Self {
         Self::unlike(key, value, format!("{bounds} {unit}").trim_end())
     }
 
-    /// A value that is something else than was expected.
+    /// For a number that is not as expected.
     #[must_use]
     pub fn unlike(key: &str, value: f64, expected: impl fmt::Display) -> Self {
         Self {
@@ -61,7 +61,7 @@ impl OutOfBounds {
         }
     }
 
-    /// The same, said by the section around.
+    /// The same error, with the key as seen from the section around.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self {
@@ -122,6 +122,7 @@ pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBo
 }
 
 /// A number in a message: what would need a line of digits is written with an exponent.
+/// A number in a message to the user: a very large or small one is shown with an exponent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Number(pub f64);
 
@@ -136,8 +137,8 @@ impl fmt::Display for Number {
     }
 }
 
-/// The line, counted from 1, of a key in a TOML text, tables before it joined by dots; where it is not written, of the table that it
-/// would stand in. `None` where that is not written either, or the text is not TOML.
+/// Line (from 1) of a dotted key in a TOML text; where the key is not written, the line of its table. `None` where neither is written, or
+/// the text is not TOML.
 #[must_use]
 pub fn line_of(text: &str, key: &str) -> Option<usize> {
     let document = toml::de::DeTable::parse(text).ok()?;

@@ -1,8 +1,9 @@
-//! What does it cost a battery to move a robot? One model of motors and what they move, for whoever simulates, plans or reports.
+//! Energy model. How much power does a robot draw to move?
 //!
-//! A wheel pushes with the force `F` that its half of the mass, its inertia when it turns, and friction ask for. A direct-current motor
-//! turns electricity into `F v`, and loses what its current heats its winding with: the torque `F r` over the motor constant, squared.
-//! Nothing flows back into the battery: what braking gives is lost. To this comes what sensors and computers draw whatever happens.
+//! One model for the simulated battery and the smoother's forecast. A wheel pushes with the force `F` that accelerates its half of the mass
+//! and of the inertia, and that overcomes friction. Its direct-current motor draws the mechanical power `F v` and the copper loss
+//! `(F r / k)²`, with the wheel radius `r` and the motor constant `k`. Braking feeds nothing back. Sensors and computers draw a constant
+//! power on top.
 //!
 //! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004, and "A Case Study of Mobile Robot's Energy
 //! Consumption and Conservation Techniques", ICAR 2005 (power of a robot as power at rest and of motion); Kim and Kim, "Minimum-Energy
@@ -13,23 +14,22 @@ use serde::{Deserialize, Serialize};
 use crate::config_text::{Expected, OutOfBounds, check_all};
 use crate::robot::RobotModel;
 
-/// m/s².
+/// Acceleration of gravity, m/s².
 const GRAVITY: f64 = 9.81;
 
-/// Motors, and what they move.
+/// Motors and load of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MotorModel {
-    /// Mass that is moved, load included, kg.
+    /// Mass of the robot with its load, kg.
     pub mass: f64,
-    /// Moment of inertia about the vertical through the middle of the axle, kg m².
+    /// Moment of inertia about the vertical axis through the middle of the axle, kg m².
     pub inertia: f64,
-    /// Friction that does not depend on speed (tyres, casters, gears): force over weight.
+    /// Coefficient of rolling resistance (tyres, casters, gears): force over weight.
     pub rolling_resistance: f64,
-    /// Friction that grows with speed (gears, bearings, eddy currents), of the whole robot, N for each m/s.
+    /// Viscous friction of the whole robot (gears, bearings, eddy currents), N s/m.
     pub viscous_friction: f64,
-    /// Torque at a wheel for each square root of a watt that heats its motor's winding (torque constant times gear ratio over the
-    /// square root of the resistance), N m/√W.
+    /// Motor constant at the wheel: torque constant times gear ratio over the square root of the winding's resistance, N m/√W.
     pub motor_constant: f64,
 }
 
@@ -59,13 +59,13 @@ impl MotorModel {
 }
 
 impl RobotModel {
-    /// Power that the robot draws, W, while its wheels (left, right) run at `speeds` (rad/s) and gain `accelerations` (rad/s²).
+    /// Electrical power (W) at wheel `speeds` (left, right, rad/s) and `accelerations` (rad/s²).
     #[must_use]
     pub fn power(&self, speeds: [f64; 2], accelerations: [f64; 2]) -> f64 {
         let motors = &self.motors;
         let radius = self.drive.wheel_radius;
         let gained = self.drive.twist(accelerations);
-        // Both wheels push the base, their difference turns it.
+        // The sum of the wheels' forces pushes the base, their difference turns it.
         let push = 0.5 * motors.mass * gained.v;
         let turn = motors.inertia * gained.w / self.drive.wheel_separation;
         let rolling = 0.5 * motors.rolling_resistance * motors.mass * GRAVITY;

@@ -94,14 +94,15 @@ impl Pose2 {
         (self.x - other.x).hypot(self.y - other.y)
     }
 
-    /// The pose at a `share` of the way to another one in the same frame: positions in a straight line, the heading by the shorter turn.
+    /// Linear between two poses of one frame, the heading the shorter way round: `share` 0 is this pose, 1 is `to`.
     ///
     /// ```
     /// use zenav_protocol::geometry::Pose2;
     ///
-    /// let half = Pose2::new(0.0, 0.0, 3.0).interpolate(&Pose2::new(2.0, 4.0, -3.0), 0.5);
-    /// assert_eq!((half.x, half.y), (1.0, 2.0));
-    /// assert!((half.yaw.abs() - std::f64::consts::PI).abs() < 1e-12);
+    /// let (from, to) = (Pose2::new(0.0, 0.0, 3.1), Pose2::new(1.0, 2.0, -3.1));
+    /// let middle = from.interpolate(&to, 0.5);
+    /// assert_eq!((middle.x, middle.y), (0.5, 1.0));
+    /// assert!(middle.yaw.abs() > 3.14);
     /// ```
     #[must_use]
     pub fn interpolate(&self, to: &Self, share: f64) -> Self {

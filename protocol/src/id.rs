@@ -1,17 +1,27 @@
-//! Which names may stand in a key? `[A-Za-z0-9_-]{1,64}`, so that no name can widen or break a key expression.
+//! Ids. Which names may stand in a key, and how is a unique one made?
+//!
+//! An id matches `[A-Za-z0-9_-]{1,64}`, so that no name can widen or break a key expression.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use uuid::Uuid;
 
-/// A name for a robot, goal, worker or place.
+/// Name of a robot, goal, worker or place.
+///
+/// ```
+/// use zenav_protocol::id::Id;
+///
+/// assert_eq!(Id::robot("tiago-1").unwrap().as_str(), "tiago-1");
+/// assert!(Id::robot("tiago/*").is_err());
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Id(String);
 
-/// Why a name was refused.
+/// A name that cannot stand in a key.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("`{name}` is not a valid name: expected 1 to 64 of A-Z a-z 0-9 _ -{note}")]
 pub struct InvalidId {
@@ -40,7 +50,7 @@ impl Id {
         }
     }
 
-    /// Checks a robot's name: also not `svc` or `sim`, whose keys belong to services and the simulator.
+    /// Checks a robot's name: `svc` and `sim` are reserved for services and the simulator.
     ///
     /// # Errors
     /// [`InvalidId`].
@@ -56,7 +66,13 @@ impl Id {
         }
     }
 
-    /// The name.
+    /// A unique id: 128 random bits (UUID version 4) as 32 hexadecimal digits.
+    #[must_use]
+    pub fn unique() -> Self {
+        Self(Uuid::new_v4().simple().to_string())
+    }
+
+    /// The id as text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
@@ -98,6 +114,13 @@ impl From<Id> for String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_unique_id_is_valid_and_never_the_same() {
+        let ids: std::collections::BTreeSet<String> = (0..1000).map(|_| Id::unique().into()).collect();
+        assert_eq!(ids.len(), 1000);
+        assert!(ids.iter().all(|id| id.len() == 32 && Id::new(id.clone()).is_ok()));
+    }
 
     #[test]
     fn a_name_cannot_widen_a_key() {

@@ -1,26 +1,29 @@
-//! What two machines of zenav must agree on.
+//! The contract between robot and cloud: what two machines of zenav must agree on.
 //!
-//! | module | holds |
+//! Plain data and pure functions, without a network: geometry, grids, robot files, messages, the key table, codecs, the lease. With the
+//! feature `bus` also typed publish, subscribe and ask over [Zenoh](https://zenoh.io); no other crate of zenav names Zenoh.
+//!
+//! | module | subject |
 //! |---|---|
-//! | [`geometry`] | poses, twists, angles (REP-103) |
-//! | [`polygon`] | outlines: edges, area, inside or not |
+//! | [`geometry`] | poses, twists, angles (REP-103); frames in names, `a_from_b` |
+//! | [`polygon`] | simple polygons: edges, area, point inside |
 //! | [`grid`] | the grid convention, occupancy values, the one ray walk |
+//! | [`trajectory`] | a path in time: sample, splice, nearest ahead |
 //! | [`time`] | stamps in nanoseconds |
-//! | [`id`] | names that may stand in a key |
-//! | [`robot`] | a robot's footprint, limits and sensors, and its TOML file |
+//! | [`id`] | names that may stand in a key, and unique ids |
+//! | [`robot`] | footprint, limits and sensors of a robot, and its TOML file |
 //! | [`drive`] | wheels, their limits and kinematics |
-//! | [`sensors`] | what a robot senses with: one file a kind |
-//! | [`gains`] | how a robot follows its plan: tracker, gains and their bounds |
-//! | [`energy`] | motors, and what it costs a battery to move a robot |
-//! | [`readings`] | what a body gives its pilot |
-//! | [`map_replica`], [`padding`] | a copy of a map, kept by patches |
+//! | [`sensors`] | sensors: model, bounds, reading and message, one file for each kind |
+//! | [`gains`], [`wall_following`] | path trackers and the wall follower: settings and their bounds |
+//! | [`energy`] | power that a robot draws |
+//! | [`readings`] | sensor readings that a body hands to its edge |
 //! | [`messages`] | everything that crosses the wire |
-//! | [`lease`] | who may command a robot |
-//! | [`topics`] | the key table |
-//! | [`wall_following`] | how a robot follows walls |
-//! | [`settings`] | what can be tuned: one declaration a setting |
-//! | [`config_text`] | what users write in files: pairs, bounds, lines |
-//! | [`codec`] | JSON and CBOR by encoding |
+//! | [`topics`] | the key table: key, message, quality of service, producer |
+//! | [`codec`] | JSON and CBOR |
+//! | [`lease`] | lease arbiter: who may command a robot |
+//! | [`map_replica`], [`padding`] | a copy of a map on another machine |
+//! | [`settings`] | settings: one declaration for each, with default, unit and bounds |
+//! | [`config_text`] | configuration files: bounds, lines, numbers |
 //! | `bus` | typed Zenoh (feature `bus`) |
 
 // `settings!` names this crate by its name, in here too.
@@ -48,7 +51,8 @@ pub mod sensors;
 pub mod settings;
 pub mod time;
 pub mod topics;
+pub mod trajectory;
 pub mod wall_following;
 
-/// Version of the message schema. Two components that talk must have the same one: each says it in its `info` reply.
-pub const SCHEMA_VERSION: u32 = 1;
+/// Version of the message schema. Two components that talk must have the same one; each states it in its `info` reply.
+pub const SCHEMA_VERSION: u32 = 2;

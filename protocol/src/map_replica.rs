@@ -1,38 +1,63 @@
-//! How does another machine keep a copy of a map? By patches, and by the whole where a patch is missing.
+//! Map replica. How does another machine keep a copy of a map?
+//!
+//! By applying patches. Where a patch is missing, the replica reports a gap and takes over the whole map instead:
+//!
+//! ```
+//! use nalgebra::Point2;
+//! use zenav_protocol::grid::{GridSpec, Occupancy};
+//! use zenav_protocol::map_replica::{MapReplica, PatchResult};
+//! use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
+//! use zenav_protocol::time::Stamp;
+//!
+//! let free = Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] };
+//! let mut patch = MapPatch {
+//!     stamp: Stamp(1),
+//!     map: MapRef { id: "kitchen".into(), revision: 1 },
+//!     base_revision: 0,
+//!     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
+//!     tiles: vec![free],
+//! };
+//! let mut replica = MapReplica::new();
+//! assert_eq!(replica.apply(&patch), PatchResult::Applied);
+//! assert_eq!(replica.grid().at(Point2::new(1.0, 1.0)), Some(&Occupancy::FREE));
+//! // Revision 2 was lost on the way: ask for the whole map, and `replace` it.
+//! (patch.base_revision, patch.map.revision) = (2, 3);
+//! assert_eq!(replica.apply(&patch), PatchResult::Gap);
+//! ```
 
 use std::sync::Arc;
 
-use crate::grid::{GridSpec, Occupancy, OccupancyGrid};
-use crate::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
-use crate::time::Stamp;
 use nalgebra::Point2;
 
-use crate::grid::MAX_CELLS;
+use crate::grid::{GridSpec, MAX_CELLS, Occupancy, OccupancyGrid};
+use crate::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use crate::padding::{Extent, Padding, tiles_before};
+use crate::time::Stamp;
 
-/// What became of a patch.
+/// What a replica did with a patch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum PatchResult {
-    /// The copy is at the patch's revision now.
+    /// The patch was applied: the replica is at the patch's revision.
     Applied,
-    /// The copy already held it.
+    /// The replica already holds this revision or a later one.
     Old,
-    /// The copy is of another map or revision than the patch applies to, or the patch makes no sense: ask for the whole.
+    /// The patch applies to another map or revision than the replica's, or it is malformed: ask for the whole map.
     Gap,
 }
 
-/// A copy of a map. It may reach farther than the map, over cells that nobody has seen. A copy of the copy costs nothing until one of
-/// them changes.
+/// A copy of a map, kept up to date by patches.
+///
+/// The replica may be [padded](Self::reach) with unknown cells beyond the map. A clone shares the cells until one of the two changes.
 #[derive(Clone, Debug)]
 pub struct MapReplica {
     map: MapRef,
     stamp: Stamp,
-    /// The map's own grid.
+    /// Geometry of the map itself, without padding.
     spec: GridSpec,
-    beyond: Padding,
+    padding: Padding,
     grid: Arc<OccupancyGrid>,
-    /// The revision in which each tile was last written, row by row.
+    /// Revision in which each tile was last written, row by row.
     written: Arc<Vec<u64>>,
 }
 
@@ -43,7 +68,7 @@ impl Default for MapReplica {
 }
 
 impl MapReplica {
-    /// A copy of nothing: no map, no cells.
+    /// A replica without a map: no cells.
     #[must_use]
     pub fn new() -> Self {
         let nothing = GridSpec {
@@ -56,32 +81,32 @@ impl MapReplica {
             map: MapRef::default(),
             stamp: Stamp::ZERO,
             spec: nothing,
-            beyond: Padding::default(),
+            padding: Padding::default(),
             grid: Arc::new(OccupancyGrid::filled(nothing, Occupancy::UNKNOWN)),
             written: Arc::default(),
         }
     }
 
-    /// Brings the copy to a patch's revision.
+    /// Applies a patch. After [`PatchResult::Gap`] nothing has changed.
     pub fn apply(&mut self, patch: &MapPatch) -> PatchResult {
         let same = patch.map.id == self.map.id;
         if same && patch.map.revision <= self.map.revision && self.map.revision > 0 {
             return PatchResult::Old;
         }
         let from_unknown = patch.base_revision == 0 && (!same || self.map.revision == 0);
-        if !(from_unknown || same && patch.base_revision == self.map.revision) || !makes_sense(patch) {
+        if !(from_unknown || same && patch.base_revision == self.map.revision) || !is_well_formed(patch) {
             return PatchResult::Gap;
         }
         if from_unknown {
-            // Another map: places of the one before mean nothing here.
-            self.beyond = Padding::default();
+            // The places asked for belong to the map before.
+            self.padding = Padding::default();
         }
-        let reached = self.beyond.around(patch.spec);
+        let padded = self.padding.around(patch.spec);
         let begun = if from_unknown {
-            Some(OccupancyGrid::filled(reached, Occupancy::UNKNOWN))
-        } else if *self.grid.spec() == reached {
+            Some(OccupancyGrid::filled(padded, Occupancy::UNKNOWN))
+        } else if *self.grid.spec() == padded {
             None
-        } else if let Some(grown) = self.regridded(reached) {
+        } else if let Some(grown) = self.regridded(padded) {
             Some(grown)
         } else {
             return PatchResult::Gap;
@@ -90,7 +115,7 @@ impl MapReplica {
             self.begin(grid, patch.map.revision);
         }
         self.spec = patch.spec;
-        let before = tiles_before(&reached, &patch.spec);
+        let before = tiles_before(&padded, &patch.spec);
         for tile in &patch.tiles {
             self.write(tile, before, patch.map.revision);
         }
@@ -99,68 +124,68 @@ impl MapReplica {
         PatchResult::Applied
     }
 
-    /// Takes over a whole map; `false`, and nothing changed, when it makes no sense.
+    /// Takes over a whole map; `false`, and nothing changes, when the reply is malformed or carries no cells.
     pub fn replace(&mut self, reply: &MapReply) -> bool {
         let Ok(grid) = reply.grid() else {
             return false;
         };
         if self.map.id != reply.info.map.id {
-            self.beyond = Padding::default();
+            self.padding = Padding::default();
         }
         self.spec = *grid.spec();
         self.begin(grid, reply.info.map.revision);
         self.map = reply.info.map.clone();
         self.stamp = reply.info.stamp;
-        self.reach_out();
+        self.pad();
         true
     }
 
-    /// Makes the copy reach farther than the map, for whoever may go where nobody has looked. It stays so as the map grows.
-    pub fn reach(&mut self, outlook: &Extent) {
-        self.beyond.include(outlook);
-        self.reach_out();
+    /// Pads the replica so that it covers an extent, also as the map grows: a planner may route through cells that nobody has seen.
+    pub fn reach(&mut self, extent: &Extent) {
+        self.padding.include(extent);
+        self.pad();
     }
 
-    fn reach_out(&mut self) {
-        let reached = self.beyond.around(self.spec);
-        if reached != *self.grid.spec()
-            && let Some(grid) = self.regridded(reached)
+    fn pad(&mut self) {
+        let padded = self.padding.around(self.spec);
+        if padded != *self.grid.spec()
+            && let Some(grid) = self.regridded(padded)
         {
             self.begin(grid, self.map.revision);
         }
     }
 
-    /// The copy.
+    /// The cells, padding included.
     #[must_use]
     pub fn grid(&self) -> &OccupancyGrid {
         &self.grid
     }
 
-    /// Which map and revision it is; an empty name for none yet.
+    /// The map and its revision; an empty id before the first map.
     #[must_use]
     pub fn map(&self) -> &MapRef {
         &self.map
     }
 
-    /// Stamp of the newest scan in it.
+    /// Stamp of the newest scan in the map.
     #[must_use]
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// Whether there is any map.
+    /// Whether the replica holds a map.
     #[must_use]
     pub fn has_map(&self) -> bool {
         !self.map.id.is_empty()
     }
 
-    /// Whether the copy is of this map, at its revision or a later one.
+    /// Whether the replica holds this map, at the wanted revision or a later one.
     #[must_use]
     pub fn holds(&self, wanted: &MapRef) -> bool {
         self.map.id == wanted.id && self.map.revision >= wanted.revision
     }
 
-    /// Tiles (column and row) that may have changed after a revision of this map, row by row.
+    /// Tiles (column and row, padding included) that may have changed after a revision of this map, row by row.
     #[must_use]
     pub fn changed_since(&self, revision: u64) -> Vec<(u32, u32)> {
         let columns = self.grid.spec().width.div_ceil(TILE).max(1);
@@ -171,14 +196,14 @@ impl MapReplica {
             .collect()
     }
 
-    /// Takes another grid, all of it new in a revision.
+    /// Takes another grid, every tile of it written in this revision.
     fn begin(&mut self, grid: OccupancyGrid, revision: u64) {
         let tiles = grid.spec().width.div_ceil(TILE) as usize * grid.spec().height.div_ceil(TILE) as usize;
         self.grid = Arc::new(grid);
         self.written = Arc::new(vec![revision; tiles]);
     }
 
-    /// The values moved over to another grid of the same cells; `None` when the cells do not coincide.
+    /// The values, moved into a grid of another size; `None` when the cells of the two do not coincide.
     fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
@@ -191,7 +216,7 @@ impl MapReplica {
         }
         let mut grid = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         let (dx, dy) = (x as i64, y as i64);
-        // Columns of the old grid that the new one has as well.
+        // Columns that both grids have.
         let first = (-dx).clamp(0, i64::from(old.width));
         let end = (i64::from(spec.width) - dx).clamp(first, i64::from(old.width));
         for row in 0..i64::from(old.height) {
@@ -207,7 +232,7 @@ impl MapReplica {
         Some(grid)
     }
 
-    /// Writes a tile of the map, before whose first one the copy has so many columns and rows of tiles.
+    /// Writes a tile of the map; `before` counts the padding's columns and rows of tiles to the left and below.
     fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
         let columns = self.grid.spec().width.div_ceil(TILE) as usize;
         let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
@@ -218,7 +243,7 @@ impl MapReplica {
         let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
         let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
-        // Of a tile at the map's border only what belongs to the map: beyond it nothing is known.
+        // A tile at the map's border is clipped to the map: its cells beyond are padding, and unknown.
         let length = side
             .min(width.saturating_sub(x))
             .min((self.spec.width as usize).saturating_sub(tile.x as usize * side));
@@ -237,8 +262,8 @@ impl MapReplica {
     }
 }
 
-/// Whether a patch from outside is fit to be applied: a grid of bearable size, whole tiles inside it.
-fn makes_sense(patch: &MapPatch) -> bool {
+/// Whether a patch from outside is well-formed: a grid within the limits, and whole tiles inside it.
+fn is_well_formed(patch: &MapPatch) -> bool {
     let Ok(spec) = patch.spec.checked() else {
         return false;
     };

@@ -1,48 +1,49 @@
-//! How far does a copy of a map reach beyond the map? Ways may lead through what nobody has seen, and that does not end where the map does:
-//! whole tiles of unknown cells lie around it, out to every place that was asked for.
+//! Map padding. How far does a map replica extend beyond the map?
+//!
+//! Paths may lead through cells that nobody has seen, and those do not end at the map's border. So a replica can be padded with whole tiles
+//! of unknown cells, out to every place that was asked for.
 
-use crate::grid::GridSpec;
-use crate::messages::TILE;
-use crate::robot::Footprint;
 use nalgebra::{Point2, Vector2};
 
-use crate::grid::MAX_CELLS;
+use crate::grid::{GridSpec, MAX_CELLS};
+use crate::messages::TILE;
+use crate::robot::Footprint;
 
-/// Where somebody may go, seen or not.
+/// Extent that a planner needs of a map, seen or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Extent {
-    /// Places that belong to the copy, map frame, m.
+    /// Places that the replica must cover, map frame, m.
     pub places: Vec<Point2<f64>>,
-    /// Width of the unknown around them and around the map, m.
+    /// Width of the unknown ring around those places and around the map, m.
     pub ring: f64,
 }
 
 impl Extent {
-    /// Room for a robot to go around everything.
+    /// The places, with a ring in which a robot of this footprint can go around everything.
     #[must_use]
     pub fn of(footprint: &Footprint, places: Vec<Point2<f64>>) -> Self {
         Self {
             places,
-            ring: 2.0 * footprint.circumscribed_radius() + MORE,
+            ring: 2.0 * footprint.circumscribed_radius() + RING_MARGIN,
         }
     }
 }
 
-/// Room beside the robot, m.
-const MORE: f64 = 0.5;
+/// Width of the ring beyond the robot's own width, m.
+const RING_MARGIN: f64 = 0.5;
 
-/// Which places beyond a map belong to its copy.
+/// Padding of a map replica: the sum of all extents asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Padding {
-    /// Lower left and upper right corner of all places asked for, m.
+    /// Lower-left and upper-right corner of all places asked for, m.
     bounds: Option<[Point2<f64>; 2]>,
-    /// Width of the unknown around all that, m.
+    /// Width of the ring around them and around the map, m.
     ring: f64,
 }
 
 impl Padding {
-    /// From now on these places lie in the copy, as the map does, at least the ring's width from its border. What is not finite is not
-    /// asked for.
+    /// Adds an extent: its places, and the map, will lie at least the ring's width inside the border. Numbers that are not finite are
+    /// ignored.
     pub fn include(&mut self, Extent { places, ring }: &Extent) {
         for place in places.iter().filter(|place| place.coords.iter().all(|c| c.is_finite())) {
             let [low, high] = self.bounds.unwrap_or([*place; 2]);
@@ -53,8 +54,8 @@ impl Padding {
         }
     }
 
-    /// The grid of a copy of a map on this grid: larger by whole tiles to the left and below, so that the map's tiles stay tiles. Where
-    /// that would be more than a map may have, the map's own.
+    /// Geometry of the padded replica of a map. It grows by whole tiles, so that the map's tiles stay aligned. Where it would exceed the
+    /// largest map, the map's own geometry.
     #[must_use]
     pub fn around(&self, spec: GridSpec) -> GridSpec {
         if spec.is_empty() || *self == Self::default() {
@@ -81,11 +82,11 @@ impl Padding {
     }
 }
 
-/// Tiles (columns and rows) of a copy that lie before the first one of its map.
+/// Padding to the left of a map and below it, in columns and rows of tiles.
 #[must_use]
-pub fn tiles_before(copy: &GridSpec, map: &GridSpec) -> (u32, u32) {
+pub fn tiles_before(padded: &GridSpec, map: &GridSpec) -> (u32, u32) {
     // Casts saturate.
-    let tiles = copy.to_cells(map.origin) / f64::from(TILE);
+    let tiles = padded.to_cells(map.origin) / f64::from(TILE);
     (tiles.x.round() as u32, tiles.y.round() as u32)
 }
 
@@ -108,9 +109,9 @@ mod tests {
         #[test]
         fn every_place_lies_inside_the_ring(width in 1_u32..300, height in 1_u32..300, x in -60.0..60.0_f64, y in -60.0..60.0_f64, ring in 0.0..4.0_f64) {
             let (map, place) = (spec(width, height), Point2::new(x, y));
-            let mut beyond = Padding::default();
-            beyond.include(&Extent { places: vec![place], ring });
-            let copy = beyond.around(map);
+            let mut padding = Padding::default();
+            padding.include(&Extent { places: vec![place], ring });
+            let copy = padding.around(map);
             for corner in [place, map.origin, map.from_cells(Point2::new(f64::from(width), f64::from(height)))] {
                 let p = copy.to_cells(corner) * copy.resolution;
                 let far = [p.x, p.y, f64::from(copy.width) * 0.05 - p.x, f64::from(copy.height) * 0.05 - p.y];
@@ -119,22 +120,22 @@ mod tests {
             let (columns, rows) = tiles_before(&copy, &map);
             let shift = copy.to_cells(map.origin) - Point2::new(f64::from(columns * TILE), f64::from(rows * TILE));
             prop_assert!(shift.norm() < 1e-6, "tiles stay tiles");
-            prop_assert_eq!(beyond.around(map), copy);
+            prop_assert_eq!(padding.around(map), copy);
         }
     }
 
     #[test]
-    fn what_nobody_asked_for_or_nobody_could_hold_changes_nothing() {
+    fn without_an_extent_or_beyond_the_largest_map_there_is_no_padding() {
         let to = |x| Extent {
             places: vec![Point2::new(x, 0.0)],
             ring: 1.0,
         };
-        let mut beyond = Padding::default();
-        assert_eq!(beyond.around(spec(10, 10)), spec(10, 10));
-        beyond.include(&to(f64::NAN));
-        assert_eq!(beyond.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");
-        beyond.include(&to(1e9));
-        assert_eq!(beyond.around(spec(10, 10)), spec(10, 10));
-        assert_eq!(beyond.around(spec(0, 0)), spec(0, 0));
+        let mut padding = Padding::default();
+        assert_eq!(padding.around(spec(10, 10)), spec(10, 10));
+        padding.include(&to(f64::NAN));
+        assert_eq!(padding.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");
+        padding.include(&to(1e9));
+        assert_eq!(padding.around(spec(10, 10)), spec(10, 10));
+        assert_eq!(padding.around(spec(0, 0)), spec(0, 0));
     }
 }

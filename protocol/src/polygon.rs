@@ -1,4 +1,6 @@
-//! What does a closed outline enclose, and which corners are no outline at all? For obstacles, zones, whatever is drawn in a file.
+//! Polygons. What does an outline enclose, and is it a simple polygon?
+//!
+//! For obstacles, zones and footprints, as users draw them in files.
 
 use nalgebra::{Point2, Vector2};
 use thiserror::Error;
@@ -9,16 +11,16 @@ pub fn cross(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
     a.x * b.y - a.y * b.x
 }
 
-/// A straight piece of an outline, m; what it encloses lies on the left of `a -> b`.
+/// An edge of a polygon, m; the interior lies to the left of `a -> b`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
-    /// Where it begins.
+    /// Start of the edge.
     pub a: Point2<f64>,
-    /// Where it ends.
+    /// End of the edge.
     pub b: Point2<f64>,
 }
 
-/// The edges of a polygon, the last corner joined to the first.
+/// The edges of a polygon; the last joins the last corner to the first.
 pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
     corners
         .iter()
@@ -26,7 +28,7 @@ pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
         .map(|(a, b)| Edge { a: *a, b: *b })
 }
 
-/// Twice the area of a polygon, positive when its corners run counter-clockwise.
+/// Twice the signed area of a polygon, m²: positive when its corners run counter-clockwise.
 #[must_use]
 pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
     edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
@@ -38,7 +40,7 @@ pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {
     crossings(edges(corners), point)
 }
 
-/// As [`contains`], by the edges of any number of outlines.
+/// As [`contains`], for the edges of any number of polygons (even-odd rule).
 pub fn crossings(edges: impl Iterator<Item = Edge>, point: Point2<f64>) -> bool {
     let crossed = edges.filter(|edge| {
         (edge.a.y > point.y) != (edge.b.y > point.y)
@@ -62,24 +64,24 @@ pub fn touch(p: Edge, q: Edge) -> bool {
         || (qb == 0.0 && within(p, q.b))
 }
 
-/// Why corners are no outline.
+/// Why corners do not form a simple polygon.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum OutlineError {
-    /// A corner follows itself.
+    /// A corner is repeated.
     #[error("the corner ({}, {}) stands twice in a row", .0.x, .0.y)]
     Repeated(Point2<f64>),
-    /// An edge runs back on the one before.
+    /// An edge runs straight back along the one before.
     #[error("the outline turns straight back at ({}, {})", .0.x, .0.y)]
     TurnsBack(Point2<f64>),
-    /// An edge touches another one that is not its neighbour.
+    /// Two edges that are not neighbours touch or cross.
     #[error("the outline meets itself between ({}, {}) and ({}, {})", .0.a.x, .0.a.y, .0.b.x, .0.b.y)]
     MeetsItself(Edge),
-    /// All corners on a line, or fewer than three.
+    /// All corners lie on a line, or there are fewer than three.
     #[error("the outline encloses no area")]
     NoArea,
 }
 
-/// Checks that finite corners are a simple polygon, and brings them into counter-clockwise order. Quadratic in the corners.
+/// Checks that corners form a simple polygon, and orders them counter-clockwise. Cost: quadratic in the number of corners.
 ///
 /// # Errors
 /// [`OutlineError`].

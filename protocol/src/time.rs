@@ -1,27 +1,36 @@
-//! What is a point in time on the wire? Nanoseconds of the writer's own clock; clocks of two machines are never compared.
+//! Stamps. What is a point in time on the wire?
+//!
+//! Nanoseconds of the writer's own clock. Clocks of two machines are never compared.
 
 use std::ops::{Add, Sub};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// A point in time, ns since the clock's own beginning (UNIX time for a real robot, zero for a simulation).
+/// A point in time, ns since the clock's own epoch: UNIX time for a real robot, the start for a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Stamp(pub u64);
 
 impl Stamp {
-    /// The clock's beginning.
+    /// The clock's epoch.
     pub const ZERO: Self = Self(0);
 
-    /// A stamp from seconds; negative and non-finite become zero.
+    /// A stamp from seconds; negative numbers and NaN become zero.
+    ///
+    /// ```
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// assert_eq!(Stamp::from_secs(1.5), Stamp(1_500_000_000));
+    /// assert_eq!(Stamp::from_secs(2.0).secs_since(Stamp::from_secs(2.5)), -0.5);
+    /// ```
     #[must_use]
     pub fn from_secs(secs: f64) -> Self {
         // A float to integer cast saturates, and NaN becomes zero.
         Self((secs * 1e9).round() as u64)
     }
 
-    /// Seconds since the clock's beginning.
+    /// Seconds since the clock's epoch.
     #[must_use]
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
@@ -43,7 +52,7 @@ impl Stamp {
         }
     }
 
-    /// This stamp shifted by seconds (saturating).
+    /// This stamp shifted by seconds, forwards or backwards; saturates.
     #[must_use]
     pub fn plus_secs(self, secs: f64) -> Self {
         if secs >= 0.0 {

@@ -1,11 +1,26 @@
-//! Which keys exist, who writes them, with which type and quality of service? This table, and nowhere else.
+//! Key table. Which keys exist, who writes or serves them, with which type and quality of service? This table, and nowhere else.
 //!
 //! `zenav/{robot}/{side}/{name}`: the third chunk says who may write or serve, so one access rule covers a side.
+//!
+//! A new ask is one row here: key, request, reply, server, size and carrier. A part that serves several asks has them as one type
+//! ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the part does not compile until its core
+//! answers it.
 
+use std::fmt::Debug;
 use std::marker::PhantomData;
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 use crate::codec::Encoding;
-use crate::messages::*;
+use crate::messages::{
+    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
+    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan,
+    PlanReply, PlanRequest, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock,
+    SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, WheelSpeeds,
+};
 use crate::readings::Readings;
 
 /// How a topic is carried.
@@ -59,7 +74,7 @@ pub struct Topic<T> {
     message: PhantomData<fn() -> T>,
 }
 
-/// A key that answers `Q` with `R` or with a [`Refusal`].
+/// A key that answers `Q` with `R` or with a [`Refusal`](crate::messages::Refusal).
 #[derive(Debug)]
 pub struct Ask<Q, R> {
     /// Key with named chunks.
@@ -111,6 +126,38 @@ impl<Q, R> Ask<Q, R> {
     pub fn chunks<'k>(&self, key: &'k str) -> Option<Vec<&'k str>> {
         unfill(self.pattern, key)
     }
+}
+
+/// All asks that one part serves, as one type of request and one of reply: what goes into the part's core, and what comes out of it.
+pub trait PartAsks: Clone + Debug + Send + Sync + 'static {
+    /// The replies, a variant of the same name for each request.
+    type Reply: Debug + Send + 'static;
+
+    /// Shows every ask of the part to `visitor`, in the order of the table.
+    ///
+    /// # Errors
+    /// The visitor's first.
+    fn visit<V: AskVisitor<Self>>(visitor: &mut V) -> Result<(), V::Error>;
+}
+
+/// What is done with every ask of a part: the bus declares a server for each.
+pub trait AskVisitor<P: PartAsks> {
+    /// Why it could not be done.
+    type Error;
+
+    /// One ask: how a request goes into the core's type, and how the reply comes out of it (`None`: another ask's reply).
+    ///
+    /// # Errors
+    /// Ends the visit.
+    fn visit<Q, R>(
+        &mut self,
+        ask: Ask<Q, R>,
+        request: fn(Q) -> P,
+        reply: fn(P::Reply) -> Option<R>,
+    ) -> Result<(), Self::Error>
+    where
+        Q: DeserializeOwned + Clone + Send + Sync + 'static,
+        R: Serialize + Send + Sync + 'static;
 }
 
 fn fill(pattern: &str, chunks: &[&str]) -> String {
@@ -172,20 +219,64 @@ macro_rules! encoding {
 
 macro_rules! key_table {
     (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $max:expr $(, $encoding:ident)?;)* }
-     asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $server:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
+     $(part $server:ident, $Request:ident => $Reply:ident {
+        $($part_ask:ident, $variant:ident: $part_request:ty => $part_reply:ty = $part_pattern:literal, $part_max:expr $(, $part_encoding:ident)?;)*
+     })*
+     asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $ask_server:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
         $(
             #[doc = concat!("`", $pattern, "`: ", stringify!($message), ", written by ", stringify!($producer), ".")]
             pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
         )*
         $(
-            #[doc = concat!("`", $ask_pattern, "`: ", stringify!($request), " answered with ", stringify!($reply), " by ", stringify!($server), ".")]
-            pub const $ask: Ask<$request, $reply> = Ask { pattern: $ask_pattern, max_bytes: $ask_max, reply_encoding: encoding!($($reply_encoding)?), message: PhantomData };
+            $(ask!($part_ask: $part_request => $part_reply = $part_pattern, $server, $part_max $(, $part_encoding)?);)*
+
+            #[doc = concat!("A request to the ", stringify!($server), ", whichever ask it came by.")]
+            #[derive(Clone, Debug, PartialEq)]
+            #[allow(clippy::large_enum_variant, reason = "a few at a time, moved twice")]
+            pub enum $Request {
+                $(
+                    #[doc = concat!("`", $part_pattern, "`.")]
+                    $variant($part_request),
+                )*
+            }
+
+            #[doc = concat!("The reply of the ", stringify!($server), " to the [`", stringify!($Request), "`] of the same name.")]
+            #[derive(Clone, Debug, PartialEq)]
+            #[allow(clippy::large_enum_variant, reason = "a few at a time, moved twice")]
+            pub enum $Reply {
+                $(
+                    #[doc = concat!("Answers `", $part_pattern, "`.")]
+                    $variant($part_reply),
+                )*
+            }
+
+            impl PartAsks for $Request {
+                type Reply = $Reply;
+
+                fn visit<V: AskVisitor<Self>>(visitor: &mut V) -> Result<(), V::Error> {
+                    $(visitor.visit($part_ask, Self::$variant, |reply| match reply {
+                        $Reply::$variant(reply) => Some(reply),
+                        _ => None,
+                    })?;)*
+                    Ok(())
+                }
+            }
         )*
+        $(ask!($ask: $request => $reply = $ask_pattern, $ask_server, $ask_max $(, $reply_encoding)?);)*
+
         /// Every topic and ask, in the order of the data way.
         pub const TABLE: &[Row] = &[
             $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), max_bytes: $max },)*
-            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$server, qos: None, max_bytes: $ask_max },)*
+            $($(Row { pattern: $part_pattern, message: concat!(stringify!($part_request), " -> ", stringify!($part_reply)), producer: Producer::$server, qos: None, max_bytes: $part_max },)*)*
+            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$ask_server, qos: None, max_bytes: $ask_max },)*
         ];
+    };
+}
+
+macro_rules! ask {
+    ($ask:ident: $request:ty => $reply:ty = $pattern:literal, $server:ident, $max:expr $(, $encoding:ident)?) => {
+        #[doc = concat!("`", $pattern, "`: ", stringify!($request), " answered with ", stringify!($reply), " by ", stringify!($server), ".")]
+        pub const $ask: Ask<$request, $reply> = Ask { pattern: $pattern, max_bytes: $max, reply_encoding: encoding!($($encoding)?), message: PhantomData };
     };
 }
 
@@ -215,25 +306,29 @@ key_table! {
         TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;
         SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, KIB;
     }
+    part Edge, EdgeRequest => EdgeReply {
+        LEASE, Lease: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", 16 * KIB;
+        STOP, Stop: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", 16 * KIB;
+        RESUME, Resume: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", 16 * KIB;
+        MODE, Mode: ModeRequest => ModeReply = "zenav/{robot}/ask/edge/mode", 16 * KIB;
+        PARAM, Param: ParamRequest => ParamReply = "zenav/{robot}/ask/edge/param", 16 * KIB;
+        BEHAVIOUR, Behaviour: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", 16 * KIB;
+        EDGE_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", 4 * KIB;
+    }
+    part Mission, MissionRequest => MissionReply {
+        GOAL, Goal: GoalRequest => GoalReply = "zenav/{robot}/ask/cloud/goal", MIB;
+        CANCEL, Cancel: CancelRequest => GoalReply = "zenav/{robot}/ask/cloud/cancel", 16 * KIB;
+        PAUSE, Pause: PauseRequest => GoalReply = "zenav/{robot}/ask/cloud/pause", 16 * KIB;
+        GOALS, Goals: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", 16 * KIB;
+        CLOUD_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", 4 * KIB;
+        JOIN, Join: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", 4 * MIB;
+    }
     asks {
-        GOAL: GoalRequest => GoalReply = "zenav/{robot}/ask/cloud/goal", Mission, MIB;
-        CANCEL: CancelRequest => GoalReply = "zenav/{robot}/ask/cloud/cancel", Mission, 16 * KIB;
-        PAUSE: PauseRequest => GoalReply = "zenav/{robot}/ask/cloud/pause", Mission, 16 * KIB;
-        GOALS: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", Mission, 16 * KIB;
-        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
-        CLOUD_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", Mission, 4 * KIB;
-        JOIN: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", Mission, 4 * MIB;
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
-        LEASE: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", Edge, 16 * KIB;
-        STOP: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", Edge, 16 * KIB;
-        RESUME: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", Edge, 16 * KIB;
-        MODE: ModeRequest => ModeReply = "zenav/{robot}/ask/edge/mode", Edge, 16 * KIB;
-        PARAM: ParamRequest => ParamReply = "zenav/{robot}/ask/edge/param", Edge, 16 * KIB;
-        BEHAVIOUR: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", Edge, 16 * KIB;
-        EDGE_INFO: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", Edge, 4 * KIB;
+        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
         PLAN_SERVICE: PlanRequest => PlanReply = "zenav/svc/plan/{worker}", Planning, 4 * MIB;
-        ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
         SMOOTH_SERVICE: SmoothRequest => SmoothReply = "zenav/svc/smooth/{worker}", Smoothing, 4 * MIB;
+        ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }
 }
 

@@ -3,6 +3,7 @@
 //! Not criterion's loop: the two ways take turns within one run, and the 99th percentile counts. Under `cargo test` a short run
 //! shows that it works.
 
+use zenav_fixtures::Row;
 use zenav_protocol::bus::overhead;
 
 #[tokio::main(flavor = "multi_thread")]
@@ -30,6 +31,13 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             row.raw.p99_us,
             row.ratio_p99
         );
+        Row::new(
+            format!("{} of {} bytes, p50", row.what, row.bytes),
+            row.typed.p50_us,
+            "us",
+        )
+        .beside("raw Zenoh", row.raw.p50_us)
+        .print();
     }
     Ok(())
 }

@@ -16,11 +16,11 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_behaviour_tree::samples::reactive_tree;
 use zenav_cloud::planning::worker::PlanWorker;
 use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
-use zenav_mapping::{Mapper, MapperConfig};
+use zenav_fixtures::robot;
+use zenav_mapping::{Mapper, MappingSettings};
 use zenav_planning::{Budget, PlanOptions, Planner, Query, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::Cell;
@@ -28,11 +28,16 @@ use zenav_protocol::id::Id;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::*;
 use zenav_protocol::readings::Readings;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
 use zenav_smoothing::{SmoothQuery, SmoothSettings, smooth};
 use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
+
+#[path = "../../cloud/behaviour_tree/benches/trees/mod.rs"]
+mod trees;
+
+use trees::reactive_tree;
 
 const ROBOT: &str = "tiago";
 /// From the upper left of the kitchen to its lower left corner, around the table's side.
@@ -48,7 +53,7 @@ const GOAL: Pose2 = Pose2 {
 };
 
 fn model() -> RobotModel {
-    RobotModel::from_toml(shipped(ROBOT).unwrap(), ROBOT).unwrap()
+    robot(ROBOT)
 }
 
 /// Scans and readings from all around the kitchen's table, as a robot there has them.
@@ -102,13 +107,7 @@ fn recorded() -> (Vec<Scan>, Vec<Readings>) {
 }
 
 fn mapper() -> Mapper {
-    Mapper::new(
-        MapperConfig {
-            footprint: Some(model().footprint),
-            ..MapperConfig::default()
-        },
-        "bench",
-    )
+    Mapper::new(MappingSettings::default(), "bench").with_footprint(model().footprint)
 }
 
 /// The kitchen as mapped from the recorded scans.
@@ -336,16 +335,19 @@ impl Driven {
             start: START,
         };
         let simulation = Simulation::new(&world, vec![spec], 1).unwrap();
-        let questions = vec![(zenav_edge::Ticket(1), zenav_edge::Question::Lease(request))];
+        let requests = vec![(
+            zenav_edge::Ticket(1),
+            zenav_protocol::topics::EdgeRequest::Lease(request),
+        )];
         let out = pilot.step(
             now,
             &simulation.readings(0),
             Inbox {
-                questions,
+                requests,
                 ..Inbox::default()
             },
         );
-        let Some((_, Ok(zenav_edge::Answer::Lease(reply)))) = out.answers.first() else {
+        let Some((_, Ok(zenav_protocol::topics::EdgeReply::Lease(reply)))) = out.replies.first() else {
             panic!("no lease")
         };
         let epoch = reply.epoch;
@@ -391,7 +393,7 @@ impl Driven {
                 },
                 valid_for: 5.0,
                 waypoints: vec![Point2::new(pose.x + 0.3, pose.y)],
-                trajectory: Vec::new(),
+                trajectory: Default::default(),
                 splice: None,
                 statistics: PlanStatistics::default(),
             });

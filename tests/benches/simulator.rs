@@ -7,20 +7,19 @@
 
 #![allow(
     clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "a bench stops at the first thing that is not as it should be, and prints"
+    reason = "a bench stops at the first thing that is not as it should be"
 )]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use rustix::time::{ClockId, clock_gettime};
 use zenav::batch::sim_bench::{rays, run};
+use zenav_fixtures::{Row, robot, thread_time};
 use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::robot::{Footprint, RobotModel, shipped};
+use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -31,12 +30,15 @@ const RANGE: f64 = 25.0;
 
 fn main() {
     let model = lidar(BEAMS, RANGE);
-    println!("{:40} {:>12}", "exact sweeps", "M rays/s");
     for (name, world) in made().into_iter().chain(maps()) {
-        println!("{name:40} {:12.1}", rays(&world, &model, &thread_time) / 1e6);
+        Row::new(
+            format!("exact sweeps, {name}"),
+            rays(&world, &model, &thread_time) / 1e6,
+            "M rays/s",
+        )
+        .print();
     }
 
-    println!("\n{:40} {:>12} {:>12}", "360 beams at 10 Hz", "robots", "x real time");
     let model = lidar(360, 5.6);
     let square = |size: f64| world(&format!("size = [{size}, {size}]\n"));
     let crowds = [
@@ -45,22 +47,30 @@ fn main() {
     ];
     for (name, world) in crowds {
         let report = run(&world, &model, 1000, Duration::from_secs(10), &thread_time).unwrap();
-        println!("{name:40} {:12} {:12.1}", report.robots, report.real_time_factor);
-        println!("{name:40} {:12} {:12.0}", 1, report.single_real_time_factor);
+        for (robots, factor) in [
+            (report.robots, report.real_time_factor),
+            (1, report.single_real_time_factor),
+        ] {
+            Row::new(format!("{robots} robots of 360 beams, {name}"), factor, "x real time").print();
+        }
     }
 
-    println!(
-        "\n{:40} {:>12} {:>12}",
-        "one robot, a scan every step: steps/s", "zenav", "IR-SIM"
-    );
     for (name, sides) in [("50 polygons", 4), ("2,000 segments", 40)] {
         let text = polygons(50, sides, 20.0) + "[start]\nx = 10.0\ny = 10.0\n";
-        println!("{name:40} {:12.0} {:>12}", steps(&world(&text)), peer(&text));
+        let row = Row::new(
+            format!("steps with a scan each, {name}"),
+            steps(&world(&text)),
+            "steps/s",
+        );
+        match peer(&text) {
+            Some(value) => row.beside("IR-SIM", value).print(),
+            None => row.print(),
+        }
     }
 }
 
 fn lidar(beams: usize, range_max: f64) -> RobotModel {
-    let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    let mut model = robot("tiago");
     let lidar = model.lidar.as_mut().unwrap();
     (lidar.beams, lidar.range_max, lidar.rate_hz) = (beams, range_max, 10.0);
     model
@@ -128,7 +138,7 @@ fn steps(world: &World) -> f64 {
 }
 
 /// The same of IR-SIM, where it is there.
-fn peer(text: &str) -> String {
+fn peer(text: &str) -> Option<f64> {
     let python = std::env::var("IR_SIM_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/peers/ir_sim.py");
     let folder = tempfile::tempdir().unwrap();
@@ -136,7 +146,7 @@ fn peer(text: &str) -> String {
     std::fs::write(&file, text).unwrap();
     let model = lidar(BEAMS, RANGE);
     let Footprint::Radius(radius) = model.footprint else {
-        return "?".to_owned();
+        return None;
     };
     let numbers = [
         radius,
@@ -147,17 +157,8 @@ fn peer(text: &str) -> String {
     ]
     .map(|value| value.to_string());
     let output = Command::new(python).arg(script).arg(&file).args(numbers).output();
-    match output {
-        Ok(output) if output.status.success() => {
-            // Before it, the plotting libraries may have their say.
-            let said = String::from_utf8_lossy(&output.stdout);
-            let last = said.lines().last().unwrap_or_default();
-            last.split_whitespace().next().unwrap_or("?").to_owned()
-        }
-        _ => "not there".to_owned(),
-    }
-}
-
-fn thread_time() -> Duration {
-    clock_gettime(ClockId::ThreadCPUTime).try_into().unwrap()
+    let output = output.ok().filter(|output| output.status.success())?;
+    // Plotting libraries may print lines of their own first.
+    let lines = String::from_utf8_lossy(&output.stdout);
+    lines.lines().last()?.split_whitespace().next()?.parse().ok()
 }

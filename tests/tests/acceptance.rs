@@ -1,21 +1,22 @@
-//! A few of the many worlds that `acceptance` proves the robot's side in.
+//! A few of the many worlds that the `acceptance` command runs in.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::time::Duration;
 
+use zenav_fixtures::robot;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
-use zenav_tests::acceptance::guard::{Command, drive};
-use zenav_tests::acceptance::{pose, sim_rig, tracking};
+use zenav_tests::acceptance::guard::{Command, Protection, drive};
+use zenav_tests::acceptance::{pose, tracking};
 
 #[test]
 fn whatever_it_is_told_the_robot_drives_into_nothing_and_finishes_what_is_harmless() {
     let mut way = 0.0;
     let mut benign = 0;
     for seed in 1..=24 {
-        let outcome = drive(seed).unwrap();
+        let outcome = drive(seed, Protection::Monitored).unwrap();
         assert!(outcome.is_good(), "{outcome:?}");
         way += outcome.length;
         benign += u32::from(outcome.command == Command::Benign);
@@ -27,15 +28,38 @@ fn whatever_it_is_told_the_robot_drives_into_nothing_and_finishes_what_is_harmle
 }
 
 #[test]
+fn without_the_collision_monitor_the_same_commands_drive_the_robot_into_things() {
+    let unprotected = (1..=24).map(|seed| drive(seed, Protection::Unprotected).unwrap());
+    let teleoperated: Vec<_> = unprotected
+        .filter(|outcome| ![Command::Benign, Command::ThroughWalls].contains(&outcome.command))
+        .collect();
+    let bad = teleoperated.iter().filter(|outcome| !outcome.is_good()).count();
+    assert!(
+        2 * bad > teleoperated.len() && teleoperated.len() > 12,
+        "only {bad} of {} runs are dangerous: they prove little of the monitor",
+        teleoperated.len()
+    );
+}
+
+#[test]
 fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings_and_without_gps() {
+    // The errors of one drive pass slowly: a drive is hardly more than one sample, and the band is that of a single step.
+    const DRIVES: u32 = 60;
+    let runs = f64::from(DRIVES);
+    let (low, high) = pose::band(3.0, runs);
     for conditions in pose::CONDITIONS {
         let mut sums = pose::Sums::default();
-        for seed in 1..=20 {
-            pose::drive(&mut sums, &conditions, seed, 20.0, &|| Duration::ZERO).unwrap();
+        for seed in 1..=DRIVES {
+            pose::drive(&mut sums, &conditions, seed.into(), 20.0, &|| Duration::ZERO).unwrap();
         }
-        let means: Vec<f64> = sums.nees.iter().map(|sum| sum / 20.0).collect();
-        let (_, mean) = pose::share(&means, (0.0, 1.0));
-        assert!((2.0..4.2).contains(&mean), "{conditions:?}: {mean}");
+        let means: Vec<f64> = sums.nees.iter().map(|sum| sum / runs).collect();
+        let (_, mean) = pose::share(&means, (low, high));
+        assert!((low..high).contains(&mean), "{conditions:?}: {mean} in {low}..{high}");
+        let told = |scale: f64| !(low..high).contains(&(mean / scale));
+        assert!(
+            told(1.4) && told(1.0 / 1.4),
+            "{conditions:?}: a covariance that is 40 % off would pass"
+        );
         assert!(
             f64::from(sums.within.0) > 0.99 * f64::from(sums.within.1),
             "{conditions:?}"
@@ -44,15 +68,15 @@ fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings
 }
 
 #[test]
-fn the_time_law_keeps_to_its_path_more_closely_than_any_other_tracker() {
-    let model = sim_rig::robot("tiago").unwrap();
+fn the_time_law_keeps_to_its_reference_more_closely_than_any_other_tracker() {
+    let model = robot("tiago");
     let world = World::shipped("kitchen").unwrap();
-    let ways = tracking::ways(&tracking::true_map(&world), &model, 2, 2, DrivingProfile::Fastest);
-    assert_eq!(ways.len(), 2);
+    let paths = tracking::planned_paths(&tracking::true_map(&world), &model, 2, 2, DrivingProfile::Fastest);
+    assert_eq!(paths.len(), 2);
     let p95 = |law: TrackerKind| {
         let mut errors = Vec::new();
-        for way in &ways {
-            let drive = tracking::drive(&world, &model, law, way, tracking::Localised::Alone, 1).unwrap();
+        for path in &paths {
+            let drive = tracking::drive(&world, &model, law, path, tracking::Localised::OnBoard, 1).unwrap();
             assert!(drive.secs.is_some() && drive.contacts == 0, "{law:?}: {drive:?}");
             errors.extend(drive.errors);
         }

@@ -7,12 +7,13 @@ use std::time::Duration;
 use nalgebra::Point2;
 use serde::Serialize;
 use serde_json::Value;
+use zenav_fixtures::robot;
 use zenav_protocol::bus::{Bus, RawReply};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::shipped;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{self, Producer, TABLE};
 use zenav_sim::World;
@@ -144,14 +145,14 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         },
         valid_for: f64::NAN,
         waypoints: vec![Point2::new(f64::NAN, f64::INFINITY)],
-        trajectory: vec![TrajectoryPoint {
+        trajectory: Trajectory::new(vec![TrajectoryPoint {
             t: f64::NAN,
             x: f64::NAN,
             y: 0.0,
             yaw: 0.0,
             v: f64::INFINITY,
             w: 0.0,
-        }],
+        }]),
         splice: Some(Splice {
             trajectory_id: 0,
             time: f64::NAN,
@@ -281,9 +282,7 @@ fn a_goal_that_cannot_be_and_a_robot_that_is_not_have_their_own_exit_codes() {
     );
     assert!((near.x + 0.6).hypot(near.y + 1.5) < 0.5, "{answer}");
     // In the true world, too.
-    let footprint = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago")
-        .unwrap()
-        .footprint;
+    let footprint = robot("tiago").footprint;
     assert!(
         World::shipped("kitchen").unwrap().clearance(&footprint, near) > 0.0,
         "{answer}"

@@ -1,7 +1,7 @@
 //! How long does a tick take? Trees of 30 and 1,000 nodes in which every node is ticked in every tick, with leaves that read
 //! ports; and Nav2's default tree while the robot drives, against scripted leaves.
 //!
-//! `cargo bench -p zenav-cloud --bench behaviour_tree`; thread CPU time, so that a busy machine does not show.
+//! `cargo bench -p zenav-behaviour-tree --bench tick`; thread CPU time, so that a busy machine does not show.
 #![allow(missing_docs, clippy::unwrap_used, reason = "a bench")]
 
 use std::hint::black_box;
@@ -10,9 +10,12 @@ use std::time::Duration;
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use rustix::time::{ClockId, clock_gettime};
-use zenav_behaviour_tree::samples::reactive_tree;
 use zenav_behaviour_tree::simulate::{Script, Simulation, registry};
 use zenav_behaviour_tree::{Status, build};
+
+mod trees;
+
+use trees::reactive_tree;
 
 /// CPU time of this thread.
 struct ThreadTime;

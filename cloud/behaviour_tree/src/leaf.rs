@@ -23,7 +23,7 @@ use super::value::{FromValue, Value};
 /// An action or a condition.
 ///
 /// ```
-/// use zenav_cloud::behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Registry, Status, build};
+/// use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Registry, Status, build};
 ///
 /// struct Count;
 /// impl Leaf<u32> for Count {
@@ -70,18 +70,18 @@ pub trait Leaf<C>: Send {
 
 /// What a decorator from outside does with its child in this tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Pass {
-    /// Tick the child, then ask [`Gate::leave`].
-    Tick,
-    /// Leave the child alone and answer this.
+pub enum Enter {
+    /// Tick the child, then ask [`Decorator::leave`].
+    TickChild,
+    /// Do not tick the child; answer this.
     Answer(Status),
 }
 
 /// A decorator that needs the context: ticking by distance or speed, goal updates.
-pub trait Gate<C>: Send {
+pub trait Decorator<C>: Send {
     /// Called before the child could be ticked. `child` is the child's status; `Running` means
     /// that it was not finished when last ticked.
-    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Pass;
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter;
 
     /// Called with the child's answer; what it returns is the decorator's.
     fn leave(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C, child: Status) -> Status {

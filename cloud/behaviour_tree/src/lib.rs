@@ -1,47 +1,58 @@
 //! A behaviour-tree engine that knows no robot.
 //!
-//! Trees are BehaviorTree.CPP v4 XML, as Groot2 writes it; the semantics of every node are those
-//! of BehaviorTree.CPP 4.10 and Nav2 1.5, except where a node's documentation says otherwise.
+//! A behaviour tree is a program of nodes that are *ticked*: from the root downwards, many times a second, each node
+//! answers `Running`, `Success`, `Failure` or `Skipped`, and control nodes decide by these answers which child is ticked
+//! next. Trees are BehaviorTree.CPP v4 XML, as Groot2 writes it; the semantics of every node are those of
+//! BehaviorTree.CPP 4.10 and, with the feature `nav2` (on by default), Nav2 1.5, except where a node's documentation says
+//! otherwise.
 //!
-//! | file | answers |
+//! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C` that only the leaves
+//! understand. A running tree can be stored between two ticks ([`Tree::snapshot`]) and resumed later
+//! ([`Tree::restore`]), in another process too.
+//!
+//! ```
+//! use std::time::Duration;
+//! use zenav_behaviour_tree::{NodeSpec, Registry, Status, build};
+//!
+//! // The context is the battery's charge; a leaf is a function of it.
+//! let mut registry: Registry<f64> = Registry::new();
+//! registry.function(NodeSpec::condition("Charged", "SUCCESS above 20 %."), |_, charge: &mut f64| {
+//!     if *charge > 0.2 { Status::Success } else { Status::Failure }
+//! })?;
+//! registry.function(NodeSpec::action("Charge", "Charges by 10 %."), |_, charge: &mut f64| {
+//!     *charge += 0.1;
+//!     Status::Running
+//! })?;
+//! let file = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+//!     <ReactiveFallback><Charged/><Charge/></ReactiveFallback>
+//! </BehaviorTree></root>"#;
+//! let mut tree = build("main.xml", file.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()))?;
+//! let mut charge = 0.15;
+//! assert_eq!(tree.tick(Duration::ZERO, &mut charge)?, Status::Running);
+//! assert_eq!(tree.tick(Duration::from_millis(10), &mut charge)?, Status::Success);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | module | answers |
 //! |---|---|
-//! | `status`, `value`, `ports`, `literals`, `blackboard` | what nodes exchange |
+//! | `status`, `value`, `ports`, `blackboard` | what nodes exchange |
 //! | `registry`, `leaf` | how code outside becomes a node |
-//! | `node`, `builtins` | what a node is, and which ones exist |
+//! | `node`, `nodes` | what a node is; the built-in ones, one row each |
 //! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is shown |
-//! | `controls`, `reactive`, `parallel`, `branches`, `decorators`, `timing`, `updates`, `loops`, `leaves`, `nav2`, `nav2_pause` | what each node does |
-//! | `nav2_conditions`, `nav2_gates` | Nav2's conditions and decorators that the blackboard, or where a robot is, decides |
 //! | `script` | the language inside attributes |
 //! | `xml` | how a file becomes a tree, or a list of errors |
-//! | `nav2_nodes` | Nav2's nodes and their ports, as data |
-//! | `simulate` | a tree against scripted leaves in simulated time |
-//! | `samples` | trees to measure the engine with |
-//!
-//! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C`
-//! that only the leaves understand. What runs can be stored between two ticks
-//! ([`Tree::snapshot`]) and taken up again later ([`Tree::restore`]).
+//! | [`nav2`] | Nav2's nodes |
+//! | [`simulate`] | a tree against scripted leaves in simulated time |
 
 mod blackboard;
-mod branches;
-mod builtins;
-mod controls;
-mod decorators;
 mod leaf;
-mod leaves;
-mod literals;
-mod loops;
-mod nav2;
-mod nav2_conditions;
-mod nav2_gates;
-mod nav2_nodes;
-mod nav2_pause;
+#[cfg(feature = "nav2")]
+pub mod nav2;
 mod node;
-mod parallel;
+mod nodes;
 mod ports;
-mod reactive;
 mod registry;
 mod report;
-pub mod samples;
 mod script;
 pub mod simulate;
 mod snapshot;
@@ -49,20 +60,13 @@ mod status;
 #[cfg(test)]
 mod tests;
 mod tick;
-mod timing;
 mod tree;
-mod updates;
 mod value;
 mod xml;
 
 pub use blackboard::{Blackboard, TypeError};
-pub use leaf::{Gate, Leaf, LeafIo, Pass};
-pub use literals::{Pose, nav2_list, pose, pose_of_json};
-pub use nav2_conditions::beside_path;
-pub use nav2_conditions::nav2_condition;
-pub use nav2_gates::{Measure, Travel, nav2_decorator};
-pub use nav2_nodes::nav2_nodes;
-pub use ports::{Direction, PortError, PortSpec, PortType};
+pub use leaf::{Decorator, Enter, Leaf, LeafIo};
+pub use ports::{Direction, LiteralRules, PortError, PortSpec, PortType};
 pub use registry::{Category, DuplicateNode, LeafSite, NodeSpec, Registry};
 pub use report::NodeReport;
 pub use snapshot::{RestoreError, TreeSnapshot};

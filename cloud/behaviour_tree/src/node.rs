@@ -1,4 +1,4 @@
-//! What is a node of a tree, apart from what it is doing? Its kind, its children, its ports: fixed
+//! Nodes. What is a node of a tree, apart from what it is doing? Its role, its children, its ports: fixed
 //! when the tree is built. What it is doing is [`NodeState`], plain data that can be stored.
 
 use std::sync::Arc;
@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::blackboard::{ScopeId, Slot};
-use super::ports::{BoundPort, Source};
+use super::blackboard::ScopeId;
+use super::nodes::Builtin;
+use super::ports::BoundPort;
 use super::registry::Category;
 use super::script::Program;
 use super::status::Status;
@@ -15,96 +16,14 @@ use super::status::Status;
 /// Index of a node in its tree, in document order; its uid is one more.
 pub(crate) type NodeId = u32;
 
-/// What a node does. One variant a built-in node; the semantics stand in the file of its family.
-pub(crate) enum Kind {
-    // leaves from outside, index into the tree's bodies
+/// What does a node's work.
+pub(crate) enum Role<C> {
+    /// The engine's own.
+    Builtin(Box<dyn Builtin<C>>),
+    /// From outside; index into the tree's bodies.
     Leaf(u32),
-    Gate(u32),
-    // leaves.rs
-    AlwaysSuccess,
-    AlwaysFailure,
-    Sleep(Source),
-    SetBlackboard { value: Source, slot: Slot },
-    UnsetBlackboard(Slot),
-    Script(Program),
-    ScriptCondition(Program),
-    WasEntryUpdated(Slot),
-    // controls.rs
-    Sequence { yields: bool },
-    SequenceWithMemory,
-    Fallback { yields: bool },
-    // reactive.rs
-    ReactiveSequence,
-    ReactiveFallback,
-    // parallel.rs
-    Parallel(Box<Thresholds>),
-    ParallelAll(Source),
-    ParallelAny,
-    // branches.rs
-    IfThenElse,
-    WhileDoElse,
-    Switch(Box<Cases>),
-    TryCatch { catch_on_halt: Source },
-    // decorators.rs
-    Inverter,
-    ForceSuccess,
-    ForceFailure,
-    Retry(Source),
-    Repeat(Source),
-    KeepRunningUntilFailure,
-    RunOnce { then_skip: Source },
-    Precondition(Box<Latch>),
-    SubTree,
-    // timing.rs
-    Timeout(Source),
-    Delay(Source),
-    // updates.rs
-    IfUpdated { slot: Slot, otherwise: Status },
-    // loops.rs
-    Loop(Box<Queue>),
-    // nav2.rs
-    PipelineSequence,
-    RecoveryNode(Source),
-    RoundRobin(Box<Rounds>),
-    NonblockingSequence,
-    PersistentSequence(Source),
-    RateController(Source),
-    SingleTrigger,
-    // nav2_pause.rs
-    PauseResume { pause: Slot, resume: Slot },
-}
-
-/// Ports of Parallel.
-pub(crate) struct Thresholds {
-    pub(crate) success: Source,
-    pub(crate) failure: Source,
-}
-
-/// Ports of Switch, and the numbers that names in them stand for.
-pub(crate) struct Cases {
-    pub(crate) variable: Source,
-    pub(crate) cases: Vec<Source>,
-    pub(crate) enums: Arc<std::collections::BTreeMap<String, i64>>,
-}
-
-/// Ports of Precondition.
-pub(crate) struct Latch {
-    pub(crate) condition: Program,
-    pub(crate) otherwise: Source,
-}
-
-/// Ports of the Loop family.
-pub(crate) struct Queue {
-    pub(crate) queue: Source,
-    pub(crate) value: Source,
-    pub(crate) if_empty: Source,
-    pub(crate) item: super::value::ValueType,
-}
-
-/// Ports of RoundRobin.
-pub(crate) struct Rounds {
-    pub(crate) wrap_around: Source,
-    pub(crate) last_may_succeed: Source,
+    /// From outside; index into the tree's bodies.
+    Decorator(u32),
 }
 
 /// Scripts that stand around a node (`_skipIf`, `_onSuccess`, …).
@@ -121,8 +40,8 @@ pub(crate) struct Guards {
 }
 
 /// What a tick needs of a node.
-pub(crate) struct Node {
-    pub(crate) kind: Kind,
+pub(crate) struct Node<C> {
+    pub(crate) role: Role<C>,
     pub(crate) guards: Option<Box<Guards>>,
     /// Range of its children in the tree's list of children.
     pub(crate) first_child: u32,
@@ -161,6 +80,13 @@ pub struct NodeState {
     pub mark: u64,
     /// How often it was entered from not `Running`.
     pub starts: u32,
+}
+
+impl NodeState {
+    /// Nothing is counted, latched or timed any more.
+    pub(crate) fn clear(&mut self) {
+        (self.count, self.flag, self.cursor, self.mark) = (0, false, 0, 0);
+    }
 }
 
 /// What a node says and remembers.

@@ -1,8 +1,7 @@
-//! What may go into and come out of a node? Named, typed, documented ports, and what each use of
+//! Ports. What may go into and come out of a node? Named, typed, documented ports, and what each use of
 //! a node in a tree has put on them.
 
 use super::blackboard::Slot;
-use super::literals;
 use super::value::{Value, ValueType, parse_bool};
 
 /// Which way a port's value goes.
@@ -43,8 +42,8 @@ pub enum PortType {
     Script,
     /// The name of a blackboard entry, with or without braces.
     Key,
-    /// Structured data of this type name (`Path`, `PoseStamped`). A literal must be one, as far as the type is known, and
-    /// stays text, or is JSON after `json:`.
+    /// Structured data of this type name (`Path`, `PoseStamped`). A literal is JSON after `json:`, or text as the
+    /// registry's [`LiteralRules`] have it.
     Data(String),
 }
 
@@ -119,8 +118,7 @@ impl PortType {
             PortType::Status => super::Status::from_name(text).map(|_| whole),
             PortType::Ints => parse_ints(&whole).map(|_| whole),
             PortType::List(kind) => items_fit(text, *kind).then(|| json_or_text(text)).flatten(),
-            PortType::Data(name) => literals::fits(name, text).then(|| json_or_text(text)).flatten(),
-            PortType::Any => json_or_text(text),
+            PortType::Data(_) | PortType::Any => json_or_text(text),
             PortType::Text | PortType::Script | PortType::Key => Some(whole),
         }
     }
@@ -136,6 +134,17 @@ impl PortType {
             _ => true,
         }
     }
+}
+
+/// How literals of structured types are written, by the name of the type ([`PortType::Data`]).
+#[derive(Debug, Clone, Copy)]
+pub struct LiteralRules {
+    /// Whether a text is a literal of a type.
+    pub fits: fn(kind: &str, text: &str) -> bool,
+    /// How a literal of a type is written, for messages.
+    pub form: fn(kind: &str) -> Option<&'static str>,
+    /// The first name in a literal that only whoever runs the tree can resolve: worth a warning.
+    pub name: for<'t> fn(kind: &str, text: &'t str) -> Option<&'t str>,
 }
 
 /// A literal as data if it is JSON, else as text.

@@ -1,12 +1,12 @@
-//! Which nodes may a tree use? Every node has a specification; most have an implementation too.
+//! Registry. Which nodes may a tree use? Every node has a specification; most have an implementation too.
 //!
 //! A node that is only declared can be validated and drawn, but not ticked.
 
 use std::collections::BTreeMap;
 
-use super::builtins;
-use super::leaf::{FnLeaf, Gate, Leaf, LeafIo};
-use super::ports::{Direction, PortSpec, PortType};
+use super::leaf::{Decorator, FnLeaf, Leaf, LeafIo};
+use super::nodes::{self, MakeBuiltin, Row};
+use super::ports::{Direction, LiteralRules, PortSpec, PortType};
 use super::status::Status;
 
 /// What kind of node it is, as Groot2 names them.
@@ -14,7 +14,7 @@ use super::status::Status;
 pub enum Category {
     /// A leaf with an effect.
     Action,
-    /// A leaf that only looks.
+    /// A leaf that only observes.
     Condition,
     /// Several children.
     Control,
@@ -108,6 +108,14 @@ impl NodeSpec {
         }
     }
 
+    /// A SubTree node: its ports are the names that it remaps.
+    pub(crate) fn subtree(id: &str) -> NodeSpec {
+        NodeSpec {
+            open: true,
+            ..NodeSpec::new(Category::SubTree, id, "Another tree, with its own blackboard.")
+        }
+    }
+
     /// Adds an input port that a tree must set.
     pub fn input(self, name: &str, kind: PortType, doc: &str) -> NodeSpec {
         self.port(name, Direction::Input, kind, None, true, doc)
@@ -174,31 +182,18 @@ pub struct LeafSite<'a> {
 }
 
 type MakeLeaf<C> = Box<dyn Fn(LeafSite<'_>) -> Box<dyn Leaf<C>> + Send + Sync>;
-type MakeGate<C> = Box<dyn Fn(LeafSite<'_>) -> Box<dyn Gate<C>> + Send + Sync>;
+type MakeDecorator<C> = Box<dyn Fn(LeafSite<'_>) -> Box<dyn Decorator<C>> + Send + Sync>;
 
 /// How a node is made.
 pub(crate) enum Make<C> {
+    Builtin(MakeBuiltin<C>),
     Leaf(MakeLeaf<C>),
-    Gate(MakeGate<C>),
+    Decorator(MakeDecorator<C>),
     /// Known, but nothing here does it.
     Declared,
 }
 
-/// How the tree builder finds a node.
-pub(crate) enum Known<'a, C> {
-    Builtin(&'a NodeSpec),
-    Registered(&'a NodeSpec, &'a Make<C>),
-}
-
-impl<'a, C> Known<'a, C> {
-    pub(crate) fn spec(&self) -> &'a NodeSpec {
-        match self {
-            Known::Builtin(spec) | Known::Registered(spec, _) => spec,
-        }
-    }
-}
-
-/// A registration that cannot be.
+/// An id that is registered already.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("a node `{0}` is registered already")]
 pub struct DuplicateNode(pub String);
@@ -207,21 +202,25 @@ pub struct DuplicateNode(pub String);
 pub struct Registry<C> {
     nodes: BTreeMap<String, (NodeSpec, Make<C>)>,
     enums: BTreeMap<String, i64>,
+    literals: Option<LiteralRules>,
     unknown: Option<MakeLeaf<C>>,
 }
 
 impl<C> Default for Registry<C> {
     fn default() -> Self {
-        Registry {
+        let mut registry = Registry {
             nodes: BTreeMap::new(),
             enums: BTreeMap::new(),
+            literals: None,
             unknown: None,
-        }
+        };
+        registry.add_builtins(nodes::rows());
+        registry
     }
 }
 
 impl<C> Registry<C> {
-    /// The built-in nodes alone.
+    /// The built-in nodes: BehaviorTree.CPP's, and `ParallelAny`.
     pub fn new() -> Registry<C> {
         Registry::default()
     }
@@ -257,16 +256,22 @@ impl<C> Registry<C> {
     pub fn decorator(
         &mut self,
         spec: NodeSpec,
-        make: impl Fn(LeafSite<'_>) -> Box<dyn Gate<C>> + Send + Sync + 'static,
+        make: impl Fn(LeafSite<'_>) -> Box<dyn Decorator<C>> + Send + Sync + 'static,
     ) -> Result<(), DuplicateNode> {
-        self.add(spec, Make::Gate(Box::new(make)))
+        self.add(spec, Make::Decorator(Box::new(make)))
     }
 
     /// Makes a node known without an implementation. Does nothing if its id is taken.
     pub fn declare(&mut self, spec: NodeSpec) {
-        if builtins::spec(&spec.id).is_none() {
-            self.nodes.entry(spec.id.clone()).or_insert((spec, Make::Declared));
-        }
+        self.nodes.entry(spec.id.clone()).or_insert((spec, Make::Declared));
+    }
+
+    /// Nodes that are declared and that nothing implements, sorted by id.
+    pub fn declared(&self) -> impl Iterator<Item = &NodeSpec> {
+        self.nodes
+            .values()
+            .filter(|(_, make)| matches!(make, Make::Declared))
+            .map(|(spec, _)| spec)
     }
 
     /// A name for a number in scripts, and in the `case_*` ports of Switch.
@@ -279,39 +284,52 @@ impl<C> Registry<C> {
         self.unknown = Some(Box::new(make));
     }
 
+    /// How literals of structured types ([`PortType::Data`]) are written; without it, as JSON.
+    pub fn literals(&mut self, rules: LiteralRules) {
+        self.literals = Some(rules);
+    }
+
     /// The specification of a node.
     pub fn spec(&self, id: &str) -> Option<&NodeSpec> {
-        self.find(id).map(|known| known.spec())
+        self.nodes.get(id).map(|(spec, _)| spec)
     }
 
     /// Every specification, built-in ones first, each part sorted by id.
     pub fn specs(&self) -> impl Iterator<Item = &NodeSpec> {
-        builtins::specs()
-            .values()
-            .chain(self.nodes.values().map(|(spec, _)| spec))
+        let part = |builtin: bool| {
+            self.nodes
+                .values()
+                .filter(move |(_, make)| matches!(make, Make::Builtin(_)) == builtin)
+                .map(|(spec, _)| spec)
+        };
+        part(true).chain(part(false))
     }
 
-    pub(crate) fn find(&self, id: &str) -> Option<Known<'_, C>> {
-        builtins::spec(id)
-            .map(Known::Builtin)
-            .or_else(|| self.nodes.get(id).map(|(spec, make)| Known::Registered(spec, make)))
+    pub(crate) fn make(&self, id: &str) -> Option<&Make<C>> {
+        self.nodes.get(id).map(|(_, make)| make)
     }
 
     pub(crate) fn enums(&self) -> &BTreeMap<String, i64> {
         &self.enums
     }
 
+    pub(crate) fn literal_rules(&self) -> Option<LiteralRules> {
+        self.literals
+    }
+
     pub(crate) fn inventor(&self) -> Option<&MakeLeaf<C>> {
         self.unknown.as_ref()
     }
 
+    pub(crate) fn add_builtins(&mut self, rows: Vec<Row<C>>) {
+        let rows = rows.into_iter();
+        self.nodes
+            .extend(rows.map(|(spec, make)| (spec.id.clone(), (spec, Make::Builtin(make)))));
+    }
+
     fn add(&mut self, spec: NodeSpec, make: Make<C>) -> Result<(), DuplicateNode> {
-        let taken = builtins::spec(&spec.id).is_some()
-            || self
-                .nodes
-                .get(&spec.id)
-                .is_some_and(|(_, make)| !matches!(make, Make::Declared));
-        if taken {
+        let known = self.make(&spec.id);
+        if known.is_some_and(|known| !matches!(known, Make::Declared)) {
             return Err(DuplicateNode(spec.id));
         }
         self.nodes.insert(spec.id.clone(), (spec, make));

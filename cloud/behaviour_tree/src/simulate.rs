@@ -11,9 +11,6 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::leaf::{Leaf, LeafIo};
-use super::nav2_conditions::played_condition;
-use super::nav2_gates::{Measure, Travel, nav2_decorator};
-use super::nav2_nodes::nav2_nodes;
 use super::registry::{Category, Registry};
 use super::status::Status;
 use super::tree::Tree;
@@ -114,26 +111,41 @@ pub struct Simulation {
     warnings: Vec<String>,
 }
 
-/// Nodes whose leaves follow a script: the built-in ones, Nav2's, and whatever leaf a tree names.
+/// Nodes whose leaves follow a script: the built-in ones, Nav2's (feature `nav2`), and whatever leaf a tree names.
 pub fn registry() -> Registry<Simulation> {
-    let mut registry = Registry::new();
-    for spec in nav2_nodes() {
-        match nav2_decorator(&spec.id) {
-            Some(make) => {
-                let added = registry.decorator(spec, move |_| make());
-                debug_assert!(added.is_ok(), "{added:?}");
-            }
-            None => registry.declare(spec),
-        }
-    }
+    let mut registry = unscripted::registry();
     registry.invent_unknown_leaves(|site| {
         Box::new(Scripted {
             condition: site.spec.category == Category::Condition,
-            inner: played_condition(site.id),
+            inner: unscripted::condition(site.id),
             ports: site.spec.ports.iter().map(|port| port.name.clone()).collect(),
         })
     });
     registry
+}
+
+/// What nodes do that the script does not name.
+#[cfg(feature = "nav2")]
+mod unscripted {
+    pub(super) use crate::nav2::{scripted_condition as condition, scripted_registry as registry, succeed};
+}
+
+/// What nodes do that the script does not name.
+#[cfg(not(feature = "nav2"))]
+mod unscripted {
+    use super::{Leaf, LeafIo, Registry, Simulation, Status};
+
+    pub(super) fn registry() -> Registry<Simulation> {
+        Registry::new()
+    }
+
+    pub(super) fn condition(_: &str) -> Option<Box<dyn Leaf<Simulation>>> {
+        None
+    }
+
+    pub(super) fn succeed(_: &mut LeafIo<'_>) -> Status {
+        Status::Success
+    }
 }
 
 /// Builds the tree of a file and plays a script to it.
@@ -249,7 +261,7 @@ impl Leaf<Simulation> for Scripted {
             return match &mut self.inner {
                 Some(inner) => inner.start(io, simulation),
                 None if self.condition => Status::Failure,
-                None => succeed(io),
+                None => unscripted::succeed(io),
             };
         }
         let now = super::node::nanos(io.now());
@@ -278,7 +290,7 @@ impl Leaf<Simulation> for Scripted {
             return Status::Running;
         }
         match status {
-            Status::Success => succeed(io),
+            Status::Success => unscripted::succeed(io),
             Status::Failure => {
                 let set = script.set.clone();
                 for (port, value) in set {
@@ -346,43 +358,5 @@ impl Simulation {
                 }
             }
         }
-    }
-}
-
-/// Success writes what every Nav2 node writes then: no error; a selector its default.
-fn succeed(io: &mut LeafIo<'_>) -> Status {
-    // Entries of another type are the tree's affair: nothing but these ports is written.
-    let _ = io.set("error_code_id", 0_i64);
-    let _ = io.set("error_msg", "");
-    if let Some(selector) = io.id().strip_suffix("Selector") {
-        let mut kind = String::new();
-        for letter in selector.chars() {
-            if letter.is_uppercase() && !kind.is_empty() {
-                kind.push('_');
-            }
-            kind.extend(letter.to_lowercase());
-        }
-        match io.get::<String>(&format!("default_{kind}")) {
-            Ok(default) => {
-                let _ = io.set(&format!("selected_{kind}"), default);
-            }
-            Err(_) => return io.fail("nothing selected and no default"),
-        }
-    }
-    Status::Success
-}
-
-/// A robot that stands still, and paths that have no length.
-impl Travel for Simulation {
-    fn position(&self) -> Option<[f64; 2]> {
-        Some([0.0, 0.0])
-    }
-
-    fn speed(&self) -> f64 {
-        0.0
-    }
-
-    fn measure(&self, _: &Value) -> Option<Measure> {
-        None
     }
 }

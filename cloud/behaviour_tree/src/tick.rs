@@ -1,4 +1,4 @@
-//! How does a tick go through a tree? Depth first from the root, one node asking its children.
+//! Tick. How does it go through a tree? Depth first from the root, one node asking its children.
 //!
 //! This file has what all nodes share: scripts before and after (`_skipIf` … `_post`), the status
 //! that a node keeps, reset and halt. What each node does stands in the file of its family.
@@ -10,8 +10,8 @@
 use std::time::Duration;
 
 use super::blackboard::Blackboard;
-use super::leaf::{Gate, Leaf, LeafIo, Pass};
-use super::node::{Guards, Info, Kind, Memory, Node, NodeId, NodeState, bump};
+use super::leaf::{Decorator, Enter, Leaf, LeafIo};
+use super::node::{Guards, Info, Memory, Node, NodeId, NodeState, Role, bump};
 use super::ports::Source;
 use super::script::Program;
 use super::status::Status;
@@ -20,6 +20,9 @@ use super::value::{FromValue, Value};
 /// A node in error ends the tick; which and why stands in [`Run::fault`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stop;
+
+/// What a tick of a node comes to.
+pub(crate) type Answer = Result<Status, Stop>;
 
 /// What ended a tick.
 #[derive(Debug)]
@@ -34,12 +37,12 @@ const VISITS: u32 = 1_000_000;
 /// Code from outside that is a node.
 pub(crate) enum Body<C> {
     Leaf(Box<dyn Leaf<C>>),
-    Gate(Box<dyn Gate<C>>),
+    Decorator(Box<dyn Decorator<C>>),
 }
 
 /// One tick under way: the tree taken apart into what is fixed and what changes.
 pub(crate) struct Run<'a, C> {
-    pub(crate) nodes: &'a [Node],
+    pub(crate) nodes: &'a [Node<C>],
     pub(crate) infos: &'a [Info],
     pub(crate) children: &'a [NodeId],
     pub(crate) states: &'a mut [NodeState],
@@ -58,7 +61,7 @@ pub(crate) struct Run<'a, C> {
 
 impl<'a, C> Run<'a, C> {
     /// Ticks a node and keeps its answer as its status.
-    pub(crate) fn exec(&mut self, id: NodeId) -> Result<Status, Stop> {
+    pub(crate) fn exec(&mut self, id: NodeId) -> Answer {
         self.visits += 1;
         if self.visits > VISITS {
             return Err(self.fault(
@@ -66,7 +69,7 @@ impl<'a, C> Run<'a, C> {
                 format!("more than {VISITS} node visits in one tick: a loop in the tree never yields"),
             ));
         }
-        let nodes: &'a [Node] = self.nodes;
+        let nodes: &'a [Node<C>] = self.nodes;
         let node = &nodes[id as usize];
         let before = self.states[id as usize].status;
         let status = match &node.guards {
@@ -103,54 +106,14 @@ impl<'a, C> Run<'a, C> {
         Ok(status)
     }
 
-    fn enter(&mut self, id: NodeId, node: &'a Node, before: Status) -> Result<Status, Stop> {
+    fn enter(&mut self, id: NodeId, node: &'a Node<C>, before: Status) -> Answer {
         if before != Status::Running {
             bump(&mut self.states[id as usize].starts);
         }
-        match &node.kind {
-            Kind::Leaf(body) => self.leaf(id, *body, before),
-            Kind::Gate(body) => self.gate(id, *body, before),
-            Kind::AlwaysSuccess => Ok(Status::Success),
-            Kind::AlwaysFailure => Ok(Status::Failure),
-            Kind::Sleep(ms) => self.sleep(id, ms, before),
-            Kind::SetBlackboard { value, slot } => self.set_blackboard(id, value, *slot),
-            Kind::UnsetBlackboard(slot) => self.unset_blackboard(*slot),
-            Kind::Script(code) => self.script(id, code),
-            Kind::ScriptCondition(code) => self.script_condition(id, code),
-            Kind::WasEntryUpdated(slot) => self.was_entry_updated(id, *slot),
-            Kind::Sequence { yields } => self.sequence(id, *yields, before),
-            Kind::SequenceWithMemory => self.sequence_with_memory(id, before),
-            Kind::Fallback { yields } => self.fallback(id, *yields, before),
-            Kind::ReactiveSequence => self.reactive_sequence(id),
-            Kind::ReactiveFallback => self.reactive_fallback(id),
-            Kind::Parallel(thresholds) => self.parallel(id, thresholds),
-            Kind::ParallelAll(max_failures) => self.parallel_all(id, max_failures),
-            Kind::ParallelAny => self.parallel_any(id),
-            Kind::IfThenElse => self.if_then_else(id),
-            Kind::WhileDoElse => self.while_do_else(id),
-            Kind::Switch(cases) => self.switch(id, cases),
-            Kind::TryCatch { .. } => self.try_catch(id, before),
-            Kind::Inverter => self.inverter(id),
-            Kind::ForceSuccess => self.force(id, Status::Success),
-            Kind::ForceFailure => self.force(id, Status::Failure),
-            Kind::Retry(attempts) => self.retry(id, attempts),
-            Kind::Repeat(cycles) => self.repeat(id, cycles),
-            Kind::KeepRunningUntilFailure => self.keep_running_until_failure(id),
-            Kind::RunOnce { then_skip } => self.run_once(id, then_skip),
-            Kind::Precondition(latch) => self.precondition(id, latch),
-            Kind::SubTree => self.only_child(id),
-            Kind::Timeout(ms) => self.timeout(id, ms),
-            Kind::Delay(ms) => self.delay(id, ms),
-            Kind::IfUpdated { slot, otherwise } => self.if_updated(id, *slot, *otherwise),
-            Kind::Loop(queue) => self.loop_over(id, queue, before),
-            Kind::PipelineSequence => self.pipeline_sequence(id),
-            Kind::RecoveryNode(retries) => self.recovery(id, retries),
-            Kind::RoundRobin(rounds) => self.round_robin(id, rounds),
-            Kind::NonblockingSequence => self.nonblocking_sequence(id),
-            Kind::PersistentSequence(index) => self.persistent_sequence(id, index),
-            Kind::RateController(hz) => self.rate_controller(id, hz, before),
-            Kind::SingleTrigger => self.single_trigger(id, before),
-            Kind::PauseResume { pause, resume } => self.pause_resume(id, *pause, *resume, before),
+        match &node.role {
+            Role::Builtin(builtin) => builtin.tick(self, id, before),
+            Role::Leaf(body) => self.leaf(id, *body, before),
+            Role::Decorator(body) => self.decorator(id, *body, before),
         }
     }
 
@@ -202,9 +165,10 @@ impl<'a, C> Run<'a, C> {
         let state = &mut self.states[id as usize];
         state.status = Status::Idle;
         state.done = false;
-        // What was skipped half-way starts to count anew; RecoveryNode keeps its count, as in Nav2.
-        if state.count != 0 && matches!(self.nodes[id as usize].kind, Kind::Retry(_) | Kind::Repeat(_)) {
-            state.count = 0;
+        if state.count != 0
+            && let Role::Builtin(builtin) = &self.nodes[id as usize].role
+        {
+            builtin.on_reset(state);
         }
     }
 
@@ -216,27 +180,20 @@ impl<'a, C> Run<'a, C> {
     }
 
     fn halt(&mut self, id: NodeId) {
-        let nodes: &'a [Node] = self.nodes;
+        let nodes: &'a [Node<C>] = self.nodes;
         let node = &nodes[id as usize];
-        if let Kind::TryCatch { catch_on_halt } = &node.kind {
-            self.catch_before_halt(id, catch_on_halt);
+        if let Role::Builtin(builtin) = &node.role {
+            builtin.before_halt(self, id);
         }
         self.reset_children(id);
-        match &node.kind {
-            Kind::Leaf(body) | Kind::Gate(body) => self.halt_body(id, *body),
-            _ => {}
+        if let Role::Leaf(body) | Role::Decorator(body) = &node.role {
+            self.halt_body(id, *body);
         }
         let state = &mut self.states[id as usize];
         state.status = Status::Idle;
-        state.count = 0;
-        state.flag &= matches!(node.kind, Kind::RunOnce { .. });
-        // These two keep their place: the index of the child to resume with, and the last seen
-        // number of an entry.
-        if !matches!(node.kind, Kind::SequenceWithMemory) {
-            state.cursor = 0;
-        }
-        if !matches!(node.kind, Kind::IfUpdated { .. }) {
-            state.mark = 0;
+        match &node.role {
+            Role::Builtin(builtin) => builtin.after_halt(state),
+            Role::Leaf(_) | Role::Decorator(_) => state.clear(),
         }
         self.changes += 1;
         if let Some(script) = node.guards.as_ref().and_then(|guards| guards.on_halted.as_ref()) {
@@ -266,7 +223,7 @@ impl<'a, C> Run<'a, C> {
         (io, self.bodies, self.ctx)
     }
 
-    fn leaf(&mut self, id: NodeId, body: u32, before: Status) -> Result<Status, Stop> {
+    fn leaf(&mut self, id: NodeId, body: u32, before: Status) -> Answer {
         let (mut io, bodies, ctx) = self.io(id);
         let Some(Body::Leaf(leaf)) = bodies.get_mut(body as usize) else {
             return Err(Stop);
@@ -290,18 +247,18 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    fn gate(&mut self, id: NodeId, body: u32, before: Status) -> Result<Status, Stop> {
+    fn decorator(&mut self, id: NodeId, body: u32, before: Status) -> Answer {
         let child = self.child(id, 0)?;
         let child_status = self.states[child as usize].status;
         let (mut io, bodies, ctx) = self.io(id);
-        let Some(Body::Gate(gate)) = bodies.get_mut(body as usize) else {
+        let Some(Body::Decorator(decorator)) = bodies.get_mut(body as usize) else {
             return Err(Stop);
         };
         if before != Status::Running {
             io.memory.feedback.clear();
         }
-        match gate.enter(&mut io, ctx, child_status) {
-            Pass::Answer(status) => {
+        match decorator.enter(&mut io, ctx, child_status) {
+            Enter::Answer(status) => {
                 if let Some(why) = io.abort {
                     return Err(self.fault(id, why));
                 }
@@ -310,13 +267,13 @@ impl<'a, C> Run<'a, C> {
                 }
                 Ok(status)
             }
-            Pass::Tick => {
+            Enter::TickChild => {
                 let answer = self.exec_and_reset(child)?;
                 let (mut io, bodies, ctx) = self.io(id);
-                let Some(Body::Gate(gate)) = bodies.get_mut(body as usize) else {
+                let Some(Body::Decorator(decorator)) = bodies.get_mut(body as usize) else {
                     return Err(Stop);
                 };
-                let status = gate.leave(&mut io, ctx, answer);
+                let status = decorator.leave(&mut io, ctx, answer);
                 if let Some(why) = io.abort {
                     return Err(self.fault(id, why));
                 }
@@ -332,7 +289,7 @@ impl<'a, C> Run<'a, C> {
         let (mut io, bodies, ctx) = self.io(id);
         match bodies.get_mut(body as usize) {
             Some(Body::Leaf(leaf)) => leaf.halt(&mut io, ctx),
-            Some(Body::Gate(gate)) => gate.halt(&mut io, ctx),
+            Some(Body::Decorator(decorator)) => decorator.halt(&mut io, ctx),
             None => {}
         }
         if let Some(why) = io.abort {
@@ -356,7 +313,7 @@ impl<'a, C> Run<'a, C> {
     }
 
     /// Ticks a child and, as every decorator does, resets it once it has completed.
-    pub(crate) fn exec_and_reset(&mut self, child: NodeId) -> Result<Status, Stop> {
+    pub(crate) fn exec_and_reset(&mut self, child: NodeId) -> Answer {
         let status = self.exec(child)?;
         if status.is_completed() {
             self.reset(child);
@@ -365,7 +322,7 @@ impl<'a, C> Run<'a, C> {
     }
 
     /// Ticks the only child of a decorator.
-    pub(crate) fn only_child(&mut self, id: NodeId) -> Result<Status, Stop> {
+    pub(crate) fn only_child(&mut self, id: NodeId) -> Answer {
         let child = self.child(id, 0)?;
         self.exec_and_reset(child)
     }

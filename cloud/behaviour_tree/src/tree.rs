@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use super::blackboard::Blackboard;
-use super::node::{Info, Kind, Memory, Node, NodeId, NodeState, nanos};
+use super::node::{Info, Memory, Node, NodeId, NodeState, Role, nanos};
+use super::nodes::PauseEntries;
 use super::status::Status;
 use super::tick::{Body, Run, Stop};
 use super::value::Value;
@@ -30,7 +31,7 @@ pub struct TickError {
 /// A tree of nodes over a context `C`, ready to run.
 pub struct Tree<C> {
     pub(crate) id: String,
-    pub(crate) nodes: Vec<Node>,
+    pub(crate) nodes: Vec<Node<C>>,
     pub(crate) infos: Vec<Info>,
     pub(crate) children: Vec<NodeId>,
     pub(crate) states: Vec<NodeState>,
@@ -91,23 +92,27 @@ impl<C> Tree<C> {
         self.changes.wrapping_add(self.board.writes()).wrapping_add(remembered)
     }
 
-    /// Whether the tree can be held from outside: it has a `PauseResumeController`.
+    /// Whether the tree can be paused from outside: it has a `PauseResumeController`.
     pub fn can_pause(&self) -> bool {
-        self.nodes
-            .iter()
-            .any(|node| matches!(node.kind, Kind::PauseResume { .. }))
+        self.pause_entries().next().is_some()
     }
 
-    /// Asks every `PauseResumeController` to pause, or to go on.
+    /// Asks every `PauseResumeController` to pause, or to resume.
     pub fn ask_to_pause(&mut self, resume: bool) {
-        for node in &self.nodes {
-            if let Kind::PauseResume { pause, resume: go_on } = &node.kind {
-                let slot = if resume { *go_on } else { *pause };
-                let times = self.board.sequence(slot).saturating_add(1).to_string();
-                // Another text each time, so that the request is stored; an entry of another type is the tree's affair.
-                let _ = self.board.write(slot, Value::text(times));
-            }
+        let entries: Vec<PauseEntries> = self.pause_entries().collect();
+        for entries in entries {
+            let slot = if resume { entries.resume } else { entries.pause };
+            let times = self.board.sequence(slot).saturating_add(1).to_string();
+            // Another text each time, so that the request is stored; an entry of another type is the tree's affair.
+            let _ = self.board.write(slot, Value::text(times));
         }
+    }
+
+    fn pause_entries(&self) -> impl Iterator<Item = PauseEntries> {
+        self.nodes.iter().filter_map(|node| match &node.role {
+            Role::Builtin(builtin) => builtin.pause_entries(),
+            Role::Leaf(_) | Role::Decorator(_) => None,
+        })
     }
 
     /// Ticks the tree at the time `now` (since any epoch, never going back), and again at once

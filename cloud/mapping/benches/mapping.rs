@@ -1,5 +1,6 @@
-//! How many scans a second become a map, beam by beam and with filled wedges, and how far do both maps agree?
-//! `cargo bench -p zenav-cloud --bench mapping`
+//! Insertion rate. How many scans a second are inserted, in both modes, and how far do the two maps agree?
+//!
+//! `cargo bench -p zenav-mapping --bench mapping`
 //!
 //! A furnished flat seen by two lidars, made here by ray casting; with `ZENAV_BENCH_LOGS=FOLDER` also every CARMEN log (`.log`,
 //! `.log.gz`) of a folder. Times are this thread's own: what others do on the machine does not count.
@@ -21,7 +22,7 @@ use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
-use zenav_mapping::{BeamOptions, InsertMode, build as maps};
+use zenav_mapping::{BeamSettings, InsertMode, build as maps};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
@@ -35,7 +36,7 @@ const SCANS: usize = 600;
 struct Input {
     name: String,
     scans: Vec<Scan>,
-    beams: BeamOptions,
+    beams: BeamSettings,
 }
 
 /// Rectangles (lower left, upper right) and circles (centre, radius), m.
@@ -137,7 +138,7 @@ fn inputs() -> Vec<Input> {
     let drive = |beams, field_of_view, range_max| Input {
         name: format!("flat, {beams} beams, {range_max} m"),
         scans: flat.scans(beams, field_of_view, range_max),
-        beams: BeamOptions::default(),
+        beams: BeamSettings::default(),
     };
     let mut inputs = vec![drive(360, PI, 30.0), drive(667, 4.19, 5.6)];
     if let Some(folder) = std::env::var_os("ZENAV_BENCH_LOGS") {

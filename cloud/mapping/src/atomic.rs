@@ -1,12 +1,14 @@
-//! How is a file written so that nobody ever reads a part of it? Beside its place, onto the disk, then renamed.
+//! Atomic files. How is a file written so that nobody ever reads a part of it?
+//!
+//! Under a temporary name, synced to disk, then renamed.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use super::map_file::MapFileError;
+use crate::map_file::MapFileError;
 
-/// Writes a file so that other readers, and a machine that fails, see the old content or the new one, never a part.
+/// Writes a file so that other readers, also after a crash of the machine, see the old content or the new one, never a part.
 ///
 /// # Errors
 /// [`MapFileError::Io`].
@@ -14,7 +16,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), MapFileError> {
     Prepared::new(path, |file| file.write_all(bytes))?.publish()
 }
 
-/// A file written beside its place and on disk, but not yet in its place.
+/// A file that is on disk under a temporary name.
 pub(super) struct Prepared {
     path: PathBuf,
     temporary: PathBuf,
@@ -47,7 +49,7 @@ impl Prepared {
             path: self.path.clone(),
             source,
         })?;
-        // The rename itself is on disk only when its folder is; where folders cannot be opened, that is as good as it gets.
+        // The rename is on disk only when its folder is; where folders cannot be opened, nothing more can be done.
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty())
             && let Ok(folder) = File::open(folder)
         {
@@ -59,7 +61,7 @@ impl Prepared {
 
 impl Drop for Prepared {
     fn drop(&mut self) {
-        // After publishing there is nothing left to remove.
+        // After `publish` there is nothing to remove.
         let _ = std::fs::remove_file(&self.temporary);
     }
 }

@@ -1,36 +1,15 @@
-//! Which beams of a scan tell something about the map, and what?
+//! Beams. Which beams of a scan are used, and where do they end?
 
 use std::f64::consts::TAU;
 
 use nalgebra::{Point2, Vector2};
-use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::Scan;
 
-/// How beams are read.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BeamOptions {
-    /// Beams dropped at each end of the sweep, where lidars see their own housing; none of a full circle is.
-    pub trim: usize,
-    /// Returns from farther away are not trusted: such a beam clears up to here and hits nothing, m. `None`: the scan's own range.
-    pub max_range: Option<f64>,
-    /// Whether a beam without a return clears the way up to the largest range; some lidars also lose black and glass.
-    pub clear_without_return: bool,
-}
+use crate::settings::BeamSettings;
 
-impl Default for BeamOptions {
-    fn default() -> Self {
-        Self {
-            trim: 2,
-            max_range: None,
-            clear_without_return: true,
-        }
-    }
-}
-
-/// A map's anchor and scale: where the map frame's points lie, counted in cells.
+/// Anchor and scale of a grid: converts points of the map frame to cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CellFrame {
+pub(crate) struct CellFrame {
     /// Lower-left corner of cell (0, 0), m.
     pub anchor: Point2<f64>,
     /// Side of a cell, m.
@@ -51,37 +30,37 @@ impl CellFrame {
 
 /// One beam, in cells from the map's anchor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Beam {
-    /// Where it ends.
+pub(crate) struct Beam {
+    /// End of the beam.
     pub end: Point2<f64>,
-    /// Where it goes, of length one.
+    /// Direction of the beam, of length one.
     pub direction: Vector2<f64>,
-    /// Its length.
+    /// Length of the beam.
     pub length: f64,
-    /// Position in the sweep: neighbours differ by one.
+    /// Number of the beam in the sweep: neighbours differ by one.
     pub number: usize,
-    /// Whether it met something at its end.
+    /// Whether the beam hit an obstacle at its end.
     pub hit: bool,
 }
 
-/// Turns scans into beams; keeps the directions of the last sweep's geometry, which rarely changes.
+/// Converts scans to beams. Caches the directions of the sweep's geometry, which rarely changes.
 #[derive(Clone, Debug, Default)]
-pub struct BeamReader {
+pub(crate) struct BeamReader {
     geometry: (f64, f64),
     directions: Vec<[f64; 2]>,
 }
 
 impl BeamReader {
-    /// Appends the beams of a sane scan that tell something.
-    pub fn read(&mut self, scan: &Scan, options: &BeamOptions, frame: &CellFrame, beams: &mut Vec<Beam>) {
+    /// Appends the usable beams of a sane scan.
+    pub fn read(&mut self, scan: &Scan, settings: &BeamSettings, frame: &CellFrame, beams: &mut Vec<Beam>) {
         let count = scan.ranges.len();
         if self.directions.len() != count || self.geometry != (scan.angle_min, scan.angle_increment) {
             self.geometry = (scan.angle_min, scan.angle_increment);
             self.directions = (0..count).map(|beam| scan.angle(beam).sin_cos().into()).collect();
         }
         let full_circle = scan.angle_increment * (count as f64 + 0.5) > TAU;
-        let trim = if full_circle { 0 } else { options.trim.min(count) };
-        let usable = options
+        let trim = if full_circle { 0 } else { settings.trim.min(count) };
+        let usable = settings
             .max_range
             .filter(|range| *range > 0.0)
             .map_or(scan.range_max, |range| range.min(scan.range_max));
@@ -100,7 +79,7 @@ impl BeamReader {
             let hit = measured <= usable;
             if measured.is_nan()
                 || measured < scan.range_min
-                || (measured > scan.range_max && !options.clear_without_return)
+                || (measured > scan.range_max && !settings.clear_without_return)
             {
                 continue;
             }
@@ -139,13 +118,13 @@ mod tests {
     }
 
     /// In cells of 0.5 m, whose anchor lies at (-1, 0).
-    fn read(scan: &Scan, options: &BeamOptions) -> Vec<Beam> {
+    fn read(scan: &Scan, settings: &BeamSettings) -> Vec<Beam> {
         let frame = CellFrame {
             anchor: Point2::new(-1.0, 0.0),
             resolution: 0.5,
         };
         let mut beams = Vec::new();
-        BeamReader::default().read(scan, options, &frame, &mut beams);
+        BeamReader::default().read(scan, settings, &frame, &mut beams);
         beams
     }
 
@@ -153,9 +132,9 @@ mod tests {
     fn a_beam_ends_where_the_laser_stands_and_looks() {
         let beams = read(
             &scan(0.1, vec![2.0]),
-            &BeamOptions {
+            &BeamSettings {
                 trim: 0,
-                ..BeamOptions::default()
+                ..BeamSettings::default()
             },
         );
         assert!((beams[0].end - Point2::new(2.0, 10.0)).norm() < 1e-12 && beams[0].hit);
@@ -164,12 +143,12 @@ mod tests {
     #[test]
     fn readings_that_mean_nothing_are_dropped_and_far_ones_clear() {
         let scan = scan(0.1, vec![0.05, f32::NAN, -1.0, 1.0, 4.5, f32::INFINITY]);
-        let options = BeamOptions {
+        let settings = BeamSettings {
             trim: 0,
             max_range: Some(4.0),
             clear_without_return: true,
         };
-        let beams = read(&scan, &options);
+        let beams = read(&scan, &settings);
         assert_eq!(
             beams
                 .iter()
@@ -180,9 +159,9 @@ mod tests {
         assert_eq!(
             read(
                 &scan,
-                &BeamOptions {
+                &BeamSettings {
                     clear_without_return: false,
-                    ..options
+                    ..settings
                 }
             )
             .len(),
@@ -192,12 +171,12 @@ mod tests {
 
     #[test]
     fn only_an_open_sweep_is_trimmed() {
-        let options = BeamOptions {
+        let settings = BeamSettings {
             trim: 3,
-            ..BeamOptions::default()
+            ..BeamSettings::default()
         };
-        assert_eq!(read(&scan(0.1, vec![1.0; 10]), &options).len(), 4);
-        assert_eq!(read(&scan(TAU / 10.0, vec![1.0; 10]), &options).len(), 10);
-        assert_eq!(read(&scan(0.1, vec![1.0; 5]), &options).len(), 0);
+        assert_eq!(read(&scan(0.1, vec![1.0; 10]), &settings).len(), 4);
+        assert_eq!(read(&scan(TAU / 10.0, vec![1.0; 10]), &settings).len(), 10);
+        assert_eq!(read(&scan(0.1, vec![1.0; 5]), &settings).len(), 0);
     }
 }

@@ -1,20 +1,19 @@
-//! How do recorded scans at known poses become a map, and how far do two ways of drawing them agree?
+//! Map building. How do recorded scans at known poses become a map, and how far do two maps agree?
 
 use nalgebra::Point2;
 use serde::Serialize;
 use thiserror::Error;
-use zenav_protocol::grid::{MAX_SIDE, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{MAX_CELLS, MAX_SIDE, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 
-use super::beams::{BeamOptions, BeamReader, CellFrame};
-use super::occupancy::{InsertMode, LogOddsGrid};
-use super::sensor_model::SensorModel;
-use zenav_protocol::grid::MAX_CELLS;
+use crate::beams::{BeamReader, CellFrame};
+use crate::log_odds::{InsertMode, LogOddsGrid};
+use crate::settings::{BeamSettings, SensorModel};
 
 /// Why no map was built.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum BuildError {
-    /// The side of a cell is no length.
+    /// The resolution is not positive.
     #[error("resolution {0} m: expected a positive number")]
     Resolution(f64),
     /// The map would be too large.
@@ -23,49 +22,56 @@ pub enum BuildError {
         size[0], size[1], MAX_CELLS >> 20
     )]
     TooLarge {
-        /// What the scans saw, along x and y, m.
+        /// Size of what the scans saw, along x and y, m.
         size: [f64; 2],
-        /// Side of a cell that was asked for, m.
+        /// The resolution asked for, m.
         resolution: f64,
-        /// Side of a cell that the largest map has room for, m.
+        /// The finest resolution that fits the largest map, m.
         finest: f64,
     },
 }
 
-/// A map of scans.
+/// A map built from scans.
 #[derive(Clone, Debug)]
 pub struct Built {
     /// The map.
     pub map: LogOddsGrid,
-    /// Beams drawn.
+    /// Number of beams inserted.
     pub beams: u64,
 }
 
-/// Builds a map of scans at known poses, in their order; nothing fades.
+/// Builds a map of scans at known poses, in their order, without decay.
 ///
 /// # Errors
-/// [`BuildError`]; nothing is ever left out of the map.
-pub fn build_map(
-    scans: &[Scan],
-    resolution: f64,
-    mode: InsertMode,
-    options: &BeamOptions,
-) -> Result<Built, BuildError> {
+/// [`BuildError`] when the map would be too large: no beam is ever left out.
+///
+/// ```
+/// use zenav_mapping::build::build_map;
+/// use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
+/// use zenav_mapping::InsertMode;
+///
+/// let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+/// let scans: Vec<_> = CarmenReader::new(log.as_bytes()).collect::<Result<_, _>>().unwrap();
+/// let built = build_map(&scans, 0.05, InsertMode::Reference, &LOG_BEAMS).unwrap();
+/// assert_eq!(built.beams, 3);
+/// assert_eq!(built.map.counts().occupied, 3);
+/// ```
+pub fn build_map(scans: &[Scan], resolution: f64, mode: InsertMode, beams: &BeamSettings) -> Result<Built, BuildError> {
     if !(resolution.is_finite() && resolution > 0.0) {
         return Err(BuildError::Resolution(resolution));
     }
     let mut map = LogOddsGrid::new(resolution, &SensorModel::default());
-    let mut beams = 0;
+    let mut inserted = 0;
     for scan in scans {
-        match map.insert(scan, options, mode, None) {
-            Some(drawn) if drawn.left_out == 0 => beams += drawn.beams as u64,
-            _ => return Err(too_large(scans, resolution, options)),
+        match map.insert(scan, beams, mode, None) {
+            Some(count) if count.left_out == 0 => inserted += count.inserted as u64,
+            _ => return Err(too_large(scans, resolution, beams)),
         }
     }
-    Ok(Built { map, beams })
+    Ok(Built { map, beams: inserted })
 }
 
-fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildError {
+fn too_large(scans: &[Scan], resolution: f64, settings: &BeamSettings) -> BuildError {
     // In metres.
     let frame = CellFrame {
         anchor: Point2::origin(),
@@ -74,7 +80,7 @@ fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildErr
     let mut beams = Vec::new();
     let mut reader = BeamReader::default();
     for scan in scans {
-        reader.read(scan, options, &frame, &mut beams);
+        reader.read(scan, settings, &frame, &mut beams);
     }
     let ends = beams.iter().map(|beam| beam.end);
     let points = ends.chain(scans.iter().map(|scan| scan.map_from_laser().position()));
@@ -94,16 +100,16 @@ fn too_large(scans: &[Scan], resolution: f64, options: &BeamOptions) -> BuildErr
     }
 }
 
-/// How far a map agrees with a reference: the lesser of precision and recall of a class, 1 where neither has any.
+/// Agreement of a map with a reference: for each class the lesser of precision and recall; 1 where neither map has any.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Agreement {
-    /// On occupied cells.
+    /// Agreement on occupied cells, 0 to 1.
     pub occupied: f64,
-    /// On free cells.
+    /// Agreement on free cells, 0 to 1.
     pub free: f64,
 }
 
-/// Compares maps cell by cell, in the reference's cells.
+/// Compares a map with a reference, cell by cell of the reference.
 #[must_use]
 pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
     let share = |class: Occupancy| {
@@ -145,7 +151,7 @@ mod tests {
 
     use super::*;
 
-    const BEAMS: BeamOptions = BeamOptions {
+    const BEAMS: BeamSettings = BeamSettings {
         trim: 0,
         max_range: None,
         clear_without_return: false,

@@ -1,7 +1,7 @@
-//! What did a robot of the CARMEN days see? Log files with laser scans at known poses become scans.
+//! CARMEN logs. How are recorded laser scans at known poses read?
 //!
-//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` (a sweep of half a circle; the first pose is
-//! the laser's) and `ROBOTLASER1`, which tells its own field of view. Other lines are passed over.
+//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep of half a circle; the first pose is the laser's.
+//! `ROBOTLASER1` states its own field of view. Other lines are skipped.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fs::File;
@@ -14,37 +14,37 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 
-use super::beams::BeamOptions;
+use crate::settings::BeamSettings;
 
 /// Longest line that is read, bytes.
 const MAX_LINE: u64 = 1 << 20;
-/// Most readings of a sweep.
+/// Most readings in a sweep.
 const MAX_BEAMS: usize = 10_000;
-/// Lasers of the time say 81.9 m where they saw nothing.
+/// Readings from here on, m, stand for no return: lasers of that time report 81.9 m.
 const NOTHING_SEEN: f64 = 80.0;
 
-/// Why a log was refused.
+/// Why a log could not be read.
 #[derive(Debug, Error)]
 pub enum CarmenError {
-    /// A line is not what it should be.
+    /// A line is malformed.
     #[error("line {line}: {what}")]
     Line {
-        /// From 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// What was expected and found.
+        /// What was expected, and what was found.
         what: String,
     },
     /// The file could not be read, or its compression is broken.
     #[error("after line {line}: {source}")]
     Io {
-        /// Lines read before.
+        /// Number of lines read before.
         line: u64,
-        /// What went wrong.
+        /// The system's error.
         source: std::io::Error,
     },
 }
 
-/// Reads a log's scans one by one.
+/// Iterator over the scans of a log.
 pub struct CarmenReader<R> {
     input: R,
     line: u64,
@@ -69,7 +69,7 @@ pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> 
 }
 
 impl<R: BufRead> CarmenReader<R> {
-    /// Reads from plain text.
+    /// Reads plain text.
     pub fn new(input: R) -> Self {
         Self {
             input,
@@ -115,7 +115,9 @@ impl<R: BufRead> CarmenReader<R> {
             };
             let scan = scan.map_err(wrong)?;
             if !scan.is_sane() {
-                return Err(wrong("a pose or a field of view that makes no sense".to_owned()));
+                return Err(wrong(
+                    "expected a finite pose and a field of view of at most a full circle".to_owned(),
+                ));
             }
             return Ok(Some(scan));
         }
@@ -245,7 +247,7 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
 }
 
 /// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
-pub const LOG_BEAMS: BeamOptions = BeamOptions {
+pub const LOG_BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
     clear_without_return: false,

@@ -1,40 +1,56 @@
-//! What does the world look like? Scans become a map; maps are kept, read and handed on.
+//! Occupancy grid mapping: laser scans at known poses become a map.
 //!
-//! | file | answers |
+//! # The problem
+//!
+//! Given scans `z₁ … zₙ` and the poses from which they were taken, find for each cell `m` of a grid the probability that it is occupied.
+//! With independent cells and observations, Bayes' rule in log-odds is a sum over the scans that observed the cell:
+//!
+//! ```text
+//! l(m | z₁…zₙ) = l₀ + Σ [ l(m | zᵢ) − l₀ ]        l(p) = ln(p / (1 − p))
+//! ```
+//!
+//! where `p(m | zᵢ)` is the inverse sensor model: one value for a cell in which a beam of the scan ended (a hit), one for a cell that beams
+//! only passed (a miss), none for all others. The sum is clamped, so that a map can change its mind. What the robot does not look at any
+//! more, no beam can free; so obstacles that appeared on cells long free decay after a while (temporal decay).
+//!
+//! Moravec and Elfes 1985; Thrun, Burgard and Fox, "Probabilistic Robotics", chapter 9; Hornung et al., "OctoMap", 2013; Macenski et al.,
+//! "Spatio-Temporal Voxel Layer", 2020.
+//!
+//! # Where to begin
+//!
+//! [`Mapper`] is the whole of it for a live robot: [`insert`](Mapper::insert) scans, [`take_patch`](Mapper::take_patch) for replicas on
+//! other machines, [`snapshot`](Mapper::snapshot) for files and pictures. [`LogOddsGrid`] is the grid alone, [`build::build_map`] builds a
+//! map from a recorded log, [`map_file`] reads and writes ROS `map_server` files.
+//!
+//! | file | subject |
 //! |---|---|
-//! | [`beams`] | which beams of a scan tell something, and what? |
-//! | [`sensor_model`] | what does one look at a cell say? |
-//! | [`occupancy`] | what is where? a log-odds grid that grows |
-//! | `tiles`, `tile` | how does it grow, and what is known of a square of cells? |
-//! | `scan_bitmap` | which cells did one scan look at? |
-//! | `decay` | what went away without being seen to go? |
-//! | [`mapper`], [`config`] | how do a robot's scans become its map? |
-//! | [`map_file`], [`map_image`], [`map_yaml`], [`image`], [`atomic`] | how are maps kept in `map_server` files? |
-//! | [`moving_ai`] | what do the Moving AI benchmarks say? |
-//! | [`store`] | what of a map outlives its service? |
-//! | [`carmen`], [`build`] | what did a robot of the CARMEN days see, and how do recorded scans become a map? |
+//! | `settings` | all tunables: [`MappingSettings`] |
+//! | `beams` | the usable beams of a scan |
+//! | `sensor_model` | the inverse sensor model, in bytes of log-odds |
+//! | `log_odds` | the grid: tiles, the bitmap of one scan, temporal decay, snapshots |
+//! | `mapper` | a robot's scans in, patches out |
+//! | [`build`] | maps from recorded scans, and their agreement |
+//! | [`map_file`], [`map_yaml`], [`map_image`], [`image`], [`atomic`] | `map_server` files |
+//! | [`store`] | a map on disk between two runs of its service |
+//! | [`carmen`], [`moving_ai`] | logs and benchmark maps of others |
 
 pub mod atomic;
-pub mod beams;
+mod beams;
 pub mod build;
 pub mod carmen;
-pub mod config;
-mod decay;
 pub mod image;
+mod log_odds;
 pub mod map_file;
 pub mod map_image;
 pub mod map_yaml;
-pub mod mapper;
+mod mapper;
 pub mod moving_ai;
-pub mod occupancy;
-mod scan_bitmap;
-pub mod sensor_model;
+mod sensor_model;
+mod settings;
 pub mod store;
-mod tile;
-mod tiles;
 
-pub use beams::BeamOptions;
-pub use config::{MapperConfig, MapperConfigError};
-pub use mapper::{Insertion, Mapper};
-pub use occupancy::{CellCounts, Drawn, InsertMode, LogOddsGrid};
-pub use sensor_model::SensorModel;
+pub use build::{Agreement, BuildError, Built, agreement, build_map};
+pub use log_odds::{BeamCount, CellCounts, GridSnapshot, InsertMode, LogOddsGrid};
+pub use map_file::{MapFileError, read_map, write_map};
+pub use mapper::{Insertion, MapSnapshot, Mapper};
+pub use settings::{BeamSettings, MappingSettings, SensorModel};

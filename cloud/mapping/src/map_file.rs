@@ -1,5 +1,6 @@
-//! How are maps kept in files that every map tool of the field reads? ROS `map_server` pictures with their description,
-//! after Nav2's `map_io`; plain pictures and Moving AI maps are read as well.
+//! Map files. How are maps read and written, so that every map tool of the field reads them?
+//!
+//! ROS `map_server` images with their YAML description, after Nav2's `map_io`. Plain images and Moving AI maps can be read, too.
 
 use std::fs::File;
 use std::io::{Read, Write as _};
@@ -7,32 +8,31 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 use thiserror::Error;
-use zenav_protocol::grid::{GridError, GridSpec, OccupancyGrid};
+use zenav_protocol::grid::{GridError, GridSpec, MAX_CELLS, OccupancyGrid};
 
-use super::atomic::Prepared;
-use super::image::{self, GrayImage, ImageError};
-use super::map_image::{shade, to_grid, to_yaml};
-use super::map_yaml::{MapMode, MapYaml, MapYamlError};
-use super::moving_ai::{self, MovingAiError};
-use zenav_protocol::grid::MAX_CELLS;
+use crate::atomic::Prepared;
+use crate::image::{self, GrayImage, ImageError};
+use crate::map_image::{shade, to_grid, to_yaml};
+use crate::map_yaml::{MapMode, MapYaml, MapYamlError};
+use crate::moving_ai::{self, MovingAiError};
 
-/// Largest picture file that is read, bytes: the largest map as text.
+/// Largest image file that is read, bytes: the largest map as text.
 const MAX_FILE: u64 = 4 * MAX_CELLS + (1 << 20);
 /// Largest description that is read, bytes.
 const MAX_YAML: u64 = 1 << 20;
 
-/// Why a map could not be read or written. Every message names the file.
+/// Why a map could not be read or written; every message names the file.
 #[derive(Debug, Error)]
 pub enum MapFileError {
-    /// The file system's answer.
+    /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What went wrong.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A file beyond all reason.
+    /// The file is larger than any map.
     #[error("{}: larger than {limit} bytes", path.display())]
     TooLarge {
         /// The file.
@@ -40,7 +40,7 @@ pub enum MapFileError {
         /// The limit.
         limit: u64,
     },
-    /// The description.
+    /// The description is malformed.
     #[error("{}: {source}", path.display())]
     Yaml {
         /// The file.
@@ -48,7 +48,7 @@ pub enum MapFileError {
         /// What was expected, and where.
         source: MapYamlError,
     },
-    /// The picture.
+    /// The image is malformed.
     #[error("{}: {source}", path.display())]
     Image {
         /// The file.
@@ -56,7 +56,7 @@ pub enum MapFileError {
         /// What was expected.
         source: ImageError,
     },
-    /// The Moving AI map.
+    /// The Moving AI map is malformed.
     #[error("{}: {source}", path.display())]
     MovingAi {
         /// The file.
@@ -64,7 +64,7 @@ pub enum MapFileError {
         /// What was expected, and where.
         source: MovingAiError,
     },
-    /// The grid.
+    /// The grid is out of bounds.
     #[error("{}: {source}", path.display())]
     Grid {
         /// The file.
@@ -72,7 +72,7 @@ pub enum MapFileError {
         /// What is wrong with it.
         source: GridError,
     },
-    /// A file that is no map by its name.
+    /// The file's extension is not that of a map.
     #[error("{}: expected a map: .yaml, .pgm, .png or .map", path.display())]
     Kind {
         /// The file.
@@ -80,10 +80,10 @@ pub enum MapFileError {
     },
 }
 
-/// Reads a map: a `map_server` description (`.yaml`), a plain picture (`.pgm`, `.png`: usual thresholds, origin zero), or a
-/// Moving AI map (`.map`). Files that say nothing of their scale get `resolution` metres a cell.
+/// Reads a map: a `map_server` description (`.yaml`) with its image, a plain image (`.pgm`, `.png`: usual thresholds, origin zero), or a
+/// Moving AI map (`.map`). Files that do not state their scale get `resolution` metres for each cell.
 ///
-/// Takes a byte a cell: a binary graymap becomes the grid in place. Others are in memory beside their grid for a while.
+/// Memory: one byte for each cell. A binary graymap becomes the grid in place; the others are in memory beside their grid for a while.
 ///
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
@@ -124,7 +124,7 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     // `join` keeps an absolute path as it is.
     let image_path = path.parent().unwrap_or_else(|| Path::new("")).join(&yaml.image);
     let image = read_image(&image_path)?;
-    // Our own pictures tell their place too: one that was replaced before a crash is not read with an older place.
+    // Our own images state their place too: an image that was replaced just before a crash is not read with the older place.
     if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
         && !text
             .lines()
@@ -165,10 +165,10 @@ pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileErro
     Ok(bytes)
 }
 
-/// Marks our own files; the picture and the description of one write have the same tag.
+/// Marks our own files: the image and the description of one write carry the same tag.
 const TAG: &str = "zenav:";
 
-/// Place and write of a picture, kept in a comment of the picture itself.
+/// Place and label of an image, in a comment of the image itself.
 #[derive(Clone, Debug, PartialEq)]
 struct Tag {
     resolution: f64,
@@ -196,9 +196,10 @@ impl Tag {
     }
 }
 
-/// Writes `STEM.pgm` and `STEM.yaml` (trinary) into a folder, which is made where it is missing. `label` names this state
-/// of the map (its revision, say). A half-written file never replaces a good one; if the machine fails between both
-/// renames, the newer picture is still read with its own place. Returns the description's path.
+/// Writes `STEM.pgm` and `STEM.yaml` (trinary) into a folder, which is created where it is missing. Returns the description's path.
+///
+/// `label` names this state of the map, for example its revision. A half-written file never replaces a good one; when the machine fails
+/// between the two renames, the newer image is still read with its own place.
 ///
 /// # Errors
 /// [`MapFileError::Io`].
@@ -218,7 +219,7 @@ pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -
     let GridSpec { width, height, .. } = *grid.spec();
     let image = Prepared::new(&folder.join(&image_name), |file| {
         file.write_all(image::pgm_header(width, height, &[tag]).as_bytes())?;
-        // Row by row: the whole picture would double what a large map takes.
+        // Row by row: the whole image would double the memory of a large map.
         let mut line = Vec::with_capacity(width as usize);
         for row in grid.values().chunks_exact((width as usize).max(1)).rev() {
             line.clear();

@@ -1,14 +1,16 @@
-//! What does the brightness of a map's picture say? Occupancy values from pixels and back, as in Nav2's `map_io`.
+//! Map images. How does brightness become occupancy, and back?
+//!
+//! As in Nav2's `map_io`.
 
 use zenav_protocol::grid::{GridError, GridSpec, Occupancy, OccupancyGrid};
 
-use super::image::{self, GrayImage, ImageError};
-use super::map_yaml::{MapMode, MapYaml};
+use crate::image::{self, GrayImage, ImageError};
+use crate::map_yaml::{MapMode, MapYaml};
 
-/// A picture as occupancy values, lowest row first.
+/// Converts an image to a grid.
 ///
 /// # Errors
-/// [`GridError`] when the description or the picture is no grid.
+/// [`GridError`] when the size or the description is out of bounds.
 pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
     let spec = GridSpec {
         origin: yaml.origin,
@@ -17,13 +19,13 @@ pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridEr
         height: image.height,
     }
     .checked()?;
-    // All values of opaque pixels are told in advance.
+    // One table for all values of opaque pixels.
     let mut opaque = [Occupancy::UNKNOWN; 256];
     for (gray, value) in opaque.iter_mut().enumerate() {
         *value = occupancy(gray as u8, 255, yaml);
     }
     let values: Vec<i8> = match image.opacity {
-        // In the same memory: a grid of the largest size is there only once.
+        // Reuses the image's memory: a grid of the largest size exists only once.
         None => image.gray.into_iter().map(|gray| opaque[usize::from(gray)]).collect(),
         Some(opacity) => {
             let pixels = image.gray.iter().zip(&opacity);
@@ -31,7 +33,7 @@ pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridEr
         }
     };
     let mut grid = OccupancyGrid::from_values(spec, values)?;
-    // The first row of a picture is the highest.
+    // The first row of an image is the highest.
     let width = (image.width as usize).max(1);
     let (low, high) = grid.values_mut().split_at_mut(image.height as usize / 2 * width);
     for (low, high) in low.chunks_exact_mut(width).zip(high.rchunks_exact_mut(width)) {
@@ -43,7 +45,7 @@ pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridEr
 fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
     let (gray, opacity) = (f64::from(gray), f64::from(opacity));
     let shade = match yaml.mode {
-        // As `map_server` always did: opacity counts like one more colour.
+        // As in `map_server`: opacity counts like one more colour.
         MapMode::Trinary if opacity < 255.0 => 0.5 * (gray + opacity) / 255.0,
         _ => gray / 255.0,
     };
@@ -61,8 +63,8 @@ fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
     }
 }
 
-/// A map as a picture, highest row first: trinary as `map_saver` writes it (0, 205, 254), scale with see-through unknown
-/// cells (for PNG; a graymap cannot tell them), raw with 255 for unknown.
+/// Converts a grid to an image: trinary as `map_saver` writes it (0, 205, 254); scale with transparent unknown cells (for PNG: a graymap
+/// cannot express them); raw with 255 for unknown.
 #[must_use]
 pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
     let spec = grid.spec();
@@ -86,7 +88,7 @@ pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
     }
 }
 
-/// Brightness of a cell in a picture of a mode.
+/// Brightness of a cell in an image of this mode.
 pub(super) fn shade(value: i8, mode: MapMode) -> u8 {
     match mode {
         MapMode::Trinary => match Occupancy::of(value) {
@@ -100,7 +102,7 @@ pub(super) fn shade(value: i8, mode: MapMode) -> u8 {
     }
 }
 
-/// The description that goes with [`to_image`]: in scale mode thresholds at both ends, so that every percentage comes back.
+/// The description for an image of [`to_image`]; in scale mode its thresholds are 0 and 1, so that every percentage comes back.
 #[must_use]
 pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
     let yaml = MapYaml {
@@ -118,13 +120,13 @@ pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
     }
 }
 
-/// The map as a binary graymap, trinary.
+/// The grid as a trinary binary graymap (PGM).
 #[must_use]
 pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
     image::encode_pgm(&to_image(grid, MapMode::Trinary))
 }
 
-/// The map as a PNG, trinary; a map without cells is one unknown pixel.
+/// The grid as a trinary PNG; a grid without cells becomes one unknown pixel.
 ///
 /// # Errors
 /// [`ImageError::Png`] when the encoder fails.

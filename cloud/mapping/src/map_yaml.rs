@@ -1,7 +1,7 @@
-//! What does a `map_server` description say? The flat YAML beside a map's picture.
+//! Map description. What does the YAML file beside a map's image say?
 //!
-//! Only the subset that such files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes.
-//! Keys that are not known are ignored, as `map_server` does.
+//! Only the subset of YAML that `map_server` files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes. Unknown
+//! keys are ignored, as in `map_server`. A YAML library would cost more than these lines, and its errors do not name key and line.
 
 use nalgebra::Point2;
 use thiserror::Error;
@@ -19,7 +19,7 @@ pub enum MapMode {
 }
 
 impl MapMode {
-    /// Its name in the file.
+    /// Name of the mode in the file.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -33,13 +33,13 @@ impl MapMode {
 /// A map's description.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapYaml {
-    /// The picture's file, relative to the description's own.
+    /// File of the image, relative to the description.
     pub image: String,
     /// Side of a pixel, m.
     pub resolution: f64,
     /// Lower-left corner of the lower-left pixel, m.
     pub origin: Point2<f64>,
-    /// Whether bright is occupied.
+    /// Whether bright pixels are occupied.
     pub negate: bool,
     /// See [`MapMode`].
     pub occupied_thresh: f64,
@@ -49,23 +49,23 @@ pub struct MapYaml {
     pub mode: MapMode,
 }
 
-/// Why a description was refused.
+/// Why a description could not be read.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum MapYamlError {
-    /// A line that is not understood, or holds a value that makes no sense.
+    /// A line is malformed, or its value is out of bounds.
     #[error("line {line}: {what}")]
     Line {
-        /// From 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What was expected and what was found.
+        /// What was expected, and what was found.
         what: String,
     },
-    /// A key that every description has.
+    /// A mandatory key is missing.
     #[error("`{0}` is missing")]
     Missing(&'static str),
 }
 
-/// A key's values with the line that they stand on.
+/// A key with its values and its line.
 struct Entry {
     key: String,
     values: Vec<String>,
@@ -115,8 +115,17 @@ impl MapYaml {
     /// Reads a description.
     ///
     /// # Errors
-    /// [`MapYamlError`] with the line, for text that is not understood, missing keys, and values that make no sense; a
-    /// turned map (`origin` with a yaw) is refused, for grids here are not turned.
+    /// [`MapYamlError`] with the line, for malformed text, missing keys and values out of bounds. A rotated map (`origin` with a yaw) is
+    /// refused: grids are never rotated here.
+    ///
+    /// ```
+    /// use zenav_mapping::map_yaml::MapYaml;
+    ///
+    /// let yaml = MapYaml::parse("image: map.pgm\nresolution: 0.05\norigin: [-1, -2, 0]\n").unwrap();
+    /// assert_eq!((yaml.resolution, yaml.origin.x), (0.05, -1.0));
+    /// let error = MapYaml::parse("image: map.pgm\nresolution: -1\n").unwrap_err();
+    /// assert_eq!(error.to_string(), "line 2: `resolution`: expected a positive number of metres, found `-1`");
+    /// ```
     pub fn parse(text: &str) -> Result<Self, MapYamlError> {
         let mut yaml = Self::new(String::new(), 0.0, Point2::origin());
         let mut has_origin = false;
@@ -135,9 +144,7 @@ impl MapYaml {
                         ([x, y], 2) => yaml.origin = Point2::new(*x, *y),
                         ([x, y, yaw], 3) if yaw.abs() < 1e-9 => yaml.origin = Point2::new(*x, *y),
                         ([_, _, _], 3) => {
-                            return Err(
-                                entry.wrong("a yaw of 0 (maps that are turned are not supported: turn the picture)")
-                            );
+                            return Err(entry.wrong("a yaw of 0 (rotated maps are not supported: rotate the image)"));
                         }
                         _ => return Err(entry.wrong("[x, y, yaw]")),
                     }
@@ -179,7 +186,7 @@ impl MapYaml {
         Ok(yaml)
     }
 
-    /// The description as text, numbers in full; `comments` come first.
+    /// The description as text, with all digits; `comments` come first.
     #[must_use]
     pub fn to_text(&self, comments: &[String]) -> String {
         let comments: String = comments
@@ -248,7 +255,7 @@ fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
     Ok(entries)
 }
 
-/// A `#` begins a comment at the start of a line or after a space, outside quotes.
+/// A line without its comment: `#` starts one at the start of the line or after a space, outside quotes.
 fn without_comment(line: &str) -> &str {
     let mut quote = None;
     let mut before = ' ';
@@ -311,7 +318,7 @@ mod tests {
         );
         assert_eq!(
             error("image: a.pgm\nresolution: 0.1\norigin: [1, 2, 0.7]"),
-            "line 3: `origin`: expected a yaw of 0 (maps that are turned are not supported: turn the picture), found `1, 2, 0.7`"
+            "line 3: `origin`: expected a yaw of 0 (rotated maps are not supported: rotate the image), found `1, 2, 0.7`"
         );
         assert_eq!(error("image: a.pgm\nresolution: 0.1\n"), "`origin` is missing");
         assert_eq!(

@@ -1,4 +1,8 @@
-//! How do a robot's scans become its map? The pure core of mapping: scans in, patches out.
+//! Mapper. How do a robot's scans become its map?
+//!
+//! The pure core of mapping: scans in, patches out.
+
+use std::time::Duration;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -7,37 +11,64 @@ use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 
-use super::config::MapperConfig;
-use super::occupancy::LogOddsGrid;
+use crate::log_odds::{GridSnapshot, LogOddsGrid};
+use crate::settings::MappingSettings;
 
-/// What became of a scan.
+/// What the mapper did with a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Insertion {
-    /// It is in the map.
+    /// The scan is in the map.
     Inserted,
-    /// The map is held: nothing is inserted until it is resumed.
+    /// The map is held: no scan is inserted until it is resumed.
     Held,
-    /// It is not newer than the newest one of its lidar in the map.
+    /// The scan is not newer than the newest one of its lidar in the map.
     OutOfOrder,
-    /// Its description makes no sense.
+    /// The scan's geometry is out of bounds.
     NotSane,
-    /// It was taken beyond the largest map, or every beam ends beyond it.
+    /// The scan was taken beyond the largest map, or every beam ends beyond it.
     OutOfMap,
 }
 
-/// A stamp this much before the newest one is not late but of another clock: the robot has started anew, s.
-const ANOTHER_CLOCK: f64 = 10.0;
+/// A stamp this much (s) before the newest one is not late: the robot's clock restarted.
+const RESTARTED_CLOCK: f64 = 10.0;
 
 /// Most lidars whose scans are kept in order.
 const MAX_LIDARS: usize = 16;
 
-/// Longest trajectory that is kept; beyond it every other point is dropped, and the step doubles.
+/// Most positions of a trajectory; beyond it every other one is dropped, and the step doubles.
 const MAX_TRAJECTORY: usize = 100_000;
 
-/// One robot's map in the making.
+/// Builds the map of one robot.
+///
+/// ```
+/// use zenav_mapping::{Insertion, Mapper, MappingSettings};
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_protocol::messages::Scan;
+/// use zenav_protocol::time::Stamp;
+///
+/// let scan = Scan {
+///     stamp: Stamp::from_secs(0.1),
+///     angle_min: -1.0,
+///     angle_increment: 0.02,
+///     range_min: 0.02,
+///     range_max: 5.0,
+///     ranges: vec![2.0; 100],
+///     base_from_laser: Pose2::IDENTITY,
+///     map_from_odom: Pose2::IDENTITY,
+///     odom_from_base: Pose2::IDENTITY,
+/// };
+/// let mut mapper = Mapper::new(MappingSettings::default(), "kitchen");
+/// assert_eq!(mapper.insert(&scan), Insertion::Inserted);
+/// // The patch brings a replica from revision 0, the unknown map, to revision 1.
+/// let patch = mapper.take_patch().unwrap();
+/// assert_eq!((patch.base_revision, patch.map.revision), (0, 1));
+/// assert!(mapper.take_patch().is_none());
+/// assert!(mapper.info().occupied > 0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Mapper {
-    config: MapperConfig,
+    settings: MappingSettings,
+    footprint: Option<Footprint>,
     grid: LogOddsGrid,
     map: MapRef,
     stamp: Stamp,
@@ -51,11 +82,12 @@ pub struct Mapper {
 }
 
 impl Mapper {
-    /// An unknown map of this name (new for every map that is begun).
+    /// A new map, all unknown. The id must be new for every map that is begun.
     #[must_use]
-    pub fn new(config: MapperConfig, map_id: impl Into<String>) -> Self {
+    pub fn new(settings: MappingSettings, map_id: impl Into<String>) -> Self {
         Self {
-            grid: config.fading(LogOddsGrid::new(config.resolution, &config.model)),
+            grid: decaying(LogOddsGrid::new(settings.resolution, &settings.sensor_model), &settings),
+            footprint: None,
             map: MapRef {
                 id: map_id.into(),
                 revision: 0,
@@ -64,35 +96,42 @@ impl Mapper {
             newest: Vec::new(),
             scans: 0,
             trajectory: Vec::new(),
-            trajectory_step: config.trajectory_step,
+            trajectory_step: settings.trajectory_step,
             stored: false,
             held: false,
-            config,
+            settings,
         }
     }
 
-    /// A stored map: it counts as existing, and is held until it is resumed. All of it is in the first patches.
+    /// A map that was stored: it counts as complete, and is held until it is resumed. The first patches carry all of it.
     #[must_use]
     pub fn with_stored(
-        config: MapperConfig,
+        settings: MappingSettings,
         map: MapRef,
         grid: &OccupancyGrid,
         trajectory: Vec<Point2<f64>>,
         scans: u64,
     ) -> Self {
-        let log_odds = LogOddsGrid::from_occupancy(grid, &config.model);
+        let log_odds = LogOddsGrid::from_occupancy(grid, &settings.sensor_model);
         Self {
-            grid: config.fading(log_odds),
+            grid: decaying(log_odds, &settings),
             trajectory,
             scans,
             stored: true,
             held: true,
             map: map.clone(),
-            ..Self::new(config, map.id)
+            ..Self::new(settings, map.id)
         }
     }
 
-    /// Takes in a scan.
+    /// The same mapper, which clears the cells under this footprint.
+    #[must_use]
+    pub fn with_footprint(mut self, footprint: Footprint) -> Self {
+        self.set_footprint(footprint);
+        self
+    }
+
+    /// Inserts a scan.
     pub fn insert(&mut self, scan: &Scan) -> Insertion {
         if self.held {
             return Insertion::Held;
@@ -103,13 +142,10 @@ impl Mapper {
         if !self.is_in_order(scan) {
             return Insertion::OutOfOrder;
         }
-        let drawn = self.grid.insert(
-            scan,
-            &self.config.beams,
-            self.config.mode,
-            self.config.footprint.as_ref(),
-        );
-        if drawn.is_none_or(|drawn| drawn.beams == 0 && drawn.left_out > 0) {
+        let count = self
+            .grid
+            .insert(scan, &self.settings.beams, self.settings.mode, self.footprint.as_ref());
+        if count.is_none_or(|count| count.inserted == 0 && count.left_out > 0) {
             return Insertion::OutOfMap;
         }
         self.note_order(scan);
@@ -118,14 +154,14 @@ impl Mapper {
         Insertion::Inserted
     }
 
-    /// Whether a scan is newer than the last one of its lidar: a robot's lidars need not wait for one another.
+    /// Whether a scan is newer than the last one of its lidar: the lidars of one robot scan independently of one another.
     fn is_in_order(&self, scan: &Scan) -> bool {
         let last = self.newest.iter().find(|(mount, _)| *mount == scan.base_from_laser);
-        last.is_none_or(|(_, stamp)| scan.stamp > *stamp || stamp.secs_since(scan.stamp) >= ANOTHER_CLOCK)
+        last.is_none_or(|(_, stamp)| scan.stamp > *stamp || stamp.secs_since(scan.stamp) >= RESTARTED_CLOCK)
     }
 
     fn note_order(&mut self, scan: &Scan) {
-        if self.stamp.secs_since(scan.stamp) >= ANOTHER_CLOCK || self.newest.len() >= MAX_LIDARS {
+        if self.stamp.secs_since(scan.stamp) >= RESTARTED_CLOCK || self.newest.len() >= MAX_LIDARS {
             (self.newest, self.stamp) = (Vec::new(), scan.stamp);
         }
         self.newest.retain(|(mount, _)| *mount != scan.base_from_laser);
@@ -152,9 +188,9 @@ impl Mapper {
         }
     }
 
-    /// What changed since the last patch, as the next revision; `None` when nothing did.
+    /// Takes the changes since the last patch, as the next revision; `None` without any.
     pub fn take_patch(&mut self) -> Option<MapPatch> {
-        let tiles = self.grid.take_dirty(self.config.patch_tiles.max(1));
+        let tiles = self.grid.take_dirty(self.settings.patch_tiles.max(1));
         if tiles.is_empty() {
             return None;
         }
@@ -169,18 +205,18 @@ impl Mapper {
         })
     }
 
-    /// Whether the next patch has anything to say.
+    /// Whether there are changes for another patch.
     #[must_use]
     pub fn has_changes(&self) -> bool {
         self.grid.is_dirty()
     }
 
-    /// From now on the cells under this outline are cleared.
+    /// Sets the robot's footprint: from now on the cells under it are cleared.
     pub fn set_footprint(&mut self, footprint: Footprint) {
-        self.config.footprint = Some(footprint);
+        self.footprint = Some(footprint);
     }
 
-    /// The map's description, with the revision of the last patch.
+    /// Description of the map, at the revision of the last patch.
     #[must_use]
     pub fn info(&self) -> MapInfo {
         let counts = self.grid.counts();
@@ -196,69 +232,113 @@ impl Mapper {
         }
     }
 
-    /// The whole map. It may already hold changes that follow in the next patch, which does no harm: patches carry values, not differences.
+    /// The map at this moment. Cheap: the cells are shared until they change, and converted when the snapshot is read.
     #[must_use]
-    pub fn reply(&self) -> MapReply {
-        MapReply {
+    pub fn snapshot(&self) -> MapSnapshot {
+        MapSnapshot {
             info: self.info(),
-            values: self.grid.to_occupancy().into_values(),
             trajectory: self.trajectory.clone(),
+            grid: self.grid.snapshot(),
         }
     }
 
-    /// The map with ROS's occupancy values.
+    /// The whole map as a message. It may already hold changes of the next patch, which does no harm: patches carry values, not differences.
+    #[must_use]
+    pub fn reply(&self) -> MapReply {
+        self.snapshot().into_reply()
+    }
+
+    /// The map as ROS's occupancy values.
     #[must_use]
     pub fn grid(&self) -> OccupancyGrid {
         self.grid.to_occupancy()
     }
 
-    /// The robot's way while the map was built, map frame, about every 0.1 m.
+    /// Positions of the robot while the map was built, map frame, about every `trajectory_step`.
     #[must_use]
     pub fn trajectory(&self) -> &[Point2<f64>] {
         &self.trajectory
     }
 
-    /// Name and revision.
+    /// The map's id and revision.
     #[must_use]
     pub fn map(&self) -> &MapRef {
         &self.map
     }
 
-    /// Begins a new, unknown map, and inserts scans into it.
+    /// Begins a new map, all unknown, and inserts scans into it.
     pub fn reset(&mut self, map_id: impl Into<String>) {
-        *self = Self::new(self.config.clone(), map_id);
+        let footprint = self.footprint.take();
+        *self = Self::new(self.settings.clone(), map_id);
+        self.footprint = footprint;
     }
 
-    /// Takes everything for gone that may only have passed by (see the module `fading`).
-    pub fn forget(&mut self) {
-        self.grid.forget();
+    /// Lets every transient obstacle decay now.
+    pub fn decay_now(&mut self) {
+        self.grid.decay_now();
     }
 
-    /// Inserts no more scans until [`resume`](Self::resume).
+    /// Holds the map: no scan is inserted until [`resume`](Self::resume).
     pub fn hold(&mut self) {
         self.held = true;
     }
 
-    /// Goes on inserting scans.
+    /// Inserts scans again.
     pub fn resume(&mut self) {
         self.held = false;
     }
 
-    /// Whether scans are left out.
+    /// Whether the map is held.
     #[must_use]
     pub fn is_held(&self) -> bool {
         self.held
     }
 
-    /// From now on the map exists: it has been stored as complete.
+    /// Marks the map as complete: it was stored.
     pub fn mark_stored(&mut self) {
         self.stored = true;
     }
 
-    /// Whether the map exists: loaded, or stored as complete.
+    /// Whether the map is complete: loaded, or stored.
     #[must_use]
     pub fn is_stored(&self) -> bool {
         self.stored
+    }
+}
+
+/// The grid with decay as set.
+fn decaying(grid: LogOddsGrid, settings: &MappingSettings) -> LogOddsGrid {
+    match Duration::try_from_secs_f64(settings.decay_after) {
+        Ok(after) if !after.is_zero() => grid.with_decay(after),
+        _ => grid,
+    }
+}
+
+/// A map at one moment.
+#[derive(Clone, Debug)]
+pub struct MapSnapshot {
+    /// Description of the map.
+    pub info: MapInfo,
+    /// Positions of the robot while the map was built, map frame.
+    pub trajectory: Vec<Point2<f64>>,
+    grid: GridSnapshot,
+}
+
+impl MapSnapshot {
+    /// The map as ROS's occupancy values. Cost: every cell.
+    #[must_use]
+    pub fn grid(&self) -> OccupancyGrid {
+        self.grid.to_occupancy()
+    }
+
+    /// The whole map as a message. Cost: every cell.
+    #[must_use]
+    pub fn into_reply(self) -> MapReply {
+        MapReply {
+            values: self.grid().into_values(),
+            info: self.info,
+            trajectory: self.trajectory,
+        }
     }
 }
 
@@ -285,7 +365,7 @@ mod tests {
 
     #[test]
     fn every_patch_is_the_next_revision_and_says_what_it_applies_to() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "first");
+        let mut mapper = Mapper::new(MappingSettings::default(), "first");
         assert_eq!(mapper.take_patch(), None);
         assert_eq!(mapper.insert(&scan(1, 0.0)), Insertion::Inserted);
         let first = mapper.take_patch().unwrap();
@@ -298,15 +378,15 @@ mod tests {
     }
 
     #[test]
-    fn stale_repeated_and_senseless_scans_change_nothing() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+    fn late_repeated_and_malformed_scans_change_nothing() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         mapper.insert(&scan(20_000_000_000, 0.0));
         let before = mapper.reply();
         assert_eq!(mapper.insert(&scan(20_000_000_000, 1.0)), Insertion::OutOfOrder);
         assert_eq!(mapper.insert(&scan(19_000_000_000, 1.0)), Insertion::OutOfOrder);
-        let mut senseless = scan(21_000_000_000, 1.0);
-        senseless.odom_from_base.x = f64::NAN;
-        assert_eq!(mapper.insert(&senseless), Insertion::NotSane);
+        let mut malformed = scan(21_000_000_000, 1.0);
+        malformed.odom_from_base.x = f64::NAN;
+        assert_eq!(mapper.insert(&malformed), Insertion::NotSane);
         let far = scan(21_000_000_000, 1e9);
         mapper.take_patch();
         assert_eq!(mapper.insert(&far), Insertion::OutOfMap);
@@ -315,12 +395,12 @@ mod tests {
 
     #[test]
     fn two_lidars_need_not_wait_for_one_another() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let rear = |stamp| Scan {
             base_from_laser: Pose2::new(-0.1, 0.0, 3.0),
             ..scan(stamp, 0.0)
         };
-        for (scan, inserted) in [
+        for (scan, is_inserted) in [
             (scan(5, 0.0), true),
             (rear(5), true),
             (rear(8), true),
@@ -328,27 +408,27 @@ mod tests {
             (rear(8), false),
             (scan(6, 0.0), false),
         ] {
-            let expected = if inserted {
-                Insertion::Inserted
-            } else {
-                Insertion::OutOfOrder
-            };
-            assert_eq!(mapper.insert(&scan), expected, "{:?}", scan.stamp);
+            assert_eq!(
+                mapper.insert(&scan) == Insertion::Inserted,
+                is_inserted,
+                "{:?}",
+                scan.stamp
+            );
         }
         assert_eq!(mapper.info().stamp, Stamp(8));
     }
 
     #[test]
-    fn a_robot_that_starts_anew_is_mapped_again() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+    fn after_a_restart_of_the_robot_s_clock_scans_are_inserted_again() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         mapper.insert(&scan(100_000_000_000, 0.0));
         assert_eq!(mapper.insert(&scan(1, 0.5)), Insertion::Inserted);
         assert_eq!(mapper.insert(&scan(2, 0.5)), Insertion::Inserted);
     }
 
     #[test]
-    fn the_way_is_kept_about_every_tenth_of_a_metre() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+    fn the_trajectory_has_a_position_about_every_tenth_of_a_metre() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         for i in 0..200 {
             mapper.insert(&scan(i + 1, i as f64 * 0.01));
         }
@@ -357,12 +437,22 @@ mod tests {
     }
 
     #[test]
+    fn a_snapshot_does_not_change_while_mapping_goes_on() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
+        mapper.insert(&scan(1, 0.0));
+        let (snapshot, before) = (mapper.snapshot(), mapper.reply());
+        mapper.insert(&scan(2, 1.0));
+        assert_ne!(mapper.reply().values, before.values);
+        assert_eq!(snapshot.into_reply(), before);
+    }
+
+    #[test]
     fn a_stored_map_is_not_changed_until_it_is_resumed() {
-        let mut first = Mapper::new(MapperConfig::default(), "kitchen");
+        let mut first = Mapper::new(MappingSettings::default(), "kitchen");
         first.insert(&scan(1, 0.0));
         first.take_patch();
         let mut second = Mapper::with_stored(
-            MapperConfig::default(),
+            MappingSettings::default(),
             first.map().clone(),
             &first.grid(),
             first.trajectory().to_vec(),

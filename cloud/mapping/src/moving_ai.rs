@@ -1,4 +1,6 @@
-//! What do the Moving AI benchmarks say? Grid maps (`.map`) and their queries (`.scen`), whose rows count from the top.
+//! Moving AI benchmarks. How are their grid maps (`.map`) and queries (`.scen`) read?
+//!
+//! Rows count from the top in these files; they are converted here.
 //!
 //! Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012: `.`, `G` and `S` are passable here, everything else is not.
 
@@ -6,36 +8,36 @@ use nalgebra::Point2;
 use thiserror::Error;
 use zenav_protocol::grid::{Cell, GridError, GridSpec, MAX_SIDE, Occupancy, OccupancyGrid};
 
-/// Why a file was refused.
+/// Why a file could not be read.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MovingAiError {
-    /// A line is not what it should be.
+    /// A line is malformed.
     #[error("line {line}: expected {expected}, found {found}")]
     Line {
-        /// From 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What should stand there.
+        /// What was expected.
         expected: String,
-        /// What does.
+        /// What was found.
         found: String,
     },
-    /// The size makes no grid.
+    /// The size is out of bounds.
     #[error(transparent)]
     Grid(#[from] GridError),
 }
 
-/// A query as it stands in the file: columns and rows counted from the top left.
+/// A query as it stands in the file, with columns and rows counted from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario {
-    /// Class of difficulty.
+    /// Class of difficulty: the optimum divided by 4.
     pub bucket: u32,
-    /// The map's name in the file.
+    /// Name of the map.
     pub map: String,
     /// Column and row of the start.
     pub start: [u32; 2],
     /// Column and row of the goal.
     pub goal: [u32; 2],
-    /// Length of the shortest way, cells; diagonal steps count the root of two and cut no corner.
+    /// Length of the shortest path, cells; a diagonal step counts √2 and cuts no corner.
     pub optimum: f64,
 }
 
@@ -64,7 +66,14 @@ fn lines(text: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
         .enumerate()
 }
 
-/// Reads a `.map`; cells get this side (m), the lower left corner is the origin.
+/// Reads a `.map`; cells get this side (m), and the origin is the lower-left corner.
+///
+/// ```
+/// use zenav_mapping::moving_ai::parse_map;
+///
+/// let map = parse_map(b"type octile\nheight 2\nwidth 3\nmap\n.@.\n...\n", 1.0).unwrap();
+/// assert_eq!(map.values(), [0, 0, 0, 0, 100, 0]);
+/// ```
 ///
 /// # Errors
 /// [`MovingAiError`] with the line.
@@ -130,7 +139,7 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
         if content.trim().is_empty() || content.starts_with("version") {
             continue;
         }
-        // Tabs in the files; spaces where somebody edited them, but then names have none.
+        // The files have tabs. Where somebody edited them with spaces, names have no spaces.
         let words: Vec<&str> = if content.contains('\t') {
             content.split('\t').map(str::trim).collect()
         } else {

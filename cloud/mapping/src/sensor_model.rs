@@ -1,104 +1,93 @@
-//! What does one look at a cell say? Log-odds of being occupied, one byte a cell.
+//! Inverse sensor model. What does one observation say about a cell?
 //!
-//! Moravec and Elfes, "High Resolution Maps from Wide Angle Sonar", 1985, in the log-odds form of Thrun, Burgard and Fox,
-//! "Probabilistic Robotics", chapter 9, clamped as in OctoMap so that a map can change its mind.
+//! With `p` the probability that the cell is occupied, an observation `z` adds its own log-odds to the cell's,
+//!
+//! ```text
+//! l(p) = ln(p / (1 - p))      l ← clamp(l + l(p(occupied | z)), l(least), l(most))
+//! ```
+//!
+//! so an update is one addition. Log-odds are stored in one byte for each cell, in steps of 0.05.
+//!
+//! Moravec and Elfes, "High Resolution Maps from Wide Angle Sonar", 1985, in the log-odds form of Thrun, Burgard and Fox, "Probabilistic
+//! Robotics", chapter 9; clamped as in OctoMap (Hornung et al., 2013), so that a map can change its mind.
 
-use serde::{Deserialize, Serialize};
 use zenav_protocol::grid::Occupancy;
 
-/// Log-odds of one step of a byte; byte 128 is even odds, byte 0 is "never seen".
+use crate::settings::SensorModel;
+
+/// Log-odds of one step of a byte.
 const STEP: f64 = 0.05;
+/// The byte of even odds.
 const EVEN: f64 = 128.0;
+/// The byte of a cell that was never seen: zero, so that fresh memory is unseen.
+pub(crate) const UNSEEN: u8 = 0;
 
-/// The inverse sensor model.
-///
-/// With the defaults one look makes an unknown cell free (19 %) or occupied (66 %), and a cell stays occupied as long as
-/// more than about a quarter of the scans that look at it hit it: range noise moves hits between neighbouring cells.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SensorModel {
-    /// Probability that a cell nobody has seen is occupied: most space is empty.
-    pub prior: f64,
-    /// Probability of being occupied that one hit alone speaks for, on even odds.
-    pub hit: f64,
-    /// Probability of being occupied that one beam through the cell speaks for, on even odds.
-    pub miss: f64,
-    /// Least probability that misses lead to.
-    pub least: f64,
-    /// Largest probability that hits lead to.
-    pub most: f64,
-}
-
-impl Default for SensorModel {
-    fn default() -> Self {
-        Self {
-            prior: 0.289,
-            hit: 0.825,
-            miss: 0.366,
-            least: 0.119,
-            most: 0.971,
-        }
-    }
-}
-
-/// The model in steps of a byte, with the percentages that bytes stand for.
+/// The sensor model in steps of a byte.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Evidence {
-    pub(super) prior: u8,
-    pub(super) hit: u8,
-    pub(super) miss: u8,
-    pub(super) least: u8,
-    pub(super) most: u8,
-    pub(super) percent: [i8; 256],
+pub(crate) struct QuantizedModel {
+    /// Byte of the prior.
+    prior: u8,
+    /// Steps that a hit adds.
+    hit: u8,
+    /// Steps that a miss takes away.
+    miss: u8,
+    /// Byte of the lower clamp.
+    pub(crate) least: u8,
+    /// Byte of the upper clamp.
+    pub(crate) most: u8,
+    /// Occupancy value of each byte.
+    percent: [i8; 256],
 }
 
-/// The byte of a cell that nobody has seen: zero, as memory comes.
-pub(super) const UNSEEN: u8 = 0;
-
-impl Evidence {
-    /// Probabilities outside (0, 1), and numbers that are not any, are brought inside.
-    pub(super) fn new(model: &SensorModel) -> Self {
+impl QuantizedModel {
+    /// Probabilities outside (0, 1), and NaN, are brought inside.
+    pub(crate) fn new(model: &SensorModel) -> Self {
         let mut percent = [Occupancy::UNKNOWN; 256];
         for (byte, percent) in percent.iter_mut().enumerate().skip(1) {
             let odds = ((byte as f64 - EVEN) * STEP).exp();
             *percent = (100.0 * odds / (1.0 + odds)).round() as i8;
         }
         let steps = |probability: f64| log_odds_steps(probability).abs().clamp(1.0, 127.0) as u8;
-        let least = level(model.least.min(0.5));
-        let most = level(model.most.max(0.5));
         Self {
-            prior: level(model.prior),
+            prior: byte_of(model.prior),
             hit: steps(model.hit.max(0.5)),
             miss: steps(model.miss.min(0.5)),
-            least,
-            most,
+            least: byte_of(model.least.min(0.5)),
+            most: byte_of(model.most.max(0.5)),
             percent,
         }
     }
 
-    /// The byte of an occupancy value.
-    pub(super) fn of_percent(&self, percent: i8) -> u8 {
+    /// Occupancy value of a byte.
+    #[inline]
+    pub(crate) fn percent(&self, byte: u8) -> i8 {
+        self.percent[usize::from(byte)]
+    }
+
+    /// Byte of an occupancy value.
+    pub(crate) fn of_percent(&self, percent: i8) -> u8 {
         if percent < 0 {
             UNSEEN
         } else {
-            level(f64::from(percent) / 100.0).clamp(self.least, self.most)
+            byte_of(f64::from(percent) / 100.0).clamp(self.least, self.most)
         }
     }
 
-    /// What a miss makes of a byte.
+    /// The byte after a miss.
     #[inline]
-    pub(super) fn after_miss(&self, cell: u8) -> u8 {
-        self.known(cell).saturating_sub(self.miss).max(self.least)
+    pub(crate) fn after_miss(&self, cell: u8) -> u8 {
+        self.seen(cell).saturating_sub(self.miss).max(self.least)
     }
 
-    /// What a hit makes of a byte.
+    /// The byte after a hit.
     #[inline]
-    pub(super) fn after_hit(&self, cell: u8) -> u8 {
-        self.known(cell).saturating_add(self.hit).min(self.most)
+    pub(crate) fn after_hit(&self, cell: u8) -> u8 {
+        self.seen(cell).saturating_add(self.hit).min(self.most)
     }
 
+    /// The byte before the first observation of an unseen cell is the prior.
     #[inline]
-    fn known(&self, cell: u8) -> u8 {
+    fn seen(&self, cell: u8) -> u8 {
         if cell == UNSEEN { self.prior } else { cell }
     }
 }
@@ -112,7 +101,7 @@ fn log_odds_steps(probability: f64) -> f64 {
     ((p / (1.0 - p)).ln() / STEP).round()
 }
 
-fn level(probability: f64) -> u8 {
+fn byte_of(probability: f64) -> u8 {
     (EVEN + log_odds_steps(probability)).clamp(1.0, 255.0) as u8
 }
 
@@ -120,46 +109,46 @@ fn level(probability: f64) -> u8 {
 mod tests {
     use super::*;
 
-    fn class(evidence: &Evidence, cell: u8) -> Occupancy {
-        Occupancy::of(evidence.percent[usize::from(cell)])
+    fn class(model: &QuantizedModel, cell: u8) -> Occupancy {
+        Occupancy::of(model.percent(cell))
     }
 
     #[test]
-    fn one_look_decides_about_an_unknown_cell() {
-        let evidence = Evidence::new(&SensorModel::default());
-        assert_eq!(class(&evidence, UNSEEN), Occupancy::Unknown);
-        assert_eq!(class(&evidence, evidence.after_miss(UNSEEN)), Occupancy::Free);
-        assert_eq!(class(&evidence, evidence.after_hit(UNSEEN)), Occupancy::Occupied);
+    fn one_observation_decides_about_an_unknown_cell() {
+        let model = QuantizedModel::new(&SensorModel::default());
+        assert_eq!(class(&model, UNSEEN), Occupancy::Unknown);
+        assert_eq!(class(&model, model.after_miss(UNSEEN)), Occupancy::Free);
+        assert_eq!(class(&model, model.after_hit(UNSEEN)), Occupancy::Occupied);
     }
 
     #[test]
     fn a_wall_that_a_third_of_the_scans_hit_stays_and_a_passer_by_goes() {
-        let evidence = Evidence::new(&SensorModel::default());
+        let model = QuantizedModel::new(&SensorModel::default());
         let mut wall = UNSEEN;
         for scan in 0..300 {
             wall = if scan % 3 == 0 {
-                evidence.after_hit(wall)
+                model.after_hit(wall)
             } else {
-                evidence.after_miss(wall)
+                model.after_miss(wall)
             };
         }
-        assert_eq!(class(&evidence, wall), Occupancy::Occupied);
+        assert_eq!(class(&model, wall), Occupancy::Occupied);
         for _ in 0..12 {
-            wall = evidence.after_miss(wall);
+            wall = model.after_miss(wall);
         }
-        assert_eq!(class(&evidence, wall), Occupancy::Free);
+        assert_eq!(class(&model, wall), Occupancy::Free);
     }
 
     #[test]
-    fn a_model_of_nonsense_still_keeps_within_bytes() {
-        let evidence = Evidence::new(&SensorModel {
+    fn a_senseless_model_still_keeps_within_bytes() {
+        let model = QuantizedModel::new(&SensorModel {
             prior: f64::NAN,
             hit: 7.0,
             miss: -1.0,
             least: f64::INFINITY,
             most: f64::NAN,
         });
-        let cell = (0..300).fold(UNSEEN, |cell, _| evidence.after_hit(cell));
-        assert!(evidence.percent[usize::from(cell)] >= 50);
+        let cell = (0..300).fold(UNSEEN, |cell, _| model.after_hit(cell));
+        assert!(model.percent(cell) >= 50);
     }
 }

@@ -1,4 +1,6 @@
-//! What of a map outlives its service? Its `map_server` files, and beside them its revision and the robot's way (`map.json`).
+//! Map store. What of a map outlives its service?
+//!
+//! Its `map_server` files, and beside them a record of its revision and the robot's trajectory (`map.json`).
 
 use std::path::{Path, PathBuf};
 
@@ -8,25 +10,25 @@ use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::MapRef;
 use zenav_protocol::time::Stamp;
 
-use super::atomic::write_atomically;
-use super::map_file::{MapFileError, read_bytes, read_map, write_map};
+use crate::atomic::write_atomically;
+use crate::map_file::{MapFileError, read_bytes, read_map, write_map};
 
-/// Name of the files, without their endings.
+/// Name of the files, without their extensions.
 const STEM: &str = "map";
-/// Largest sidecar that is read, bytes.
+/// Largest record that is read, bytes.
 const MAX_SIDECAR: u64 = 64 << 20;
 
-/// What `map_server` files have no room for.
+/// What `map_server` files cannot express.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MapRecord {
-    /// Name and revision of the map that was stored.
+    /// The stored map and its revision.
     pub map: MapRef,
-    /// Stamp of the newest scan in it.
+    /// Stamp of the newest scan in the map.
     pub stamp: Stamp,
-    /// Scans inserted.
+    /// Number of scans inserted.
     pub scans: u64,
-    /// The robot's way while it was built, map frame, m.
+    /// Positions of the robot while the map was built, map frame, m.
     pub trajectory: Vec<Point2<f64>>,
 }
 
@@ -35,7 +37,7 @@ pub struct MapRecord {
 pub struct StoredMap {
     /// The map.
     pub grid: OccupancyGrid,
-    /// Its record; empty where another tool made the files.
+    /// The map's record; empty where another tool wrote the files.
     pub record: MapRecord,
 }
 
@@ -55,10 +57,10 @@ pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> 
     Ok(path)
 }
 
-/// The stored map of a folder; `None` when there is none. A record that is missing or broken only costs the record.
+/// Loads the map of a folder; `None` when there is none. Without a readable record the map has an empty one.
 ///
 /// # Errors
-/// [`MapFileError`] for files that are there but are no map.
+/// [`MapFileError`] for files that exist but are no map.
 pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     let path = folder.join(format!("{STEM}.yaml"));
     if !path.exists() {
@@ -68,7 +70,7 @@ pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     let sidecar = sidecar(folder);
     let record = match read_bytes(&sidecar, MAX_SIDECAR) {
         Ok(bytes) => serde_json::from_slice(&bytes).unwrap_or_else(|error| {
-            tracing::warn!(file = %sidecar.display(), %error, "the map's record is not readable and is left out");
+            tracing::warn!(file = %sidecar.display(), %error, "the map's record cannot be read and is ignored");
             MapRecord::default()
         }),
         Err(_) => MapRecord::default(),

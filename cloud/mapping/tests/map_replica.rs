@@ -1,15 +1,13 @@
-//! Does a copy of a map that is kept by patches equal the map?
+//! Does a replica that applies the mapper's patches equal the map?
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use proptest::prelude::*;
-use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::Scan;
-
 use nalgebra::Point2;
-use zenav_mapping::{Mapper, MapperConfig};
+use proptest::prelude::*;
+use zenav_mapping::{Mapper, MappingSettings};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::{MapPatch, MapRef};
+use zenav_protocol::messages::{MapPatch, MapRef, Scan};
 use zenav_protocol::padding::Extent;
 use zenav_protocol::time::Stamp;
 
@@ -29,9 +27,9 @@ fn scan(stamp: u64, x: f64, y: f64) -> Scan {
 
 proptest! {
     #[test]
-    fn a_copy_that_loses_patches_heals_by_asking_for_the_whole(steps in proptest::collection::vec((-20.0..20.0, -20.0..20.0, any::<bool>(), 1_usize..4), 1..15)) {
-        let mut mapper = Mapper::new(MapperConfig { patch_tiles: 7, ..MapperConfig::default() }, "m");
-        let mut mirror = MapReplica::new();
+    fn a_replica_that_loses_patches_heals_by_asking_for_the_whole_map(steps in proptest::collection::vec((-20.0..20.0, -20.0..20.0, any::<bool>(), 1_usize..4), 1..15)) {
+        let mut mapper = Mapper::new(MappingSettings { patch_tiles: 7, ..MappingSettings::default() }, "m");
+        let mut replica = MapReplica::new();
         for (step, (x, y, lost, patches)) in steps.iter().enumerate() {
             mapper.insert(&scan(step as u64 + 1, *x, *y));
             for _ in 0..*patches {
@@ -39,30 +37,30 @@ proptest! {
                 if *lost {
                     continue;
                 }
-                if mirror.apply(&patch) == PatchResult::Gap {
-                    prop_assert!(mirror.replace(&mapper.reply()));
+                if replica.apply(&patch) == PatchResult::Gap {
+                    prop_assert!(replica.replace(&mapper.reply()));
                 }
-                prop_assert_eq!(mirror.map(), mapper.map());
+                prop_assert_eq!(replica.map(), mapper.map());
             }
         }
         while let Some(patch) = mapper.take_patch() {
-            if mirror.apply(&patch) == PatchResult::Gap {
-                prop_assert!(mirror.replace(&mapper.reply()));
+            if replica.apply(&patch) == PatchResult::Gap {
+                prop_assert!(replica.replace(&mapper.reply()));
             }
         }
-        if mirror.map() != mapper.map() {
-            prop_assert!(mirror.replace(&mapper.reply()));
+        if replica.map() != mapper.map() {
+            prop_assert!(replica.replace(&mapper.reply()));
         }
-        prop_assert_eq!(mirror.grid(), &mapper.grid());
+        prop_assert_eq!(replica.grid(), &mapper.grid());
     }
 }
 
 #[test]
-fn patches_that_make_no_sense_change_nothing() {
-    let mut mapper = Mapper::new(MapperConfig::default(), "m");
+fn malformed_patches_change_nothing() {
+    let mut mapper = Mapper::new(MappingSettings::default(), "m");
     mapper.insert(&scan(1, 0.0, 0.0));
     let good = mapper.take_patch().unwrap();
-    let mut mirror = MapReplica::new();
+    let mut replica = MapReplica::new();
     let wrong: [fn(&mut MapPatch); 7] = [
         |patch| patch.spec.width = u32::MAX,
         |patch| (patch.spec.width, patch.spec.height) = (32_768, 32_768),
@@ -75,31 +73,31 @@ fn patches_that_make_no_sense_change_nothing() {
     for spoil in wrong {
         let mut patch = good.clone();
         spoil(&mut patch);
-        assert_eq!(mirror.apply(&patch), PatchResult::Gap);
-        assert!(!mirror.has_map());
+        assert_eq!(replica.apply(&patch), PatchResult::Gap);
+        assert!(!replica.has_map());
     }
-    assert_eq!(mirror.apply(&good), PatchResult::Applied);
-    assert_eq!(mirror.apply(&good), PatchResult::Old);
+    assert_eq!(replica.apply(&good), PatchResult::Applied);
+    assert_eq!(replica.apply(&good), PatchResult::Old);
     // The grid may not slip by part of a cell.
     let mut slipped = good.clone();
     slipped.base_revision = 1;
     slipped.map.revision = 2;
     slipped.spec.origin.x += 0.02;
-    assert_eq!(mirror.apply(&slipped), PatchResult::Gap);
-    assert_eq!(mirror.grid(), &mapper.grid());
+    assert_eq!(replica.apply(&slipped), PatchResult::Gap);
+    assert_eq!(replica.grid(), &mapper.grid());
 }
 
 #[test]
 fn a_new_map_takes_the_place_of_the_old_one() {
-    let mut mirror = MapReplica::new();
+    let mut replica = MapReplica::new();
     for id in ["first", "second"] {
-        let mut mapper = Mapper::new(MapperConfig::default(), id);
+        let mut mapper = Mapper::new(MappingSettings::default(), id);
         mapper.insert(&scan(1, 3.0, 4.0));
-        assert_eq!(mirror.apply(&mapper.take_patch().unwrap()), PatchResult::Applied);
-        assert_eq!(mirror.grid(), &mapper.grid());
+        assert_eq!(replica.apply(&mapper.take_patch().unwrap()), PatchResult::Applied);
+        assert_eq!(replica.grid(), &mapper.grid());
         assert!(
-            mirror.holds(mapper.map())
-                && !mirror.holds(&MapRef {
+            replica.holds(mapper.map())
+                && !replica.holds(&MapRef {
                     id: id.into(),
                     revision: 2
                 })
@@ -108,8 +106,8 @@ fn a_new_map_takes_the_place_of_the_old_one() {
 }
 
 #[test]
-fn a_copy_that_reaches_farther_holds_the_same_map_and_nothing_else() {
-    let mut mapper = Mapper::new(MapperConfig::default(), "m");
+fn a_padded_replica_holds_the_same_map_and_nothing_else() {
+    let mut mapper = Mapper::new(MappingSettings::default(), "m");
     let (mut far, mut exact) = (MapReplica::new(), MapReplica::new());
     for (step, x) in [0.0, 4.0, -9.0, 12.0, 12.5].into_iter().enumerate() {
         mapper.insert(&scan(step as u64 + 1, x, 0.5 * x));

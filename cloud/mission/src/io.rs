@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::records::Record;
 
@@ -29,37 +30,7 @@ pub struct Inputs {
     /// Answers to asks.
     pub answers: Vec<(Ticket, Result<Answer, NoAnswer>)>,
     /// What clients ask for.
-    pub requests: Vec<(Client, Request)>,
-}
-
-/// A client's request.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Request {
-    /// A goal.
-    Goal(Box<GoalRequest>),
-    /// End one.
-    Cancel(CancelRequest),
-    /// Hold one, or let it go on.
-    Pause(PauseRequest),
-    /// List them.
-    Goals(GoalsRequest),
-    /// Who is there.
-    Info(InfoRequest),
-    /// Another mission's: be handed whatever is stored from now on.
-    Join(JoinRequest),
-}
-
-/// The answer to a client's request.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Response {
-    /// To a goal, cancel or pause.
-    Goal(GoalReply),
-    /// To a list of goals.
-    Goals(GoalsReply),
-    /// To who is there.
-    Info(Box<InfoReply>),
-    /// To a mission that joins.
-    Join(JoinReply),
+    pub requests: Vec<(Client, MissionRequest)>,
 }
 
 /// A question of the mission's.
@@ -142,7 +113,7 @@ pub enum Effect {
     /// Ask.
     Ask(Ticket, Ask),
     /// Answer a client.
-    Reply(Client, Result<Response, Refusal>),
+    Reply(Client, Result<MissionReply, Refusal>),
     /// Another mission leads: this one is to be dropped, and what its leader stores to be taken in, until it may lead again.
     StandBy,
     /// Stop for good: this mission and the robot do not speak the same language.

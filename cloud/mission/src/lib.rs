@@ -74,6 +74,6 @@ mod tests;
 pub mod trees;
 
 pub use config::MissionConfig;
-pub use io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
+pub use io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 pub use orchestrator::Mission;
 pub use records::{Record, Restored};

@@ -134,7 +134,7 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::Scan;
 
-    use zenav_mapping::{Mapper, MapperConfig};
+    use zenav_mapping::{Mapper, MappingSettings};
 
     fn scan(stamp: u64, x: f64) -> Scan {
         Scan {
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn a_space_kept_by_patches_is_that_of_the_map() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let mut book = RobotMap::default();
         let footprint = Footprint::Radius(0.3);
         for step in 1..30 {
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_copy_with_a_gap_asks_for_the_whole() {
-        let mut mapper = Mapper::new(MapperConfig::default(), "m");
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let (mut book, mut asks) = (RobotMap::default(), Asks::new(1));
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}

@@ -30,7 +30,7 @@ pub struct ActivePlan {
     /// Corner points.
     pub waypoints: Vec<Point2<f64>>,
     /// Trajectory; empty for plain waypoints.
-    pub trajectory: Vec<TrajectoryPoint>,
+    pub trajectory: Trajectory,
     /// Where on the motion before it begins.
     pub splice: Option<Splice>,
     /// How it came about.
@@ -334,7 +334,7 @@ impl InForce {
 
 /// Rechecks a trajectory from plan time `from` on, with the true footprint.
 #[must_use]
-pub fn recheck(trajectory: &[TrajectoryPoint], space: &ConfigurationSpace, from: f64) -> Recheck {
+pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64) -> Recheck {
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
     let mut way = 0.0;
     let mut before: Option<Pose2> = None;
@@ -396,7 +396,7 @@ mod tests {
     }
 
     /// Straight on at 0.5 m/s for 8 m.
-    fn straight() -> Vec<TrajectoryPoint> {
+    fn straight() -> Trajectory {
         (0..=320)
             .map(|i| f64::from(i) * 0.05)
             .map(|t| TrajectoryPoint {

@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::config::MissionConfig;
 use super::context::{Context, GoalInHand};
 use super::goal_validation::{self, Target};
 use super::goals::GoalTable;
-use super::io::{Client, Effect, Inputs, Request, Response};
+use super::io::{Client, Effect, Inputs};
 use super::leaves::{goal_text, goals_value};
 use super::records::{Record, Restored, RunningTree, StoredGoal};
 use super::trees;
@@ -33,7 +34,7 @@ pub struct Mission {
     running: Option<Running>,
     /// The tree that ran before a restart, until its goal is taken up again.
     left_over: Option<RunningTree>,
-    replies: Vec<(Client, Result<Response, Refusal>)>,
+    replies: Vec<(Client, Result<MissionReply, Refusal>)>,
     tree_ended: bool,
     next_status: Stamp,
     told: Option<(Option<String>, u64, Option<u64>)>,
@@ -136,7 +137,7 @@ impl Mission {
     }
 
     /// What is left to do for a mission that does not lead: it asks to, and says so.
-    fn stand_by(&mut self, requests: Vec<(Client, Request)>, mut effects: Vec<Effect>) -> Vec<Effect> {
+    fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>, mut effects: Vec<Effect>) -> Vec<Effect> {
         for (client, request) in requests {
             let reply = self.serve(request);
             effects.push(Effect::Reply(client, reply));

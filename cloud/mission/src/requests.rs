@@ -3,35 +3,36 @@
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::goal_validation;
 use super::goals::reply;
-use super::io::{Request, Response};
 use super::orchestrator::Mission;
 
 /// Longest id of a request, bytes.
 const LONGEST_ID: usize = 128;
 
 impl Mission {
-    /// Answers one request.
-    pub(super) fn serve(&mut self, request: Request) -> Result<Response, Refusal> {
-        if self.ctx.lease.stands_by() && !matches!(request, Request::Info(_)) {
+    /// Answers one request. A new ask of the mission's is an arm here.
+    pub(super) fn serve(&mut self, request: MissionRequest) -> Result<MissionReply, Refusal> {
+        if self.ctx.lease.stands_by() && !matches!(request, MissionRequest::Info(_)) {
             return Err(Refusal::NotLeader);
         }
         match request {
-            Request::Goal(request) => self.submit(*request).map(Response::Goal),
-            Request::Cancel(request) => {
+            MissionRequest::Goal(request) => self.submit(request).map(MissionReply::Goal),
+            MissionRequest::Cancel(request) => {
                 let id = request.request_id.clone();
-                self.once(id, |mission| mission.cancel(request.id)).map(Response::Goal)
+                self.once(id, |mission| mission.cancel(request.id))
+                    .map(MissionReply::Cancel)
             }
-            Request::Pause(request) => {
+            MissionRequest::Pause(request) => {
                 let id = request.request_id.clone();
                 self.once(id, |mission| mission.pause(request.id, request.resume))
-                    .map(Response::Goal)
+                    .map(MissionReply::Pause)
             }
-            Request::Goals(request) => self.goals.list(&request).map(Response::Goals),
-            Request::Join(request) => self.join(request).map(Response::Join),
-            Request::Info(InfoRequest {}) => Ok(Response::Info(Box::new(InfoReply {
+            MissionRequest::Goals(request) => self.goals.list(&request).map(MissionReply::Goals),
+            MissionRequest::Join(request) => self.join(request).map(MissionReply::Join),
+            MissionRequest::Info(InfoRequest {}) => Ok(MissionReply::Info(InfoReply {
                 component: "mission".to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 schema: SCHEMA_VERSION,
@@ -39,7 +40,7 @@ impl Mission {
                 store: self.store.clone(),
                 leads: self.ctx.lease.claims(),
                 ..InfoReply::default()
-            }))),
+            })),
         }
     }
 

@@ -4,13 +4,13 @@
 //! program reads an older one's file. A batch has a form that a standby's store takes as well; what the file says of itself (its name, how it
 //! stands to others) never leaves it.
 
-use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::{Path, PathBuf};
 
 use redb::{Database, DatabaseError, ReadableDatabase, ReadableTable, Table, TableDefinition};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::JournalWrite;
 
 use super::records::{Leadership, Record, Restored, StoredGoal};
@@ -121,8 +121,7 @@ impl Store {
             match self.single(&own, NAME)? {
                 Some(name) => name,
                 None => {
-                    let random = std::hash::RandomState::new().build_hasher().finish();
-                    let name = format!("{:08x}", random as u32);
+                    let name = String::from(Id::unique());
                     self.insert(&mut own, NAME, &name)?;
                     name
                 }

@@ -58,6 +58,8 @@ pub enum NotFound {
     NoPath,
     /// The budget ran out.
     TimedOut,
+    /// They may be connected, but only by a path that costs more than 32 bits count: 748,000 straight steps, fewer where clearance costs.
+    TooLong,
 }
 
 /// Working memory, kept from one search to the next.
@@ -116,6 +118,7 @@ fn expand(
         estimate: octile(start, goal),
         name: name(start),
     });
+    let mut too_long = false;
     while let Some(Open { estimate, name: open }) = memory.open.pop() {
         let best = memory.cost(goal_node);
         if is_past(estimate, best) {
@@ -151,11 +154,13 @@ fn expand(
                     estimate,
                     name: name(to),
                 });
+            } else if estimate == UNREACHED {
+                too_long = true;
             }
         }
     }
     if memory.cost(goal_node) == UNREACHED {
-        return Err(NotFound::NoPath);
+        return Err(if too_long { NotFound::TooLong } else { NotFound::NoPath });
     }
     let cells = trace(lattice, costs, start_node, goal_node, memory);
     Ok(GridPath::through(&cells))

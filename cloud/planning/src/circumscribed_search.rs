@@ -23,12 +23,9 @@ pub(super) fn search(
     let (Some(first), Some(last), Ok(mut searcher)) = (
         spec.cell_at(query.start),
         spec.cell_at(query.goal),
-        Searcher::new(&space.free_to_turn()),
+        Searcher::new(space.for_disc(space.footprint().circumscribed_radius()).free()),
     ) else {
-        return Searched {
-            result: Err(NotFound::OutOfMap),
-            expansions: 0,
-        };
+        return Searched::failed(NotFound::OutOfMap);
     };
     let Searched { result, expansions } = searcher.search_with(costs, first, last, budget);
     let result = result.and_then(|way| {

@@ -148,6 +148,7 @@ pub fn search(
         here: start,
         cost: 0,
         best: UNREACHED,
+        too_long: false,
     };
     let result = run.until_found(start).map(|()| run.trace(start));
     Searched {
@@ -182,6 +183,8 @@ struct Run<'a> {
     cost: u32,
     /// Least cost known to the goal.
     best: u32,
+    /// A path was given up because its cost could not be counted.
+    too_long: bool,
 }
 
 impl Run<'_> {
@@ -202,7 +205,9 @@ impl Run<'_> {
                 self.expand(cell, cost, u32::from(SUCCESSORS[direction][can & 0xFF]))?;
             }
         }
-        if self.best == UNREACHED {
+        if self.best == UNREACHED && self.too_long {
+            Err(NotFound::TooLong)
+        } else if self.best == UNREACHED {
             Err(NotFound::NoPath)
         } else {
             Ok(())
@@ -304,6 +309,8 @@ impl Run<'_> {
             self.best = cost;
             let state = State::new(cost, self.memory.expanded.len() - 1);
             self.memory.states.set(self.lattice.padded(self.goal), state.0);
+        } else if cost == UNREACHED {
+            self.too_long = true;
         }
     }
 
@@ -345,6 +352,8 @@ impl Run<'_> {
                     estimate,
                     name: name(cell, direction),
                 });
+            } else if estimate == UNREACHED {
+                self.too_long = true;
             }
         }
     }

@@ -23,6 +23,7 @@
 pub mod astar;
 pub mod budget;
 mod circumscribed_search;
+mod ends;
 pub mod grid_graph;
 pub mod jps;
 pub mod jump_grid;
@@ -42,7 +43,7 @@ pub mod theta;
 pub use budget::Budget;
 pub use grid_graph::GridPath;
 pub use path::Path;
-pub use plan::{Planned, plan};
+pub use plan::{FootprintSearch, Planned, plan};
 pub use planner::{PlanOptions, Planner};
 pub use replan::Replanner;
 pub use searcher::{Query, Searched, Searcher};

@@ -1,6 +1,7 @@
 //! What does a search give? Corner points in cells, whatever searched: grids, any-angle and sampling planners alike.
 
 use nalgebra::Point2;
+use zenav_protocol::grid::Cell;
 
 use super::grid_graph::GridPath;
 
@@ -28,10 +29,13 @@ impl From<GridPath> for Path {
         let length = path.length();
         let corners = path.corners.iter();
         Self {
-            corners: corners
-                .map(|cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5))
-                .collect(),
+            corners: corners.map(|cell| center(*cell)).collect(),
             length,
         }
     }
+}
+
+/// A cell's centre, in cells.
+pub(super) fn center(cell: Cell) -> Point2<f64> {
+    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
 }

@@ -1,36 +1,82 @@
-//! Is there a way for this robot from here to there? Where a search starts and ends, and what its answer means.
+//! Path planning for a robot. Is there a path from here to there that its footprint can drive?
+//!
+//! See [`plan`] for the order in which searches are tried.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
 use zenav_protocol::robot::Footprint;
+use zenav_space::{ConfigurationSpace, DistanceCost};
 
 use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
 use super::circumscribed_search;
+use super::ends::{End, cell_beside, leaving};
 use super::planner::PlanOptions;
 use super::se2_search;
 use super::searcher::{Query, Searched, Searcher};
-use zenav_space::{ConfigurationSpace, DistanceCost, LineOfSight as _};
+
+/// A path for the inscribed disc may be this many times shorter than one with room to turn everywhere, and the latter is still taken.
+const DETOUR: f64 = 1.1;
+/// Points closer together than this are one, m.
+const ROUNDING: f64 = 1e-9;
+
+/// What stood for the footprint in the search that found a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FootprintSearch {
+    /// The circumscribed disc: the robot may turn anywhere on the path.
+    Circumscribed,
+    /// A disc halfway between the circumscribed and the inscribed one.
+    Intermediate,
+    /// The inscribed disc. For a round robot this is the robot itself.
+    Inscribed,
+    /// The footprint itself, by a search over positions and headings.
+    Se2,
+}
 
 /// An answer, and what it took.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Planned {
     /// The answer.
     pub outcome: PlanOutcome,
-    /// Nodes expanded.
+    /// Which search found the path; `None` without a path.
+    pub found_by: Option<FootprintSearch>,
+    /// Whether the path begins with a leg out of an obstacle of the map ([`PlanOptions::escape`]).
+    pub escapes: bool,
+    /// Nodes expanded and samples drawn, by all searches together.
     pub expansions: u64,
-    /// How it came about.
+    /// Whether the path was searched for or is an earlier one ([`Replanner`](super::Replanner)).
     pub origin: PlanOrigin,
 }
 
-/// A way for the robot from one pose to another. `searcher` was made from `space.free()`.
+impl Planned {
+    fn without_search(outcome: PlanOutcome) -> Self {
+        Self {
+            outcome,
+            found_by: None,
+            escapes: false,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        }
+    }
+}
+
+/// A path that the robot can drive from one pose to another. `searcher` was made from `space.free()`.
 ///
-/// The way leads from the exact start to the exact goal: over cell centres where the planner's search is on a grid, straight from the ends
-/// where it grows trees. The true footprint can drive it as it stands: legs straight, turns on the spot at the corners, the first one from
-/// the start's heading. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
-/// refused only where it stands in an obstacle.
+/// The path leads from the exact start to the exact goal (m, map frame). The footprint can drive it as it stands: legs straight, turns on
+/// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free). The goal's heading is
+/// not looked at. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that.
+///
+/// A round robot takes one search. For a polygon the searches are tried in a fixed order, until one gives a path that the footprint can
+/// drive; [`Planned::found_by`] tells which one it was.
+///
+/// | planner | 1 | 2 | 3 | 4 |
+/// |---|---|---|---|---|
+/// | one that keeps clear of obstacles by itself ([`Planner::keeps_clear`](super::Planner::keeps_clear)) | inscribed disc | A* for the circumscribed disc, taken if at most 10 % longer than 1 | SE(2) search | |
+/// | any other: its paths pass obstacles as closely as they may | circumscribed disc | disc halfway | inscribed disc | SE(2) search |
+///
+/// The budget is that of each search, not of all together. A search that runs out of it ends the whole with [`PlanOutcome::TimedOut`].
 pub fn plan(
     space: &ConfigurationSpace,
     searcher: &mut Searcher,
@@ -39,38 +85,116 @@ pub fn plan(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Planned {
-    answer(space, start, goal, options, budget, |first, last| {
-        let searched = between(space, searcher, first, last, options, budget);
+    let mut find = |by: FootprintSearch, disc: &ConfigurationSpace, first: End, last: End| {
+        let searched = if by == FootprintSearch::Inscribed {
+            between(disc, searcher, first, last, options, budget)
+        } else {
+            match Searcher::new(disc.free()) {
+                Ok(mut searcher) => between(disc, &mut searcher, first, last, options, budget),
+                Err(_) => Searched::failed(NotFound::OutOfMap),
+            }
+        };
         (searched, PlanOrigin::Searched)
-    })
+    };
+    answer(space, start, goal, options, budget, &mut find)
 }
 
-/// A way between two poses, where `find` gives one between two ends on the grid.
-///
-/// That one is for the inscribed disc; where the true footprint cannot drive it, one that it can drive takes its place.
+/// Finds a path between two ends for a disc, in the space made for it.
+pub(super) type Find<'a> = dyn FnMut(FootprintSearch, &ConfigurationSpace, End, End) -> (Searched, PlanOrigin) + 'a;
+
+/// A path between two poses, by searches for discs that `find` makes.
 pub(super) fn answer(
     space: &ConfigurationSpace,
     start: Pose2,
     goal: Pose2,
     options: &PlanOptions,
     budget: Budget<'_>,
-    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+    find: &mut Find<'_>,
 ) -> Planned {
-    let (from, to) = (start.position(), goal.position());
-    let mut planned = for_disc(space, from, to, find);
-    if matches!(space.footprint(), Footprint::Polygon(_)) {
-        let heading = (!options.any_heading).then_some(start.yaw);
-        let query = se2_search::Query {
-            start: from,
-            heading,
-            goal: to,
-        };
+    let planned = drivable(space, start, goal, options, budget, find);
+    let PlanOutcome::StartOccupied {
+        nearest_free: Some(free),
+    } = planned.outcome
+    else {
+        return planned;
+    };
+    let away = (free - start.position()).norm();
+    if away > options.escape {
+        return planned;
+    }
+    let mut escaped = drivable(
+        space,
+        Pose2::new(free.x, free.y, start.yaw),
+        goal,
+        options,
+        budget,
+        find,
+    );
+    escaped.escapes = true;
+    escaped.expansions += planned.expansions;
+    if let PlanOutcome::Found { path, length } = &mut escaped.outcome {
+        path.insert(0, start.position());
+        *length += away;
+    }
+    escaped
+}
+
+/// The searches of [`plan`] in their order.
+fn drivable(
+    space: &ConfigurationSpace,
+    start: Pose2,
+    goal: Pose2,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+    find: &mut Find<'_>,
+) -> Planned {
+    let query = se2_search::Query {
+        start: start.position(),
+        heading: (!options.any_heading).then_some(start.yaw),
+        goal: goal.position(),
+    };
+    let footprint = space.footprint();
+    if matches!(footprint, Footprint::Radius(_)) {
+        return for_disc(space, FootprintSearch::Inscribed, &query, find);
+    }
+    let mut expansions = 0;
+    if !options.planner.keeps_clear() {
+        let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
+        let discs = [
+            (FootprintSearch::Circumscribed, outer),
+            (FootprintSearch::Intermediate, 0.5 * (inner + outer)),
+        ];
+        for (by, radius) in discs {
+            let mut planned = for_disc(&space.for_disc(radius), by, &query, find);
+            planned.expansions += expansions;
+            if is_final(space, &planned.outcome, &query) {
+                return planned;
+            }
+            expansions = planned.expansions;
+        }
+    }
+    let mut planned = for_disc(space, FootprintSearch::Inscribed, &query, find);
+    planned.expansions += expansions;
+    if !is_final(space, &planned.outcome, &query) {
         fit_footprint(space, &query, options, budget, &mut planned);
     }
     planned
 }
 
-/// Puts a way that the true footprint can drive, if there is one, in place of one that only the inscribed disc can.
+/// Whether no other search would better this outcome of one for a disc.
+fn is_final(space: &ConfigurationSpace, outcome: &PlanOutcome, query: &se2_search::Query) -> bool {
+    match outcome {
+        // A robot that stands where it does not fit by the map leaves by the disc's path, as far as it gets.
+        PlanOutcome::Found { path, .. } => {
+            se2_search::is_drivable(space, path, query.heading)
+                || !se2_search::can_stand(space, query.start, query.heading)
+        }
+        PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
+        PlanOutcome::OutOfMap | PlanOutcome::TimedOut | PlanOutcome::NoMap => true,
+    }
+}
+
+/// Puts a path that the footprint can drive, if there is one, in place of one that only the inscribed disc can.
 fn fit_footprint(
     space: &ConfigurationSpace,
     query: &se2_search::Query,
@@ -78,93 +202,84 @@ fn fit_footprint(
     budget: Budget<'_>,
     planned: &mut Planned,
 ) {
-    let is_fine = match &planned.outcome {
-        PlanOutcome::Found { path, .. } => se2_search::is_drivable(space, path, query.heading),
-        PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
-        _ => true,
-    };
-    // A robot that stands where it does not fit by the map leaves by the disc's way, as far as it gets.
-    if is_fine
-        || !se2_search::can_stand(space, query.start, query.heading)
-        || !se2_search::can_stand(space, query.goal, None)
-    {
+    if !se2_search::can_stand(space, query.start, query.heading) || !se2_search::can_stand(space, query.goal, None) {
         return;
     }
-    let costs = comfort(space, options);
-    if let PlanOutcome::Found { length, .. } = planned.outcome {
-        let roomy = circumscribed_search::search(space, &costs, query, budget);
-        planned.expansions += roomy.expansions;
-        if let Ok(path) = roomy.result
+    let costs = clearance_cost(space, options);
+    if let PlanOutcome::Found { length, .. } = planned.outcome
+        && options.planner.keeps_clear()
+    {
+        let searched = circumscribed_search::search(space, &costs, query, budget);
+        planned.expansions += searched.expansions;
+        if let Ok(path) = searched.result
             && let outcome @ PlanOutcome::Found { length: longer, .. } = found(path)
             && longer <= length * DETOUR
         {
             (planned.outcome, planned.origin) = (outcome, PlanOrigin::Searched);
+            planned.found_by = Some(FootprintSearch::Circumscribed);
             return;
         }
     }
     let searched = se2_search::search(space, &costs, query, budget);
     planned.expansions += searched.expansions;
     planned.origin = PlanOrigin::Searched;
+    planned.found_by = searched.result.is_ok().then_some(FootprintSearch::Se2);
     match (searched.result, &planned.outcome) {
         (Ok(path), _) => planned.outcome = found(path),
-        (Err(NotFound::TimedOut), _) => planned.outcome = PlanOutcome::TimedOut,
+        (Err(NotFound::TimedOut | NotFound::TooLong), _) => planned.outcome = PlanOutcome::TimedOut,
         (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
         (Err(_), _) => {}
     }
 }
-
-/// So many times longer than the inscribed disc's way, a way with room to turn is as good as any.
-const DETOUR: f64 = 1.1;
 
 fn found(path: Vec<Point2<f64>>) -> PlanOutcome {
     let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     PlanOutcome::Found { path, length }
 }
 
-/// A way for the inscribed disc.
+/// A path for the disc that `space` is made for.
 fn for_disc(
     space: &ConfigurationSpace,
-    start: Point2<f64>,
-    goal: Point2<f64>,
-    find: impl FnOnce(End, End) -> (Searched, PlanOrigin),
+    by: FootprintSearch,
+    query: &se2_search::Query,
+    find: &mut Find<'_>,
 ) -> Planned {
-    let without_search = |outcome| Planned {
-        outcome,
-        expansions: 0,
-        origin: PlanOrigin::Searched,
-    };
+    let (start, goal) = (query.start, query.goal);
     if space.spec().cell_at(start).is_none() || space.spec().cell_at(goal).is_none() {
-        return without_search(PlanOutcome::OutOfMap);
+        return Planned::without_search(PlanOutcome::OutOfMap);
     }
     let Some(first) = leaving(space, start) else {
         let nearest_free = space.nearest_free(start);
-        return without_search(PlanOutcome::StartOccupied { nearest_free });
+        return Planned::without_search(PlanOutcome::StartOccupied { nearest_free });
     };
     let Some(last) = cell_beside(space, goal, space.radius()) else {
         let nearest_free = space.nearest_free(goal);
-        return without_search(PlanOutcome::GoalOccupied { nearest_free });
+        return Planned::without_search(PlanOutcome::GoalOccupied { nearest_free });
     };
     if start == goal {
-        let path = vec![start, goal];
-        return without_search(PlanOutcome::Found { path, length: 0.0 });
+        return Planned {
+            found_by: Some(by),
+            ..Planned::without_search(found(vec![start, goal]))
+        };
     }
     let end = |point, cell| End {
         point: space.spec().to_cells(point),
         cell,
     };
-    let (searched, origin) = find(end(start, first), end(goal, last));
+    let (searched, origin) = find(by, space, end(start, first), end(goal, last));
+    let found_by = searched.result.is_ok().then_some(by);
     let outcome = match searched.result {
-        Ok(found) => {
-            let corners = found.corners.iter().map(|corner| space.spec().from_cells(*corner));
+        Ok(path) => {
+            let corners = path.corners.iter().map(|corner| space.spec().from_cells(*corner));
             let mut path = vec![start];
             // Ends that were searched from come back rounded.
             path.extend(
                 corners.filter(|corner| (corner - start).norm() > ROUNDING && (corner - goal).norm() > ROUNDING),
             );
             path.push(goal);
-            self::found(path)
+            found(path)
         }
-        Err(NotFound::TimedOut) => PlanOutcome::TimedOut,
+        Err(NotFound::TimedOut | NotFound::TooLong) => PlanOutcome::TimedOut,
         // Both ends were found free above; a searcher of another map says so by the last three.
         Err(NotFound::NoPath | NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => {
             PlanOutcome::NoPath
@@ -172,35 +287,14 @@ fn for_disc(
     };
     Planned {
         outcome,
+        found_by,
+        escapes: false,
         expansions: searched.expansions,
         origin,
     }
 }
 
-/// Points closer together than this are one, m.
-const ROUNDING: f64 = 1e-9;
-
-/// Where a search begins or ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct End {
-    /// Exactly, in cells.
-    pub(super) point: Point2<f64>,
-    /// The free cell at or close to it.
-    pub(super) cell: Cell,
-}
-
-impl End {
-    /// Where a planner starts from: the point itself where the planner is not bound to cells and the robot fits there.
-    pub(super) fn of(&self, space: &ConfigurationSpace, options: &PlanOptions) -> Point2<f64> {
-        if options.planner.grows_trees() && space.admits(self.point) {
-            self.point
-        } else {
-            center(self.cell)
-        }
-    }
-}
-
-/// A way between two ends, as the options ask for it.
+/// A path between two ends, as the options ask for it.
 pub(super) fn between(
     space: &ConfigurationSpace,
     searcher: &mut Searcher,
@@ -209,75 +303,22 @@ pub(super) fn between(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Searched {
-    if let Some(costs) = comfort(space, options) {
+    if let Some(costs) = clearance_cost(space, options) {
         return searcher.search_with(&costs, first.cell, last.cell, budget);
     }
-    let [start, goal] = [first, last].map(|end| end.of(space, options));
+    let [start, goal] = [first, last].map(|end| end.of(space, options.planner));
     let seed = options.seed;
+    searcher.sampling = options.sampling;
     searcher.search(options.planner, space, &Query { start, goal, seed }, budget)
 }
 
-/// A cell's centre, in cells.
-fn center(cell: Cell) -> Point2<f64> {
-    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-}
-
-/// Cells looked at around a point that is not at a free cell's centre, in each direction.
-const NEARBY: i64 = 3;
-
-/// The free cell nearest to a point from whose centre a disc of `radius` goes straight to the point; none further than a few cells away.
-fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius: f64) -> Option<Cell> {
-    nearest_reachable(space, point, radius, NEARBY)
-}
-
-/// The free cell that a robot leaves by, which may stand closer to obstacles than it would be led.
-fn leaving(space: &ConfigurationSpace, start: Point2<f64>) -> Option<Cell> {
-    let radius = space.radius();
-    if let Some(cell) = cell_beside(space, start, radius) {
-        return Some(cell);
-    }
-    // A map is no truer than its cells: an obstacle may reach that far into the robot without the robot having touched it.
-    let clearance = space.clearance(start);
-    let tolerance = TOUCHING_CELLS * space.spec().resolution;
-    if clearance < space.footprint().inscribed_radius() - tolerance {
-        return None;
-    }
-    let cells = (LEAVING / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
-    nearest_reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells)
-}
-
-/// How deep an obstacle may reach into a standing robot, cells.
-const TOUCHING_CELLS: f64 = 1.5;
-/// How far such a robot may go for a free place, m.
-const LEAVING: f64 = 0.6;
-
-fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> Option<Cell> {
-    let spec = space.spec();
-    let home = spec.cell_at(point)?;
-    let mut around: Vec<(f64, Cell)> = Vec::new();
-    for dy in -cells..=cells {
-        for dx in -cells..=cells {
-            let (x, y) = (i64::from(home.x) + dx, i64::from(home.y) + dy);
-            if spec.contains(x, y) && space.is_free(Cell::new(x as u32, y as u32)) {
-                let cell = Cell::new(x as u32, y as u32);
-                around.push(((spec.center(cell) - point).norm_squared(), cell));
-            }
-        }
-    }
-    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    around
-        .into_iter()
-        .map(|(_, cell)| cell)
-        .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
-}
-
-/// What it costs to be near obstacles, where the options ask for it: a share that falls with the square of the room that is wanted.
-pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
-    let asked = options.planner.keeps_away() && options.comfort_weight > 0.0 && options.comfort > 0.0;
+/// Cost of being near obstacles, where the options ask for it: it falls with the square of the clearance still wanted.
+pub(super) fn clearance_cost<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
+    let asked = options.planner.keeps_clear() && options.clearance_weight > 0.0 && options.clearance > 0.0;
     let cost = |distance: f64| {
         let clearance = distance - space.radius();
-        let share = (1.0 - clearance.max(0.0) / options.comfort).max(0.0);
-        (options.comfort_weight * f64::from(PARTS) * share * share) as u8
+        let share = (1.0 - clearance.max(0.0) / options.clearance).max(0.0);
+        (options.clearance_weight * f64::from(PARTS) * share * share) as u8
     };
     asked.then(|| DistanceCost::new(space.field(), cost))
 }
@@ -287,7 +328,7 @@ pub(super) fn comfort<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) 
 mod tests {
     use super::*;
     use crate::Planner;
-    use zenav_protocol::grid::{Grid, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
     use zenav_space::UnknownPolicy;
 
@@ -419,5 +460,79 @@ mod tests {
             ask(&room(), (-0.9, 0.0), (1.0, 0.0), &PlanOptions::default()),
             PlanOutcome::StartOccupied { .. }
         ));
+    }
+
+    /// A robot of 0.8 m by 0.3 m in the room, whose wall across has a door of `gap` cells.
+    fn ask_long(gap: u32, start: Pose2, goal: (f64, f64), planner: Planner) -> Planned {
+        let mut grid = room();
+        for y in 1..79 {
+            let is_door = (40..40 + gap).contains(&y);
+            grid[Cell::new(50, y)] = if is_door { Occupancy::FREE } else { Occupancy::OCCUPIED };
+        }
+        let outline = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)].map(|(x, y)| Point2::new(x, y));
+        let footprint = Footprint::Polygon(outline.to_vec());
+        let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Blocked, 0.0);
+        let mut searcher = Searcher::new(space.free()).unwrap();
+        let mut options = PlanOptions::new(planner);
+        options.sampling.improving = 200;
+        let goal = Pose2::new(goal.0, goal.1, 0.0);
+        let planned = plan(&space, &mut searcher, start, goal, &options, Budget::UNLIMITED);
+        let again = crate::Replanner::new(&space)
+            .unwrap()
+            .plan(&space, start, goal, &options, Budget::UNLIMITED);
+        assert_eq!(again.unwrap(), planned);
+        if let PlanOutcome::Found { path, .. } = &planned.outcome {
+            assert!(
+                se2_search::is_drivable(&space, path, Some(start.yaw)),
+                "{planner}: {path:?}"
+            );
+        }
+        planned
+    }
+
+    #[test]
+    fn every_path_of_every_planner_can_be_driven_by_a_robot_that_is_longer_than_wide() {
+        let by = |gap, planner| {
+            let planned = ask_long(gap, Pose2::new(0.0, 0.0, 1.0), (3.0, 0.0), planner);
+            (planned.found_by, planned.outcome)
+        };
+        for (_, planner) in Planner::ALL {
+            let first = if planner.keeps_clear() {
+                FootprintSearch::Inscribed
+            } else {
+                FootprintSearch::Circumscribed
+            };
+            // With a door of 1 m there is room to turn; through one of 45 cm it goes lengthways; one of 25 cm is too narrow.
+            assert_eq!(by(19, *planner).0, Some(first), "{planner}");
+            assert!(by(9, *planner).0.is_some(), "{planner}");
+            assert_eq!(by(5, *planner), (None, PlanOutcome::NoPath), "{planner}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_stands_in_an_obstacle_leaves_it_only_where_that_is_asked_for() {
+        let space = ConfigurationSpace::new(&room(), &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
+        let mut searcher = Searcher::new(space.free()).unwrap();
+        let (start, goal) = (Pose2::new(-0.93, 0.0, 0.0), Pose2::new(1.0, 0.0, 0.0));
+        let mut ask = |escape| {
+            let options = PlanOptions {
+                escape,
+                ..PlanOptions::default()
+            };
+            plan(&space, &mut searcher, start, goal, &options, Budget::UNLIMITED)
+        };
+        assert!(matches!(ask(0.1).outcome, PlanOutcome::StartOccupied { .. }));
+        let escaped = ask(0.6);
+        let PlanOutcome::Found { path, length } = &escaped.outcome else {
+            panic!("{escaped:?}")
+        };
+        assert!(escaped.escapes && path[0] == start.position() && path[path.len() - 1] == goal.position());
+        let legs: f64 = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+        assert!((length - legs).abs() < 1e-9);
+        assert!(
+            path.windows(2)
+                .skip(1)
+                .all(|leg| space.segment_is_free(leg[0], leg[1], RADIUS))
+        );
     }
 }

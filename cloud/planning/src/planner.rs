@@ -6,6 +6,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::sampling;
+
 /// The searches there are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Planner {
@@ -41,9 +43,9 @@ impl Planner {
         matches!(self, Self::Rrt | Self::RrtConnect | Self::RrtStar)
     }
 
-    /// Whether its ways keep away from obstacles for the robot's comfort; those of the others may pass as close as the robot fits.
+    /// Whether its paths keep clear of obstacles where there is room; those of the others may pass as close as the robot fits.
     #[must_use]
-    pub const fn keeps_away(self) -> bool {
+    pub const fn keeps_clear(self) -> bool {
         matches!(self, Self::AStar)
     }
 
@@ -91,43 +93,53 @@ impl FromStr for Planner {
     }
 }
 
-/// How a way is looked for.
+/// How a path is searched for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanOptions {
-    /// Which search.
+    /// Which planner.
     pub planner: Planner,
-    /// A way keeps this far from obstacles where there is room, m, beyond the robot's radius.
-    pub comfort: f64,
-    /// Metres of detour that a metre along an obstacle is worth; 0 asks for the shortest way. At most 7.
-    pub comfort_weight: f64,
-    /// Seed of planners that draw samples.
+    /// A path keeps this far from obstacles where there is room, m, beyond the robot's radius.
+    pub clearance: f64,
+    /// Metres of detour that a metre along an obstacle is worth; 0 asks for the shortest path. At most 7.
+    pub clearance_weight: f64,
+    /// Parameters of sampling planners.
+    pub sampling: sampling::Options,
+    /// Seed of sampling planners.
     pub seed: u64,
     /// The robot may begin with any heading, whatever the start says.
     pub any_heading: bool,
+    /// A robot that stands in an obstacle of the map may go this far to the nearest free place, m (default 0: it is refused).
+    pub escape: f64,
 }
 
 impl Default for PlanOptions {
     fn default() -> Self {
-        Self {
-            planner: Planner::AStar,
-            comfort: 0.4,
-            comfort_weight: 3.0,
-            seed: 1,
-            any_heading: false,
-        }
+        Self::new(Planner::AStar)
     }
 }
 
 impl PlanOptions {
-    /// The shortest way on the grid, whatever its clearance.
+    /// The defaults for a planner.
+    #[must_use]
+    pub fn new(planner: Planner) -> Self {
+        Self {
+            planner,
+            clearance: 0.4,
+            clearance_weight: 3.0,
+            sampling: sampling::Options::default(),
+            seed: 1,
+            any_heading: false,
+            escape: 0.0,
+        }
+    }
+
+    /// The shortest path on the grid, whatever its clearance.
     #[must_use]
     pub fn shortest(planner: Planner) -> Self {
         Self {
-            planner,
-            comfort: 0.0,
-            comfort_weight: 0.0,
-            seed: 1,
-            any_heading: false,
+            clearance: 0.0,
+            clearance_weight: 0.0,
+            ..Self::new(planner)
         }
     }
 }

@@ -24,6 +24,16 @@ pub struct Searched<W = Path> {
     pub expansions: u64,
 }
 
+impl<W> Searched<W> {
+    /// No path, and nothing was looked at.
+    pub(super) const fn failed(reason: NotFound) -> Self {
+        Self {
+            result: Err(reason),
+            expansions: 0,
+        }
+    }
+}
+
 impl From<Searched<GridPath>> for Searched {
     fn from(searched: Searched<GridPath>) -> Self {
         Self {
@@ -112,10 +122,7 @@ impl Searcher {
         budget: Budget<'_>,
     ) -> Searched {
         let Some((start, goal)) = query.cells() else {
-            return Searched {
-                result: Err(NotFound::OutOfMap),
-                expansions: 0,
-            };
+            return Searched::failed(NotFound::OutOfMap);
         };
         match planner {
             Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),

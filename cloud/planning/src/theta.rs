@@ -7,7 +7,6 @@
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
 
-use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::astar::{NotFound, ends};
@@ -15,7 +14,7 @@ use super::budget::Budget;
 use super::grid_graph::{GridGraph, STEPS, STRAIGHT};
 use super::node_table::NodeTable;
 use super::open_list::{Open, OpenList, is_past};
-use super::path::Path;
+use super::path::{Path, center};
 use super::searcher::{Query, Searched};
 use super::string_pulling::tighten;
 use zenav_space::LineOfSight;
@@ -27,7 +26,10 @@ pub struct Memory {
     open: OpenList,
 }
 
-/// What is known of a cell; nothing at first. Ways longer than about 374,000 cells are not told from none.
+/// Cost that no cell is noted with: about 374,000 cells. A longer path is [`NotFound::TooLong`].
+const LONGEST: u32 = u32::MAX >> 1;
+
+/// What is known of a cell; nothing at first.
 #[derive(Clone, Copy, Debug, Default)]
 struct Reached {
     /// Length of the best way to it, turned over so that 0 stands for none; the lowest bit tells that it had its turn.
@@ -99,6 +101,7 @@ fn expand(
         estimate: distance(start, goal),
         name: start_node,
     });
+    let mut too_long = false;
     while let Some(Open { estimate, name: node }) = memory.open.pop() {
         let mut here = memory.reached.get(node);
         if here.had_its_turn() {
@@ -139,7 +142,9 @@ fn expand(
             }
             let to = Cell::new(cell.x.wrapping_add_signed(step.x), cell.y.wrapping_add_signed(step.y));
             let cost = base + distance(parent, to);
-            if cost < known.cost() {
+            if cost >= LONGEST {
+                too_long = true;
+            } else if cost < known.cost() {
                 memory.reached.set(next, Reached::new(cost, here.parent));
                 memory.open.push(Open {
                     estimate: cost + distance(to, goal),
@@ -148,7 +153,7 @@ fn expand(
             }
         }
     }
-    Err(NotFound::NoPath)
+    Err(if too_long { NotFound::TooLong } else { NotFound::NoPath })
 }
 
 /// The best way to a cell over one of its neighbours that had their turn; the cell's own parent is not seen.
@@ -185,10 +190,6 @@ fn way(lattice: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Q
     Path::through(corners)
 }
 
-fn center(cell: Cell) -> Point2<f64> {
-    Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
-}
-
 /// Straight distance, in parts of a step along an axis like the lattice's costs.
 fn distance(from: Cell, to: Cell) -> u32 {
     let (dx, dy) = (f64::from(from.x) - f64::from(to.x), f64::from(from.y) - f64::from(to.y));
@@ -198,8 +199,11 @@ fn distance(from: Cell, to: Cell) -> u32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use nalgebra::Point2;
+
     use std::sync::atomic::AtomicBool;
 
+    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;

@@ -5,8 +5,9 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{DrivingProfile, PlanStatistics, TrajectoryPoint};
+use zenav_protocol::messages::{DrivingProfile, PlanStatistics};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::trajectory::Trajectory;
 
 use super::certificate::certify;
 use super::corridor::FreePolygonSize;
@@ -76,7 +77,7 @@ pub struct Smoothed {
 impl Smoothed {
     /// Points at most `period` seconds apart.
     #[must_use]
-    pub fn trajectory(&self, period: f64) -> Vec<TrajectoryPoint> {
+    pub fn trajectory(&self, period: f64) -> Trajectory {
         self.motion.trajectory(period)
     }
 

@@ -9,8 +9,7 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Cell;
 use zenav_protocol::robot::Footprint;
 
-use super::bits::BitGrid;
-use super::configuration::{ConfigurationSpace, threshold};
+use super::configuration::ConfigurationSpace;
 use super::shapes::{capsule_clearance, outer_squares, polygon_clearance, polygon_touches};
 
 /// Length of what is measured exactly where there is no room to hop, cells.
@@ -127,22 +126,6 @@ impl ConfigurationSpace {
                 return true;
             }
         }
-    }
-
-    /// Free cells in whose centres the robot turns as it likes: free for the disc around its footprint. None where that disc is larger
-    /// than the distance field tells.
-    #[must_use]
-    pub fn free_to_turn(&self) -> BitGrid {
-        let mut free = BitGrid::new(self.spec.width, self.spec.height);
-        let around = threshold(self.footprint.circumscribed_radius() / self.spec.resolution);
-        let known = 4 * i64::from(self.field.reach_cells()).pow(2);
-        if let Some(around) = u16::try_from(around).ok().filter(|_| around < known) {
-            let (words, rows) = (0..free.stride(), 0..self.spec.height);
-            self.field.farther(around, words, rows, |y, word, clear| {
-                free.row_mut(y)[word] = clear & self.free.row(y)[word];
-            });
-        }
-        free
     }
 
     /// Calls with the centre of every obstacle, or of every forbidden cell, that a convex outline (m) touches; those that are surrounded

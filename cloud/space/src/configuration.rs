@@ -113,6 +113,20 @@ impl ConfigurationSpace {
         space
     }
 
+    /// The same map for a disc of `radius` (m), with the same margin and policy: obstacles and distances are shared, only the free cells
+    /// are decided anew (one pass over the distances, or over the whole transform where they do not reach that far).
+    #[must_use]
+    pub fn for_disc(&self, radius: f64) -> Self {
+        let mut space = Self {
+            footprint: Footprint::Radius(radius),
+            free: Arc::new(BitGrid::new(self.spec.width, self.spec.height)),
+            threshold: threshold((radius + self.margin) / self.spec.resolution),
+            ..self.clone()
+        };
+        space.admit(0..space.obstacles().stride(), 0..space.spec.height);
+        space
+    }
+
     /// Whether the robot is larger than the field reaches: what is free is then told by the whole transform.
     pub(super) fn is_beyond_the_field(&self) -> bool {
         self.threshold >= 4 * i64::from(self.field.reach_cells()).pow(2)
@@ -335,5 +349,25 @@ mod tests {
             0.0,
         );
         assert_eq!(point.free().row(0), [0b101]);
+    }
+
+    #[test]
+    fn a_space_for_another_disc_is_the_one_built_for_it() {
+        let grid = grid(90, 40, &[(3, 4, 100), (40, 20, 100), (60, 30, -1)]);
+        let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)].map(|(x, y)| Point2::new(x, y));
+        let footprint = Footprint::Polygon(outline.to_vec());
+        for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked, UnknownPolicy::Obstacle] {
+            let space = ConfigurationSpace::new(&grid, &footprint, policy, 0.02);
+            // Within the reach of the distances, and beyond.
+            for radius in [0.0, 0.3, footprint.circumscribed_radius(), 2.5] {
+                let built = ConfigurationSpace::new(&grid, &Footprint::Radius(radius), policy, 0.02);
+                let derived = space.for_disc(radius);
+                assert_eq!(
+                    (derived.free(), derived.radius()),
+                    (built.free(), built.radius()),
+                    "{radius}"
+                );
+            }
+        }
     }
 }

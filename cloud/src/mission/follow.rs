@@ -1,11 +1,11 @@
 //! What does a mission do that stands by, and when may it lead? It stores what its leader stores; when the lease has lapsed and the robot
 //! has it on the list of those that have caught up, it asks to lead.
 
-use std::hash::{BuildHasher as _, Hasher as _};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::bus::BusError;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -36,7 +36,7 @@ impl Place {
     /// Nothing yet, of a session that nobody has had before.
     fn anew() -> Self {
         Self {
-            session: format!("{:016x}", std::hash::RandomState::new().build_hasher().finish()),
+            session: Id::unique().into(),
             position: 0,
         }
     }
@@ -63,9 +63,9 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
     loop {
         tokio::select! {
             () = post.shutdown.wait() => return Ok(Turn::Over),
-            request = post.desk.next() => {
+            request = post.requests.next() => {
                 let Some(request) = request else { return Err(BusError::Closed.into()) };
-                post.turn_away(request);
+                post.answer_as_standby(request);
             }
             entry = post.journal.next() => {
                 let Some(entry) = entry else { return Err(BusError::Closed.into()) };

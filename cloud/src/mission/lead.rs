@@ -8,7 +8,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{Bus, BusError, Latest, Publisher, Subscription};
 use zenav_protocol::messages::*;
-use zenav_protocol::topics;
+use zenav_protocol::topics::{self, MissionRequest};
 
 use super::requests::Waiting;
 use super::standbys::Standbys;
@@ -62,7 +62,7 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
                 break;
             }
             _ = ticks.tick() => {}
-            request = post.desk.next() => match request {
+            request = post.requests.next() => match request {
                 Some(request) => shell.receive(request, &mut inputs),
                 None => return Err(BusError::Closed.into()),
             },
@@ -114,7 +114,7 @@ async fn another_leads(post: &mut Post) -> bool {
         let others = loop {
             tokio::select! {
                 others = &mut called => break others,
-                Some(request) = post.desk.next() => post.turn_away(request),
+                Some(request) = post.requests.next() => post.answer_as_standby(request),
             }
         };
         let yields = others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
@@ -207,7 +207,7 @@ impl Shell {
     fn receive(&mut self, waiting: Waiting, inputs: &mut Inputs) {
         self.next_client += 1;
         let client = Client(self.next_client);
-        inputs.requests.push((client, waiting.request()));
+        inputs.requests.push((client, waiting.request.clone()));
         self.clients.insert(client, waiting);
     }
 
@@ -261,10 +261,10 @@ impl Shell {
                 Effect::Ask(ticket, ask) => self.ask(ticket, ask),
                 Effect::Reply(client, answer) => {
                     if let Some(waiting) = self.clients.remove(&client) {
-                        if let (Waiting::Join(query), Ok(_)) = (&waiting, &answer) {
-                            self.standbys.join(&query.body).await?;
+                        if let (MissionRequest::Join(request), Ok(_)) = (&waiting.request, &answer) {
+                            self.standbys.join(request).await?;
                         }
-                        waiting.answer(answer);
+                        waiting.responder.send(answer);
                     }
                 }
                 Effect::StandBy => return Err(End::Deposed),
@@ -299,7 +299,7 @@ impl Shell {
     /// Whoever still waits for an answer is sent to the leader.
     fn dismiss(&mut self) {
         for (_, waiting) in std::mem::take(&mut self.clients) {
-            waiting.answer(Err(Refusal::NotLeader));
+            waiting.responder.send(Err(Refusal::NotLeader));
         }
     }
 

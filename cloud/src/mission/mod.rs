@@ -23,12 +23,11 @@ use std::sync::Arc;
 use thiserror::Error;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
-use zenav_protocol::messages::*;
-use zenav_protocol::topics;
+use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
+use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
-use requests::{Desk, Waiting};
+use requests::{Requests, Waiting};
 use zenav_mission::config::MissionConfig;
-use zenav_mission::io::{Request, Response};
 use zenav_mission::store::{Store, StoreError};
 
 /// Why a mission ended by itself.
@@ -75,7 +74,7 @@ struct Post {
     clock: Clock,
     config: MissionConfig,
     store: Arc<Store>,
-    desk: Desk,
+    requests: Requests,
     /// Where a leader hands over what it writes.
     journal: Server<JournalEntry, JournalReply>,
     /// How far the time of the leader that was followed last is ahead of this clock, ns.
@@ -84,20 +83,20 @@ struct Post {
 }
 
 impl Post {
-    /// Answers whom a mission that does not lead has nothing else to tell than who it is.
-    fn turn_away(&self, request: Waiting) {
-        let answer = match request.request() {
-            Request::Info(_) => Ok(Response::Info(Box::new(InfoReply {
+    /// Answers requests while this mission is a standby: identity only, everything else is refused with `NotLeader`.
+    fn answer_as_standby(&self, call: Waiting) {
+        let reply = match call.request {
+            MissionRequest::Info(_) => Ok(MissionReply::Info(InfoReply {
                 component: "mission".to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 schema: SCHEMA_VERSION,
                 robot: self.config.robot.to_string(),
                 store: Some(self.store.name().to_owned()),
                 ..InfoReply::default()
-            }))),
+            })),
             _ => Err(Refusal::NotLeader),
         };
-        request.answer(answer);
+        call.responder.send(reply);
     }
 }
 
@@ -111,7 +110,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
     let robot = config.robot.as_str();
     let _alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]))?;
     let mut post = Post {
-        desk: Desk::open(&bus, robot)?,
+        requests: Requests::open(&bus, robot)?,
         journal: bus.serve(&topics::JOURNAL, &[robot, store.name()])?,
         bus,
         clock,

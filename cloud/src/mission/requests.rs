@@ -1,91 +1,44 @@
-//! Where do requests of clients and of other missions come in, and how is each answered?
+//! Mission requests. Where do requests of clients and of other missions come in? From one queue, fed by a server for each ask.
 
-use zenav_protocol::bus::{Bus, BusError, Request as Query, Server};
-use zenav_protocol::messages::*;
-use zenav_protocol::topics;
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use zenav_protocol::bus::{Bus, BusError, Call};
+use zenav_protocol::topics::MissionRequest;
 
-use zenav_mission::io::{Request, Response};
+/// A client's request, and the way back.
+pub(super) type Waiting = Call<MissionRequest>;
 
-/// Where clients' requests come in.
-pub(super) struct Desk {
-    goal: Server<GoalRequest, GoalReply>,
-    cancel: Server<CancelRequest, GoalReply>,
-    pause: Server<PauseRequest, GoalReply>,
-    goals: Server<GoalsRequest, GoalsReply>,
-    info: Server<InfoRequest, InfoReply>,
-    join: Server<JoinRequest, JoinReply>,
+/// Requests of all asks, in turn.
+pub(super) struct Requests {
+    calls: mpsc::Receiver<Waiting>,
+    /// Serve as long as this lives.
+    _servers: JoinSet<()>,
 }
 
-/// A client that waits for its answer.
-pub(super) enum Waiting {
-    Goal(Query<GoalRequest, GoalReply>),
-    Cancel(Query<CancelRequest, GoalReply>),
-    Pause(Query<PauseRequest, GoalReply>),
-    Goals(Query<GoalsRequest, GoalsReply>),
-    Info(Query<InfoRequest, InfoReply>),
-    Join(Query<JoinRequest, JoinReply>),
-}
-
-impl Desk {
-    /// Serves a robot's keys.
+impl Requests {
+    /// Serves a robot's mission asks.
     pub(super) fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
-        let name = [robot];
+        // One place: whichever server waits longest puts its next request there, so none starves another.
+        let (sender, calls) = mpsc::channel(1);
+        let mut servers = JoinSet::new();
+        for mut server in bus.serve_part(&[robot])? {
+            let sender = sender.clone();
+            servers.spawn(async move {
+                while let Some(call) = server.next().await {
+                    if sender.send(call).await.is_err() {
+                        return;
+                    }
+                }
+            });
+        }
         Ok(Self {
-            goal: bus.serve(&topics::GOAL, &name)?,
-            cancel: bus.serve(&topics::CANCEL, &name)?,
-            pause: bus.serve(&topics::PAUSE, &name)?,
-            goals: bus.serve(&topics::GOALS, &name)?,
-            info: bus.serve(&topics::CLOUD_INFO, &name)?,
-            join: bus.serve(&topics::JOIN, &name)?,
+            calls,
+            _servers: servers,
         })
     }
 
     /// The next request; `None` when the bus was closed.
     pub(super) async fn next(&mut self) -> Option<Waiting> {
-        tokio::select! {
-            request = self.goal.next() => request.map(Waiting::Goal),
-            request = self.cancel.next() => request.map(Waiting::Cancel),
-            request = self.pause.next() => request.map(Waiting::Pause),
-            request = self.goals.next() => request.map(Waiting::Goals),
-            request = self.info.next() => request.map(Waiting::Info),
-            request = self.join.next() => request.map(Waiting::Join),
-        }
-    }
-}
-
-impl Waiting {
-    pub(super) fn request(&self) -> Request {
-        match self {
-            Self::Goal(query) => Request::Goal(Box::new(query.body.clone())),
-            Self::Cancel(query) => Request::Cancel(query.body.clone()),
-            Self::Pause(query) => Request::Pause(query.body.clone()),
-            Self::Goals(query) => Request::Goals(query.body.clone()),
-            Self::Info(query) => Request::Info(query.body.clone()),
-            Self::Join(query) => Request::Join(query.body.clone()),
-        }
-    }
-
-    pub(super) fn answer(self, answer: Result<Response, Refusal>) {
-        match (self, answer) {
-            (Self::Goal(query), Ok(Response::Goal(reply))) => query.reply(&reply),
-            (Self::Cancel(query), Ok(Response::Goal(reply))) => query.reply(&reply),
-            (Self::Pause(query), Ok(Response::Goal(reply))) => query.reply(&reply),
-            (Self::Goals(query), Ok(Response::Goals(reply))) => query.reply(&reply),
-            (Self::Info(query), Ok(Response::Info(reply))) => query.reply(&reply),
-            (Self::Join(query), Ok(Response::Join(reply))) => query.reply(&reply),
-            (waiting, answer) => {
-                let refusal = answer.err().unwrap_or_else(|| Refusal::Internal {
-                    reason: "an answer of another kind".to_owned(),
-                });
-                match waiting {
-                    Self::Goal(query) => query.refuse(&refusal),
-                    Self::Cancel(query) => query.refuse(&refusal),
-                    Self::Pause(query) => query.refuse(&refusal),
-                    Self::Goals(query) => query.refuse(&refusal),
-                    Self::Info(query) => query.refuse(&refusal),
-                    Self::Join(query) => query.refuse(&refusal),
-                }
-            }
-        }
+        self.calls.recv().await
     }
 }

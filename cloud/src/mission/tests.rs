@@ -8,6 +8,10 @@ use zenav_protocol::bus::{AskError, BusConfig, Latest, Router, RouterConfig};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
+use zenav_protocol::messages::{
+    CancelRequest, EdgeState, GoalPhase, GoalRequest, GoalsRequest, GuardZone, LeaseReply, LeaseState, Link,
+    MissionStatus, Mode,
+};
 use zenav_protocol::time::Stamp;
 
 use super::*;

@@ -56,10 +56,7 @@ impl PlanWorker {
         let Some(Kept { replanner, .. }) = self.kept.front().filter(|_| self.grew) else {
             return Vec::new();
         };
-        let edges = replanner.searcher.tree(limit);
-        edges
-            .map(|edge| edge.map(|end| replanner.spec().from_cells(end)))
-            .collect()
+        replanner.tree(limit).collect()
     }
 
     /// Answers a request on a copy of the robot's map, without the time it took. `cancel` ends the search soon after it is set.
@@ -113,12 +110,11 @@ impl PlanWorker {
                 replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
             },
         };
-        kept.replanner.searcher.sampling.improving = IMPROVING;
-        let options = PlanOptions {
-            planner,
+        let mut options = PlanOptions {
             seed: request.seed,
-            ..PlanOptions::default()
+            ..PlanOptions::new(planner)
         };
+        options.sampling.improving = IMPROVING;
         let budget = Budget {
             max_expansions: if planner.grows_trees() {
                 MAX_SAMPLES

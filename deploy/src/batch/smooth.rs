@@ -7,6 +7,7 @@ use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome, exit_code};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_smoothing::shortcut::shortcut;
 use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_way};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
@@ -221,16 +222,12 @@ fn line(search_us: f64, smoothed: Option<&Smoothed>) -> String {
 
 fn write_trajectory(path: &Path, smoothed: Option<&Smoothed>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
-    file.line(format_args!("t,x,y,yaw,v,w,a,alpha"))?;
+    file.line(format_args!("{},a,alpha", TrajectoryPoint::CSV_HEADER))?;
     for state in smoothed
         .map(|smoothed| smoothed.motion.states(PERIOD))
         .unwrap_or_default()
     {
-        let point = state.point;
-        file.line(format_args!(
-            "{},{},{},{},{},{},{},{}",
-            point.t, point.x, point.y, point.yaw, point.v, point.w, state.a, state.alpha
-        ))?;
+        file.line(format_args!("{},{},{}", state.point, state.a, state.alpha))?;
     }
     file.finish()
 }

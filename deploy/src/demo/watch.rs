@@ -7,7 +7,9 @@ use nalgebra::Point2;
 use zenav_edge::Referee;
 use zenav_protocol::bus::{Bus, Latest, Subscription};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, GoalPhase, GoalPoint, GoalState, Leg, MapInfo, MapRef, Plan, PoseEstimate, Scan,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::{Truth, World};
@@ -76,11 +78,7 @@ impl Watch {
         let robot = &[id.as_str()];
         Ok(Self {
             referee,
-            places: world
-                .places()
-                .iter()
-                .map(|place| (place.name.to_string(), Point2::new(place.x, place.y)))
-                .collect(),
+            places: super::film::places(world),
             scans: bus.latest(&topics::SCAN, robot)?,
             poses: bus.latest(&topics::POSE, robot)?,
             states: bus.latest(&topics::STATE, robot)?,
@@ -313,6 +311,7 @@ impl Watch {
             energy_per_m: per_metre(truth.drawn_j, truth.length),
             walls: None,
             notes,
+            files: Vec::new(),
         }
     }
 

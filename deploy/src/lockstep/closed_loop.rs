@@ -8,13 +8,14 @@ use std::sync::Arc;
 use zenav_cloud::planning::worker::PlanWorker;
 use zenav_cloud::smoothing::worker::SmoothWorker;
 use zenav_cloud::worker_host::Work as _;
-use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question};
-use zenav_mapping::{Mapper, MapperConfig};
-use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Request, Response, Restored};
+use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
+use zenav_mapping::{Mapper, MappingSettings};
+use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
 
 use super::delay::Link;
@@ -49,7 +50,7 @@ enum Up {
 enum Down {
     Plan(Box<Plan>),
     Heartbeat(Heartbeat),
-    Question(zenav_mission::Ticket, Question),
+    Request(zenav_mission::Ticket, EdgeRequest),
 }
 
 /// Everything, in one thread.
@@ -63,7 +64,7 @@ pub struct ClosedLoop {
     down: Link<Down>,
     /// For the mission's next step.
     inputs: zenav_mission::Inputs,
-    replies: Vec<Result<Response, Refusal>>,
+    replies: Vec<Result<MissionReply, Refusal>>,
     /// The newest state of each goal.
     goal: Option<GoalState>,
     ticks: u64,
@@ -74,19 +75,19 @@ impl ClosedLoop {
     /// Sets the stage; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
-        let mapper_config = MapperConfig {
+        let settings = MappingSettings {
             resolution: config.resolution,
-            footprint: Some(config.edge.model.footprint.clone()),
-            ..MapperConfig::default()
+            ..MappingSettings::default()
         };
         let map = MapRef {
             id: "lockstep".to_owned(),
             revision: 0,
         };
-        let mut mapper = match &config.known_map {
-            Some(grid) => Mapper::with_stored(mapper_config, map, grid, Vec::new(), 0),
-            None => Mapper::new(mapper_config, map.id),
+        let mapper = match &config.known_map {
+            Some(grid) => Mapper::with_stored(settings, map, grid, Vec::new(), 0),
+            None => Mapper::new(settings, map.id),
         };
+        let mut mapper = mapper.with_footprint(config.edge.model.footprint.clone());
         // Live scans go on into a known map: what moved since must be seen.
         mapper.resume();
         Self {
@@ -114,7 +115,7 @@ impl ClosedLoop {
         self.clients += 1;
         self.inputs
             .requests
-            .push((zenav_mission::Client(self.clients), Request::Goal(Box::new(request))));
+            .push((zenav_mission::Client(self.clients), MissionRequest::Goal(request)));
     }
 
     /// One control tick.
@@ -133,14 +134,14 @@ impl ClosedLoop {
             match message {
                 Down::Plan(plan) => inbox.plans.push(*plan),
                 Down::Heartbeat(heartbeat) => inbox.heartbeats.push(heartbeat),
-                Down::Question(ticket, question) => inbox.questions.push((zenav_edge::Ticket(ticket.0), question)),
+                Down::Request(ticket, request) => inbox.requests.push((zenav_edge::Ticket(ticket.0), request)),
             }
         }
         let mut outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
         for publication in outbox.publications.drain(..) {
             self.up.send(now, Up::Publication(publication));
         }
-        for (ticket, answer) in outbox.answers.drain(..) {
+        for (ticket, answer) in outbox.replies.drain(..) {
             self.up
                 .send(now, Up::Answer(zenav_mission::Ticket(ticket.0), answer_of(answer)));
         }
@@ -182,10 +183,10 @@ impl ClosedLoop {
             Effect::Goal(goal) => self.goal = Some(*goal),
             Effect::Reply(_, reply) => self.replies.push(reply),
             Effect::Ask(ticket, ask) => {
-                let question = match ask {
-                    Ask::Lease(request) => Question::Lease(request),
-                    Ask::EdgeInfo(request) => Question::Info(request),
-                    Ask::Behaviour(request) => Question::Maneuver(request),
+                let request = match ask {
+                    Ask::Lease(request) => EdgeRequest::Lease(request),
+                    Ask::EdgeInfo(request) => EdgeRequest::Info(request),
+                    Ask::Behaviour(request) => EdgeRequest::Behaviour(request),
                     Ask::Plan(request) => {
                         let answer = self.workers.plan(&request);
                         return self.inputs.answers.push((ticket, answer));
@@ -205,7 +206,7 @@ impl ClosedLoop {
                         return self.inputs.answers.push((ticket, Ok(answer)));
                     }
                 };
-                self.down.send(now, Down::Question(ticket, question));
+                self.down.send(now, Down::Request(ticket, request));
             }
             // Nothing outlives a lockstep run, and nobody watches it.
             Effect::Persist(_) | Effect::Status(_) | Effect::StandBy | Effect::Fatal(_) => {}
@@ -219,7 +220,7 @@ impl ClosedLoop {
             MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapper.resume(),
             MapAction::Hold => self.mapper.hold(),
-            MapAction::Forget => self.mapper.forget(),
+            MapAction::Forget => self.mapper.decay_now(),
         }
         let mut reply = self.mapper.reply();
         if request.action != MapAction::Get {
@@ -247,7 +248,7 @@ impl ClosedLoop {
     }
 
     /// What the mission has answered so far.
-    pub fn replies(&self) -> &[Result<Response, Refusal>] {
+    pub fn replies(&self) -> &[Result<MissionReply, Refusal>] {
         &self.replies
     }
 
@@ -258,11 +259,11 @@ impl ClosedLoop {
     }
 }
 
-fn answer_of(answer: Result<zenav_edge::Answer, Refusal>) -> Result<Answer, NoAnswer> {
-    match answer {
-        Ok(zenav_edge::Answer::Lease(reply)) => Ok(Answer::Lease(reply)),
-        Ok(zenav_edge::Answer::Info(reply)) => Ok(Answer::EdgeInfo(reply)),
-        Ok(zenav_edge::Answer::Maneuver(reply)) => Ok(Answer::Behaviour(reply)),
+fn answer_of(reply: Result<EdgeReply, Refusal>) -> Result<Answer, NoAnswer> {
+    match reply {
+        Ok(EdgeReply::Lease(reply)) => Ok(Answer::Lease(reply)),
+        Ok(EdgeReply::Info(reply)) => Ok(Answer::EdgeInfo(Box::new(reply))),
+        Ok(EdgeReply::Behaviour(reply)) => Ok(Answer::Behaviour(reply)),
         Ok(_) => Err(NoAnswer::Silent("an answer to another question".to_owned())),
         Err(refusal) => Err(NoAnswer::Refused(refusal)),
     }

@@ -13,6 +13,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
@@ -141,7 +142,7 @@ pub fn run(args: &RunArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let model = files::robot(&args.robot)?;
     let mut stage = stage(args, &world, &model)?;
-    let mut rows = String::from("t,x,y,yaw,v,w\n");
+    let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
     let report = drive(args, &mut stage, &mut rows);
     if let Some(file) = &args.trajectory {
         std::fs::write(file, rows).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
@@ -232,16 +233,7 @@ fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport
         let truth = stage.truth();
         let (pose, twist) = (truth.map_from_base, truth.twist);
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            rows,
-            "{},{},{},{},{},{}",
-            stage.now().as_secs(),
-            pose.x,
-            pose.y,
-            pose.yaw,
-            twist.v,
-            twist.w
-        );
+        let _ = writeln!(rows, "{}", TrajectoryPoint::new(stage.now().as_secs(), pose, twist));
         if truth.collisions > 0 {
             break RunOutcome::Collision;
         }

@@ -205,7 +205,7 @@ pub fn tune(args: &TuneArgs) -> Outcome {
         .map_err(|error| Failure::failed(format!("{}: {error}", report.robot_file.display())))?;
     let json = serde_json::to_string_pretty(&report).map_err(|error| failed(&error))?;
     write("report.json", json + "\n")?;
-    write("tuning.svg", chart::draw(&report, &traces))?;
+    write("tuning.svg", chart::draw(&report, &traces)?)?;
     output::value(args.output, &report, text)?;
     let better = report.improvement > 0.0 && report.unseen.iter().all(|room| room.after.collisions == 0);
     Ok(if better { exit_code::OK } else { exit_code::FAILED })

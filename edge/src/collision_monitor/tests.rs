@@ -1,4 +1,4 @@
-//! Claims about the guard's last word.
+//! Claims about the collision monitor.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -28,7 +28,7 @@ fn all_seeing() -> RobotModel {
 /// A wall across the way at `distance` ahead of the base.
 fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
     let lidar = model.first_lidar().unwrap();
-    let mut around = LocalObstacles::new(&model);
+    let mut obstacles = LocalObstacles::new(&model);
     let range = |beam: usize| {
         let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
         if cos > 0.05 {
@@ -37,15 +37,15 @@ fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
             f32::INFINITY
         }
     };
-    around.insert(
+    obstacles.insert(
         &Sweep::new(Stamp::from_secs(1.0), (0..lidar.beams).map(range).collect()),
         Pose2::IDENTITY,
     );
-    around
+    obstacles
 }
 
-fn judge(model: &RobotModel, around: &LocalObstacles, wanted: Twist2) -> Verdict {
-    CollisionMonitor::new(model, 0.02, 0.5).judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+fn judge(model: &RobotModel, obstacles: &LocalObstacles, wanted: Twist2) -> Verdict {
+    CollisionMonitor::new(model, 0.02, 0.5).judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
 }
 
 #[test]
@@ -62,16 +62,16 @@ fn full_speed_at_a_wall_is_slowed_and_stopped_before_it() {
 #[test]
 fn a_robot_at_a_wall_may_turn_and_back_away() {
     let model = all_seeing();
-    let around = wall(&model, 0.28);
-    assert_eq!(judge(&model, &around, Twist2::new(0.0, 1.5)).twist.w, 1.5);
-    assert_eq!(judge(&model, &around, Twist2::new(-0.3, 0.0)).twist.v, -0.3);
+    let obstacles = wall(&model, 0.28);
+    assert_eq!(judge(&model, &obstacles, Twist2::new(0.0, 1.5)).twist.w, 1.5);
+    assert_eq!(judge(&model, &obstacles, Twist2::new(-0.3, 0.0)).twist.v, -0.3);
 }
 
 #[test]
 fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
     let model = tiago();
     let lidar = model.first_lidar().unwrap();
-    let mut around = LocalObstacles::new(&model);
+    let mut obstacles = LocalObstacles::new(&model);
     let ranges = (0..lidar.beams).map(|beam| {
         let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
         if sin > 0.05 {
@@ -80,15 +80,15 @@ fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
             f32::INFINITY
         }
     });
-    around.insert(&Sweep::new(Stamp::from_secs(1.0), ranges.collect()), Pose2::IDENTITY);
-    assert_eq!(judge(&model, &around, Twist2::new(0.6, 0.0)).twist.v, 0.6);
+    obstacles.insert(&Sweep::new(Stamp::from_secs(1.0), ranges.collect()), Pose2::IDENTITY);
+    assert_eq!(judge(&model, &obstacles, Twist2::new(0.6, 0.0)).twist.v, 0.6);
 }
 
 #[test]
 fn without_a_fresh_scan_nothing_moves() {
     let model = tiago();
-    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
-    let stale = guard.judge(
+    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let stale = monitor.judge(
         Stamp::from_secs(1.6),
         Twist2::new(0.1, 0.0),
         &wall(&model, 3.0),
@@ -96,8 +96,8 @@ fn without_a_fresh_scan_nothing_moves() {
         &NO_BUMP,
     );
     assert_eq!((stale.twist, stale.zone), (Twist2::ZERO, GuardZone::Stop));
-    assert_eq!(stale.change.as_deref(), Some("the scan is too old"));
-    let none = guard.judge(
+    assert_eq!(stale.change.as_deref(), Some("lidar scan too old"));
+    let none = monitor.judge(
         Stamp::from_secs(1.6),
         Twist2::new(0.1, 0.0),
         &LocalObstacles::new(&model),
@@ -110,23 +110,23 @@ fn without_a_fresh_scan_nothing_moves() {
 #[test]
 fn contact_allows_only_the_way_back() {
     let model = all_seeing();
-    let around = wall(&model, 3.0);
+    let obstacles = wall(&model, 3.0);
     let bump = Bump {
         stamp: Stamp::ZERO,
         pressed: true,
         bearing: Some(0.3),
     };
-    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
     let now = Stamp::from_secs(1.05);
     assert_eq!(
-        guard
-            .judge(now, Twist2::new(0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+        monitor
+            .judge(now, Twist2::new(0.2, 0.0), &obstacles, Pose2::IDENTITY, &bump)
             .twist,
         Twist2::ZERO
     );
     assert_eq!(
-        guard
-            .judge(now, Twist2::new(-0.2, 0.0), &around, Pose2::IDENTITY, &bump)
+        monitor
+            .judge(now, Twist2::new(-0.2, 0.0), &obstacles, Pose2::IDENTITY, &bump)
             .twist
             .v,
         -0.2
@@ -134,25 +134,25 @@ fn contact_allows_only_the_way_back() {
 }
 
 #[test]
-fn another_reason_to_stop_is_told_too() {
+fn another_reason_to_stop_is_reported_too() {
     let model = tiago();
-    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
-    let around = wall(&model, 0.27);
-    let mut told = |secs: f64| {
-        let verdict = guard.judge(
+    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let obstacles = wall(&model, 0.27);
+    let mut reported = |secs: f64| {
+        let verdict = monitor.judge(
             Stamp::from_secs(secs),
             Twist2::new(0.5, 0.0),
-            &around,
+            &obstacles,
             Pose2::IDENTITY,
             &NO_BUMP,
         );
         assert_eq!(verdict.twist, Twist2::ZERO);
         verdict.change
     };
-    assert_eq!(told(1.05).as_deref(), Some("an obstacle in the way"));
-    assert_eq!(told(1.45), None);
-    assert_eq!(told(1.55).as_deref(), Some("the scan is too old"));
-    assert_eq!(told(1.57), None);
+    assert_eq!(reported(1.05).as_deref(), Some("obstacle in the way"));
+    assert_eq!(reported(1.45), None);
+    assert_eq!(reported(1.55).as_deref(), Some("lidar scan too old"));
+    assert_eq!(reported(1.57), None);
 }
 
 fn jackal() -> RobotModel {
@@ -162,7 +162,7 @@ fn jackal() -> RobotModel {
 /// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
 fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
     let lidar = model.first_lidar().unwrap();
-    let mut around = LocalObstacles::new(&model);
+    let mut obstacles = LocalObstacles::new(&model);
     let mut stamp = Stamp::ZERO;
     for step in 0..20 {
         let secs = 1.0 + 0.05 * f64::from(step);
@@ -179,45 +179,54 @@ fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacl
             }
         };
         let ranges = (0..lidar.beams).map(range).collect();
-        assert!(around.insert(&Sweep::new(stamp, ranges), Pose2::IDENTITY));
+        assert!(obstacles.insert(&Sweep::new(stamp, ranges), Pose2::IDENTITY));
     }
-    (around, stamp)
+    (obstacles, stamp)
 }
 
 #[test]
-fn what_goes_away_may_turn_round() {
+fn an_obstacle_that_moves_away_may_turn_round() {
     let model = jackal();
     let fast = Twist2::new(1.5, 0.0);
     let share = |velocity: f64| {
-        let (around, stamp) = beside(&model, Point2::new(1.2 - 0.95 * velocity, 0.0), velocity);
-        let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
-        let verdict = guard.judge(stamp.plus_secs(0.02), fast, &around, Pose2::IDENTITY, &NO_BUMP);
+        let (obstacles, stamp) = beside(&model, Point2::new(1.2 - 0.95 * velocity, 0.0), velocity);
+        let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+        let verdict = monitor.judge(stamp.plus_secs(0.02), fast, &obstacles, Pose2::IDENTITY, &NO_BUMP);
         (verdict.twist.v / fast.v, verdict.change.unwrap_or_default())
     };
     assert_eq!(share(0.0).0, 1.0, "it stands");
     let (goes, reason) = share(0.5);
-    assert!(goes < 0.9 && reason.contains("moves nearby"), "{goes} {reason}");
+    assert!(
+        goes < 0.9 && reason.contains("moving obstacle nearby"),
+        "{goes} {reason}"
+    );
 }
 
 #[test]
-fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
+fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners() {
     let model = jackal();
     // Along the left side, backwards into the blind sector.
-    let (around, stamp) = beside(&model, Point2::new(0.6, 0.5), -1.0);
+    let (obstacles, stamp) = beside(&model, Point2::new(0.6, 0.5), -1.0);
     let turn = Twist2::new(0.0, 2.0);
     let judge = |secs: f64, twist: Twist2| {
-        let mut around = around.clone();
+        let mut obstacles = obstacles.clone();
         let mut now = stamp;
         while now < stamp.plus_secs(secs) {
             now = now.plus_secs(0.2);
             let sweep = Sweep::new(now, vec![f32::INFINITY; model.first_lidar().unwrap().beams]);
-            assert!(around.insert(&sweep, Pose2::IDENTITY));
+            assert!(obstacles.insert(&sweep, Pose2::IDENTITY));
         }
-        CollisionMonitor::new(&model, 0.02, 0.5).judge(now.plus_secs(0.02), twist, &around, Pose2::IDENTITY, &NO_BUMP)
+        CollisionMonitor::new(&model, 0.02, 0.5).judge(
+            now.plus_secs(0.02),
+            twist,
+            &obstacles,
+            Pose2::IDENTITY,
+            &NO_BUMP,
+        )
     };
     let soon = judge(1.0, turn);
     assert!(
-        soon.twist.w * 0.21 < 0.01 && soon.change.unwrap().contains("out of sight"),
+        soon.twist.w * 0.21 < 0.01 && soon.change.unwrap().contains("may be in the lidar's blind spot"),
         "{:?}",
         soon.twist
     );
@@ -227,15 +236,16 @@ fn with_somebody_out_of_sight_beside_it_a_robot_does_not_swing_its_corners() {
 }
 
 #[test]
-fn after_a_silence_of_the_lidar_somebody_may_stand_behind() {
+fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
     let model = jackal();
     let turn = |second: f64| {
-        let mut around = LocalObstacles::new(&model);
-        looked(&mut around, &model, 0.0, 0.0);
-        looked(&mut around, &model, second, 0.0);
+        let mut obstacles = LocalObstacles::new(&model);
+        looked(&mut obstacles, &model, 0.0, 0.0);
+        looked(&mut obstacles, &model, second, 0.0);
         let now = Stamp::from_secs(second + 0.05);
         let wanted = Twist2::new(0.0, 1.0);
-        let verdict = CollisionMonitor::new(&model, 0.02, 0.5).judge(now, wanted, &around, Pose2::IDENTITY, &NO_BUMP);
+        let verdict =
+            CollisionMonitor::new(&model, 0.02, 0.5).judge(now, wanted, &obstacles, Pose2::IDENTITY, &NO_BUMP);
         verdict.twist.w
     };
     assert_eq!(turn(0.2), 1.0);
@@ -243,38 +253,42 @@ fn after_a_silence_of_the_lidar_somebody_may_stand_behind() {
 }
 
 #[test]
-fn what_was_felt_behind_is_reckoned_with() {
+fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
     let model = jackal();
-    let mut around = LocalObstacles::new(&model);
-    looked(&mut around, &model, 1.0, 0.0);
-    let turn = |around: &LocalObstacles| judge(&model, around, Twist2::new(0.0, 1.0)).twist.w;
-    assert_eq!(turn(&around), 1.0);
+    let mut obstacles = LocalObstacles::new(&model);
+    looked(&mut obstacles, &model, 1.0, 0.0);
+    let turn = |obstacles: &LocalObstacles| judge(&model, obstacles, Twist2::new(0.0, 1.0)).twist.w;
+    assert_eq!(turn(&obstacles), 1.0);
     let bump = Bump {
         bearing: Some(3.0),
         ..NO_BUMP
     };
-    around.touch(Stamp::from_secs(1.0), touched(&model.footprint, &bump), Pose2::IDENTITY);
-    assert!(turn(&around) * 0.21 < 0.01);
+    obstacles.touch(
+        Stamp::from_secs(1.0),
+        contact_point(&model.footprint, &bump),
+        Pose2::IDENTITY,
+    );
+    assert!(turn(&obstacles) * 0.21 < 0.01);
 }
 
 /// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.
-fn looked(around: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
+fn looked(obstacles: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
     let sweep = Sweep::new(
         Stamp::from_secs(secs),
         vec![f32::INFINITY; model.first_lidar().unwrap().beams],
     );
-    assert!(around.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
+    assert!(obstacles.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
 }
 
 #[test]
-fn where_nobody_looks_it_backs_up_over_known_floor_only_and_as_slowly_as_it_is_told() {
+fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowed_speed() {
     let model = tiago();
-    let mut guard = CollisionMonitor::new(&model, 0.02, 0.5);
-    let mut back = |around: &LocalObstacles, allowed: f64| {
-        guard.blind_speed = allowed;
+    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut back = |obstacles: &LocalObstacles, allowed: f64| {
+        monitor.blind_speed = allowed;
         let wanted = Twist2::new(-0.3, 0.0);
-        -guard
-            .judge(Stamp::from_secs(1.05), wanted, around, Pose2::IDENTITY, &NO_BUMP)
+        -monitor
+            .judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
             .twist
             .v
     };
@@ -289,7 +303,7 @@ fn where_nobody_looks_it_backs_up_over_known_floor_only_and_as_slowly_as_it_is_t
 }
 
 #[test]
-fn what_comes_at_the_robot_stops_it_earlier_than_what_stands() {
+fn a_moving_obstacle_stops_the_robot_earlier_than_a_static_one() {
     let model = tiago();
     let lidar = model.first_lidar().unwrap();
     let mut moving = LocalObstacles::new(&model);
@@ -316,12 +330,12 @@ fn what_comes_at_the_robot_stops_it_earlier_than_what_stands() {
     let wanted = Twist2::new(0.5, 0.0);
     assert_eq!(judge(&model, &standing, wanted).twist.v, 0.5);
     let verdict = judge(&model, &moving, wanted);
-    assert!(verdict.twist.v < 0.4 && verdict.change.unwrap().contains("moves"));
+    assert!(verdict.twist.v < 0.4 && verdict.change.unwrap().contains("moving obstacle"));
 }
 
 proptest! {
     #[test]
-    fn the_guard_only_ever_scales_down(v in prop::num::f64::ANY, w in prop::num::f64::ANY, distance in 0.3..3.0) {
+    fn the_collision_monitor_only_ever_scales_down(v in prop::num::f64::ANY, w in prop::num::f64::ANY, distance in 0.3..3.0) {
         let model = tiago();
         let verdict = judge(&model, &wall(&model, distance), Twist2::new(v, w));
         prop_assert!(verdict.twist.is_finite());

@@ -9,9 +9,10 @@ use zenav_protocol::messages::*;
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::config::EdgeConfig;
-use crate::control_io::{Answer, Inbox, Outbox, Persisted, Publication, Question, Ticket};
+use crate::control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
 use crate::pilot::Pilot;
 
 const TICK: f64 = 0.02;
@@ -157,15 +158,15 @@ impl Rig {
         }
     }
 
-    pub fn ask(&mut self, question: Question) -> Result<Answer, Refusal> {
-        self.inbox.questions.push((Ticket(1), question));
-        self.tick().answers.remove(0).1
+    pub fn ask(&mut self, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
+        self.inbox.requests.push((Ticket(1), request));
+        self.tick().replies.remove(0).1
     }
 
     pub fn lease(&mut self, holder: &str, role: LeaseRole, request_id: &str) -> Result<u64, Refusal> {
         let request = LeaseRequest::new(holder, role, LeaseAction::Acquire, request_id);
-        match self.ask(Question::Lease(request))? {
-            Answer::Lease(reply) => Ok(reply.epoch),
+        match self.ask(EdgeRequest::Lease(request))? {
+            EdgeReply::Lease(reply) => Ok(reply.epoch),
             other => panic!("{other:?}"),
         }
     }
@@ -209,7 +210,7 @@ impl Rig {
         let mut trajectory: Vec<_> = points.collect();
         trajectory.dedup_by(|a, b| a.t - b.t < 1e-6);
         Plan {
-            trajectory,
+            trajectory: trajectory.into(),
             ..self.waypoints(epoch, counter, trajectory_id, &[])
         }
     }
@@ -231,7 +232,7 @@ impl Rig {
             },
             valid_for: 5.0,
             waypoints: points.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            trajectory: Vec::new(),
+            trajectory: Trajectory::default(),
             splice: None,
             statistics: PlanStatistics::default(),
         }

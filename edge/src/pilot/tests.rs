@@ -7,7 +7,9 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::*;
 
 use super::rig::{ROOM, Rig};
-use crate::control_io::{Answer, Persisted, Question};
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
+
+use crate::control_io::Persisted;
 
 fn fresh() -> Rig {
     Rig::new(Persisted::default())
@@ -26,7 +28,7 @@ fn driving() -> (Rig, u64, Plan) {
 }
 
 #[test]
-fn a_low_battery_is_told_once_until_it_has_been_charged() {
+fn a_low_battery_is_reported_once_until_it_has_been_charged() {
     let mut rig = fresh();
     let told = |rig: &Rig| {
         let low = |event: &&EventKind| matches!(event, EventKind::BatteryLow { .. });
@@ -80,7 +82,7 @@ fn with_the_heartbeats_gone_the_robot_is_at_rest_by_the_expiry() {
 #[test]
 fn the_policy_stop_brakes_as_soon_as_the_lease_is_lost() {
     let (mut rig, epoch, _) = driving();
-    rig.ask(Question::Mode(ModeRequest {
+    rig.ask(EdgeRequest::Mode(ModeRequest {
         on_lost: Some(LostPolicy::Stop),
         epoch: Some(epoch),
     }))
@@ -156,14 +158,14 @@ fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
 fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     let (mut rig, epoch, mut plan) = driving();
     assert_eq!(
-        rig.ask(Question::Stop(StopRequest::default())),
-        Ok(Answer::Stop(StopReply { stopped: true }))
+        rig.ask(EdgeRequest::Stop(StopRequest::default())),
+        Ok(EdgeReply::Stop(StopReply { stopped: true }))
     );
     rig.run(1.0);
     assert!(rig.at_rest());
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let stopped = rig.pose;
-    rig.ask(Question::Resume(ResumeRequest::default())).unwrap();
+    rig.ask(EdgeRequest::Resume(ResumeRequest::default())).unwrap();
     rig.send(plan.clone());
     // Also a renewal by a mission that has not noticed: the motion is gone for good.
     plan.revision.counter = 5;
@@ -181,7 +183,8 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
 fn a_stop_survives_a_restart_and_epochs_go_on() {
     let mut rig = fresh();
     rig.mission();
-    rig.ask(Question::Stop(StopRequest { by: Some("me".into()) })).unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest { by: Some("me".into()) }))
+        .unwrap();
     let mut rig = Rig::new(rig.stored);
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let epoch = rig.mission();
@@ -220,11 +223,11 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
     rig.run(1.0);
     assert!(rig.at_rest(), "the dead-man's switch");
-    assert_eq!(stops_for(&rig, "no command follows"), 1);
+    assert_eq!(stops_for(&rig, "teleop timed out"), 1);
 }
 
 #[test]
-fn a_recorded_drive_does_not_override_a_later_stop_and_is_told_of_once() {
+fn a_replayed_teleop_drive_does_not_override_a_later_stop_and_is_reported_once() {
     let (mut rig, _, _) = driving();
     rig.run(1.0);
     rig.lease("me", LeaseRole::Operator, "o").unwrap();
@@ -255,14 +258,14 @@ fn a_recorded_drive_does_not_override_a_later_stop_and_is_told_of_once() {
     assert_eq!(told.len(), 2, "once for each cause: {told:?}");
 }
 
-/// How often the guard has told that it stops for this reason.
+/// How often the collision monitor reported a stop for this reason.
 fn stops_for(rig: &Rig, because: &str) -> usize {
     let tells = |event: &&EventKind| matches!(event, EventKind::Guard { zone: GuardZone::Stop, reason } if reason.contains(because));
     rig.events.iter().filter(tells).count()
 }
 
 #[test]
-fn a_bump_stops_and_is_told() {
+fn a_bump_stops_the_robot_and_is_reported() {
     let (mut rig, _, _) = driving();
     rig.bump = Some(0.0);
     rig.run(1.5);
@@ -366,11 +369,11 @@ fn waypoints_are_driven_while_renewed() {
 }
 
 #[test]
-fn a_behaviour_runs_once_for_its_id() {
+fn a_maneuver_runs_once_for_its_id() {
     let mut rig = fresh();
     let epoch = rig.mission();
     let spin = |id: &str| {
-        Question::Maneuver(BehaviourRequest {
+        EdgeRequest::Behaviour(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::Spin { angle: 1.0 },
             epoch: Some(epoch),
@@ -379,7 +382,7 @@ fn a_behaviour_runs_once_for_its_id() {
     rig.ask(spin("s1")).unwrap();
     rig.run(4.0);
     assert!((rig.pose.yaw - 1.0).abs() < 0.05, "{:?}", rig.pose);
-    let Ok(Answer::Maneuver(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
+    let Ok(EdgeReply::Behaviour(BehaviourReply { report: Some(report) })) = rig.ask(spin("s1")) else {
         panic!()
     };
     assert_eq!(report.state, BehaviourState::Succeeded);
@@ -399,7 +402,7 @@ fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
     rig.run(0.3);
     let epoch = rig.mission();
     let to_free = |id: &str, within| {
-        Question::Maneuver(BehaviourRequest {
+        EdgeRequest::Behaviour(BehaviourRequest {
             id: id.into(),
             action: BehaviourAction::ToFree { clearance: 0.2, within },
             epoch: Some(epoch),
@@ -429,13 +432,14 @@ fn a_blind_robot_stops() {
     rig.scanning = false;
     rig.run(1.5);
     assert!(rig.at_rest());
-    assert_eq!(stops_for(&rig, "scan is too old"), 1);
+    assert_eq!(stops_for(&rig, "scan too old"), 1);
 }
 
 /// Everything that may be wrong with a plan.
 fn spoil(plan: &mut Plan, how: usize, index: usize) {
     let index = index % plan.trajectory.len();
     let last = plan.trajectory.len() - 1;
+    let mut points = plan.trajectory.to_vec();
     match how {
         0 => plan.epoch += 1,
         1 => {
@@ -449,16 +453,17 @@ fn spoil(plan: &mut Plan, how: usize, index: usize) {
         4 => plan.valid_for = -1.0,
         5 => plan.valid_for = f64::NAN,
         6 => plan.frame = "odom".into(),
-        7 => plan.trajectory[index].x = f64::NAN,
-        8 => plan.trajectory[index.max(1)].t = 0.0,
-        9 => plan.trajectory[index].v = 3.0,
-        10 => plan.trajectory.iter_mut().for_each(|point| point.y += 1.0),
-        11 => plan.trajectory[last].v = 0.4,
-        12 => plan.trajectory.truncate(0),
-        13 => plan.trajectory[index].w = f64::INFINITY,
+        7 => points[index].x = f64::NAN,
+        8 => points[index.max(1)].t = 0.0,
+        9 => points[index].v = 3.0,
+        10 => points.iter_mut().for_each(|point| point.y += 1.0),
+        11 => points[last].v = 0.4,
+        12 => points.truncate(0),
+        13 => points[index].w = f64::INFINITY,
         14 => plan.based_on.stamp = zenav_protocol::time::Stamp::from_secs(1.0),
-        _ => plan.trajectory[index].x += 40.0,
+        _ => points[index].x += 40.0,
     }
+    plan.trajectory = points.into();
 }
 
 proptest! {

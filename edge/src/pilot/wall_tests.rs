@@ -7,7 +7,9 @@ use zenav_protocol::messages::*;
 use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::rig::{ROOM, Rig};
-use crate::control_io::{Answer, Persisted, Question};
+use zenav_protocol::topics::{EdgeReply, EdgeRequest};
+
+use crate::control_io::Persisted;
 
 /// Nobody commands, and the policy is to follow walls.
 fn left_alone() -> (Rig, u64) {
@@ -25,7 +27,7 @@ fn commanded(policy: LostPolicy) -> (Rig, u64) {
     (lidar.beams, lidar.field_of_view) = (180, std::f64::consts::TAU);
     let mut rig = Rig::of(model, Persisted::default());
     let epoch = rig.mission();
-    rig.ask(Question::Mode(ModeRequest {
+    rig.ask(EdgeRequest::Mode(ModeRequest {
         on_lost: Some(policy),
         epoch: Some(epoch),
     }))
@@ -67,7 +69,7 @@ fn by_hand(rig: &mut Rig, epoch: u64, v: f64, secs: f64) {
 }
 
 fn give_back(rig: &mut Rig) {
-    rig.ask(Question::Lease(LeaseRequest::new(
+    rig.ask(EdgeRequest::Lease(LeaseRequest::new(
         "hand",
         LeaseRole::Operator,
         LeaseAction::Release,
@@ -114,7 +116,7 @@ fn its_distance_can_be_changed_while_it_follows_and_nonsense_changes_nothing() {
     // Whoever sets a parameter holds the lease meanwhile.
     let epoch = operator(&mut rig, "p");
     let mut set = |name: &str, value| {
-        rig.ask(Question::Param(ParamRequest {
+        rig.ask(EdgeRequest::Param(ParamRequest {
             name: Some(name.into()),
             value: Some(value),
             epoch: Some(epoch),
@@ -128,7 +130,7 @@ fn its_distance_can_be_changed_while_it_follows_and_nonsense_changes_nothing() {
         Err(Refusal::Rejected { .. })
     ));
     assert!(matches!(set("wall_min_points", 2.5), Err(Refusal::Rejected { .. })));
-    let Ok(Answer::Param(reply)) = set("target_distance", 0.75) else {
+    let Ok(EdgeReply::Param(reply)) = set("target_distance", 0.75) else {
         panic!()
     };
     assert_eq!(reply.params["target_distance"], 0.75);
@@ -185,10 +187,10 @@ fn a_bump_from_anywhere_is_left_only_by_an_operator_who_drives_away() {
 fn a_stop_by_hand_holds_it_until_it_is_resumed() {
     let (mut rig, _) = left_alone();
     rig.run(10.0);
-    rig.ask(Question::Stop(StopRequest::default())).unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest::default())).unwrap();
     rig.run(5.0);
     assert!(rig.at_rest() && rig.state.as_ref().unwrap().mode == Mode::Stopped);
-    rig.ask(Question::Resume(ResumeRequest::default())).unwrap();
+    rig.ask(EdgeRequest::Resume(ResumeRequest::default())).unwrap();
     rig.run(1.0);
     assert!(!rig.at_rest());
 }

@@ -17,7 +17,6 @@ mod on_path;
 mod path_projection;
 mod pid;
 mod pure_pursuit;
-mod reference_trajectory;
 mod trajectory;
 mod waypoints;
 mod wheel_law;
@@ -27,7 +26,6 @@ pub use on_path::{OnPath, PathLaw, Wanted};
 pub use path_projection::PathProjection;
 pub use pid::Pid;
 pub use pure_pursuit::PurePursuit;
-pub use reference_trajectory::ReferenceTrajectory;
 pub use trajectory::TrajectoryTracker;
 pub use waypoints::{ThroughWaypoints, WaypointLaw};
 pub use wheel_law::WheelLaw;
@@ -35,6 +33,7 @@ pub use wheel_law::WheelLaw;
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::{ControllerGains, Drive, TrackerKind};
+use zenav_protocol::trajectory::Trajectory;
 
 /// A law that follows a plan.
 pub trait Tracker: std::fmt::Debug + Send + Sync {
@@ -47,8 +46,8 @@ pub trait Tracker: std::fmt::Debug + Send + Sync {
     /// What it drives at, map frame: its name and place.
     fn target(&self) -> Option<(&'static str, Point2<f64>)>;
 
-    /// The motion and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
-    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)>;
+    /// The trajectory and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
+    fn followed(&self) -> Option<(&Trajectory, f64)>;
 
     /// Distance from where the plan has the robot, m, at the last tick.
     fn off_track(&self) -> f64;
@@ -68,27 +67,27 @@ impl Clone for Box<dyn Tracker> {
 pub fn along_trajectory(
     kind: TrackerKind,
     drive: &Drive,
-    timeline: ReferenceTrajectory,
+    trajectory: Trajectory,
     time: f64,
     waypoints: &[Point2<f64>],
 ) -> Box<dyn Tracker> {
     // Without corner points the trajectory's own points will do.
     let corners = || {
         if waypoints.is_empty() {
-            timeline.places(0.5)
+            trajectory.positions_spaced(0.5)
         } else {
             waypoints.to_vec()
         }
     };
     match kind {
-        TrackerKind::TimeLaw => Box::new(TrajectoryTracker::new(drive, timeline, time)),
+        TrackerKind::TimeLaw => Box::new(TrajectoryTracker::new(drive, trajectory, time)),
         TrackerKind::WheelLaw => {
             let corners = corners();
             Box::new(ThroughWaypoints::new(
                 WheelLaw,
                 drive,
                 corners,
-                Some(PathProjection::new(timeline, time)),
+                Some(PathProjection::new(trajectory, time)),
             ))
         }
         TrackerKind::HeadingFirst => {
@@ -97,14 +96,18 @@ pub fn along_trajectory(
                 HeadingFirst,
                 drive,
                 corners,
-                Some(PathProjection::new(timeline, time)),
+                Some(PathProjection::new(trajectory, time)),
             ))
         }
-        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, PathProjection::new(timeline, time))),
+        TrackerKind::Pid => Box::new(OnPath::new(
+            Pid::default(),
+            drive,
+            PathProjection::new(trajectory, time),
+        )),
         TrackerKind::PurePursuit => Box::new(OnPath::new(
             PurePursuit::default(),
             drive,
-            PathProjection::new(timeline, time),
+            PathProjection::new(trajectory, time),
         )),
     }
 }
@@ -117,14 +120,14 @@ pub fn through_waypoints(
     map_from_base: Pose2,
     waypoints: Vec<Point2<f64>>,
 ) -> Box<dyn Tracker> {
-    let rail = || PathProjection::new(ReferenceTrajectory::through(drive, map_from_base, &waypoints), 0.0);
+    let projection = || PathProjection::through(drive, map_from_base, &waypoints);
     match kind {
         TrackerKind::TimeLaw | TrackerKind::WheelLaw => {
             Box::new(ThroughWaypoints::new(WheelLaw, drive, waypoints, None))
         }
         TrackerKind::HeadingFirst => Box::new(ThroughWaypoints::new(HeadingFirst, drive, waypoints, None)),
-        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, rail())),
-        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, rail())),
+        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, projection())),
+        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, projection())),
     }
 }
 

@@ -4,8 +4,9 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
+use zenav_protocol::trajectory::Trajectory;
 
-use super::{AT_REST, PathProjection, Progress, ReferenceTrajectory, Tracker, TrackerInput, capped};
+use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput, capped};
 use crate::limiter::within_speed;
 
 /// The end is reached within this, m.
@@ -25,10 +26,16 @@ pub enum Wanted {
 /// A law of feedback from a path.
 pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
     /// One tick, on the way.
-    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted;
+    fn step(
+        &mut self,
+        projection: &PathProjection,
+        drive: &Drive,
+        view: &TrackerInput,
+        gains: &ControllerGains,
+    ) -> Wanted;
 
     /// What it drives at, map frame.
-    fn target(&self, rail: &PathProjection) -> Point2<f64>;
+    fn target(&self, projection: &PathProjection) -> Point2<f64>;
 }
 
 /// Follows a path by a law.
@@ -36,7 +43,7 @@ pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
 pub struct OnPath<L> {
     law: L,
     drive: Drive,
-    rail: PathProjection,
+    projection: PathProjection,
     arrived: bool,
     finished: bool,
 }
@@ -44,11 +51,11 @@ pub struct OnPath<L> {
 impl<L: PathLaw> OnPath<L> {
     /// Along a path.
     #[must_use]
-    pub fn new(law: L, drive: &Drive, rail: PathProjection) -> Self {
+    pub fn new(law: L, drive: &Drive, projection: PathProjection) -> Self {
         Self {
             law,
             drive: drive.clone(),
-            rail,
+            projection,
             arrived: false,
             finished: false,
         }
@@ -57,15 +64,15 @@ impl<L: PathLaw> OnPath<L> {
 
 impl<L: PathLaw> Tracker for OnPath<L> {
     fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
-        self.rail.advance(&view.map_from_base);
-        let left = self.rail.left();
-        let to_end = (self.rail.end().pose().position() - view.map_from_base.position()).norm();
+        self.projection.advance(&view.map_from_base);
+        let left = self.projection.left();
+        let to_end = (self.projection.end().pose().position() - view.map_from_base.position()).norm();
         self.arrived |= left < REACHED && to_end < 2.0 * REACHED || left < 1e-6;
         if self.arrived {
             self.finished |= self.drive.surface_speed(view.velocity) < AT_REST;
             return Twist2::ZERO;
         }
-        let wanted = match self.law.step(&self.rail, &self.drive, view, gains) {
+        let wanted = match self.law.step(&self.projection, &self.drive, view, gains) {
             Wanted::Turn(by) => Twist2::new(0.0, SPIN_GAIN * by),
             Wanted::Drive(twist) => twist,
         };
@@ -73,19 +80,19 @@ impl<L: PathLaw> Tracker for OnPath<L> {
     }
 
     fn progress(&self, _: &Pose2) -> Progress {
-        self.rail.progress(self.finished)
+        self.projection.progress(self.finished)
     }
 
     fn target(&self) -> Option<(&'static str, Point2<f64>)> {
-        Some(("reference", self.law.target(&self.rail)))
+        Some(("reference", self.law.target(&self.projection)))
     }
 
-    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
-        Some(self.rail.motion())
+    fn followed(&self) -> Option<(&Trajectory, f64)> {
+        Some(self.projection.followed())
     }
 
     fn off_track(&self) -> f64 {
-        self.rail.off_track()
+        self.projection.off_track()
     }
 
     fn boxed(&self) -> Box<dyn Tracker> {

@@ -2,17 +2,21 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::TrajectoryPoint;
+use zenav_protocol::robot::Drive;
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
-use super::{Progress, ReferenceTrajectory};
+use super::Progress;
 
 /// The nearest place is looked for this far ahead, m: a path that comes back close to itself is not cut short.
 const WINDOW: f64 = 0.6;
 
-/// A timeline followed by place.
+/// Points on a straight leg are this far apart, m.
+const LEG_STEP: f64 = 0.05;
+
+/// A trajectory followed by place.
 #[derive(Clone, Debug)]
 pub struct PathProjection {
-    timeline: ReferenceTrajectory,
+    trajectory: Trajectory,
     time: f64,
     off: f64,
 }
@@ -20,46 +24,55 @@ pub struct PathProjection {
 impl PathProjection {
     /// From plan time `time` (s) on.
     #[must_use]
-    pub fn new(timeline: ReferenceTrajectory, time: f64) -> Self {
-        let time = time.clamp(timeline.start(), timeline.end().max(timeline.start()));
+    pub fn new(trajectory: Trajectory, time: f64) -> Self {
+        let time = time.clamp(
+            trajectory.start_time(),
+            trajectory.end_time().max(trajectory.start_time()),
+        );
         Self {
-            timeline,
+            trajectory,
             time,
             off: 0.0,
         }
     }
 
+    /// Along straight legs from a robot at `map_from_base` through waypoints, at the robot's top speed throughout.
+    #[must_use]
+    pub fn through(drive: &Drive, map_from_base: Pose2, waypoints: &[Point2<f64>]) -> Self {
+        let mut points: Vec<TrajectoryPoint> = Vec::with_capacity(waypoints.len() * 8);
+        let (mut from, mut t) = (map_from_base.position(), 0.0);
+        for to in waypoints {
+            let leg = to - from;
+            let length = leg.norm();
+            if length < 1e-6 {
+                continue;
+            }
+            let steps = (length / LEG_STEP).ceil().clamp(1.0, 100_000.0) as u32;
+            let first = u32::from(!points.is_empty());
+            for step in first..=steps {
+                let share = f64::from(step) / f64::from(steps);
+                let position = from + leg * share;
+                points.push(TrajectoryPoint {
+                    t: t + share * length / drive.top_speed(),
+                    x: position.x,
+                    y: position.y,
+                    yaw: leg.y.atan2(leg.x),
+                    v: drive.top_speed(),
+                    w: 0.0,
+                });
+            }
+            (from, t) = (*to, t + length / drive.top_speed());
+        }
+        Self::new(points.into(), 0.0)
+    }
+
     /// Moves on to the place nearest to the robot.
     pub fn advance(&mut self, map_from_base: &Pose2) {
-        let here = map_from_base.position();
-        let first = self.timeline.index(self.time);
-        let points = self.timeline.points();
-        let lengths = self.timeline.lengths();
-        let limit = lengths.get(first).copied().unwrap_or(0.0) + WINDOW;
-        let mut best = (f64::INFINITY, self.time);
-        let legs = points.windows(2).zip(lengths).skip(first);
-        for (leg, _) in legs.take_while(|(_, length)| **length <= limit) {
-            let [from, to] = leg else { continue };
-            let (a, b) = (from.pose().position(), to.pose().position());
-            let along = b - a;
-            let squared = along.norm_squared();
-            let share = if squared > 0.0 {
-                ((here - a).dot(&along) / squared).clamp(0.0, 1.0)
-            } else {
-                1.0
-            };
-            let distance = (here - (a + along * share)).norm();
-            // A turn on the spot is passed at once.
-            if distance <= best.0 + 1e-9 {
-                best = (distance, from.t + share * (to.t - from.t));
-            }
-        }
-        if best.0.is_finite() {
-            self.off = best.0;
-            self.time = self.time.max(best.1);
-        } else {
-            self.off = (self.timeline.sample(self.time).pose().position() - here).norm();
-        }
+        let nearest = self
+            .trajectory
+            .nearest_ahead(self.time, map_from_base.position(), WINDOW);
+        self.off = nearest.distance;
+        self.time = self.time.max(nearest.t);
     }
 
     /// Plan time reached, s.
@@ -71,37 +84,34 @@ impl PathProjection {
     /// Where the robot is on the path.
     #[must_use]
     pub fn here(&self) -> TrajectoryPoint {
-        self.timeline.sample(self.time)
+        self.trajectory.sample(self.time)
     }
 
     /// The last point.
     #[must_use]
     pub fn end(&self) -> TrajectoryPoint {
-        self.timeline.sample(self.timeline.end())
+        self.trajectory.sample(self.trajectory.end_time())
     }
 
     /// The first place ahead on the path that is `distance` (m) from the robot, or its end.
     #[must_use]
     pub fn ahead(&self, map_from_base: &Pose2, distance: f64) -> Point2<f64> {
         let here = map_from_base.position();
-        let first = self.timeline.index(self.time);
-        let points = self.timeline.points().iter().skip(first);
-        let far = points
-            .map(|point| point.pose().position())
-            .find(|place| (place - here).norm() >= distance);
-        far.unwrap_or_else(|| self.end().pose().position())
+        let mut positions = self.trajectory.rest(self.time).iter().map(TrajectoryPoint::position);
+        let far = positions.find(|position| (position - here).norm() >= distance);
+        far.unwrap_or_else(|| self.end().position())
     }
 
     /// Way left, m.
     #[must_use]
     pub fn left(&self) -> f64 {
-        self.timeline.length_left(self.time)
+        self.trajectory.length_left(self.time)
     }
 
-    /// ReferenceTrajectory and plan time.
+    /// Trajectory and plan time, s.
     #[must_use]
-    pub fn motion(&self) -> (&ReferenceTrajectory, f64) {
-        (&self.timeline, self.time)
+    pub fn followed(&self) -> (&Trajectory, f64) {
+        (&self.trajectory, self.time)
     }
 
     /// Distance from the path, m.
@@ -117,16 +127,18 @@ impl PathProjection {
             time: self.time,
             waypoint: 0,
             distance_left: self.left(),
-            time_left: (self.timeline.end() - self.time).max(0.0),
+            time_left: (self.trajectory.end_time() - self.time).max(0.0),
             finished,
         }
     }
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;
+    use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn a_path_that_comes_back_is_not_cut_short() {
@@ -143,10 +155,22 @@ mod tests {
             pose = pose.advance(Twist2::new(0.5, 0.5), 0.02);
             point
         });
-        let mut rail = PathProjection::new(ReferenceTrajectory::new(circle.collect()), 0.0);
+        let mut projection = PathProjection::new(circle.collect(), 0.0);
         // The end lies a little beyond the start.
-        rail.advance(&Pose2::new(0.1, 0.05, 0.0));
-        assert!(rail.time() < 1.0 && rail.left() > 6.0, "{}", rail.time());
-        assert!(rail.off_track() > 0.03);
+        projection.advance(&Pose2::new(0.1, 0.05, 0.0));
+        assert!(
+            projection.time() < 1.0 && projection.left() > 6.0,
+            "{}",
+            projection.time()
+        );
+        assert!(projection.off_track() > 0.03);
+    }
+
+    #[test]
+    fn the_path_through_waypoints_is_as_long_as_its_legs() {
+        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let waypoints = [Point2::new(3.0, 0.0), Point2::new(3.0, 1.0)];
+        let projection = PathProjection::through(&model.drive, Pose2::IDENTITY, &waypoints);
+        assert!((projection.left() - 4.0).abs() < 1e-9);
     }
 }

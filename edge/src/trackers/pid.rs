@@ -24,10 +24,16 @@ pub struct Pid {
 }
 
 impl PathLaw for Pid {
-    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted {
-        let path = rail.here();
+    fn step(
+        &mut self,
+        projection: &PathProjection,
+        drive: &Drive,
+        view: &TrackerInput,
+        gains: &ControllerGains,
+    ) -> Wanted {
+        let path = projection.here();
         // The direction of the path, not of a turn on the spot that it begins with.
-        let ahead = rail.ahead(&view.map_from_base, 0.1) - path.pose().position();
+        let ahead = projection.ahead(&view.map_from_base, 0.1) - path.position();
         let yaw = if ahead.norm() > 1e-6 {
             ahead.y.atan2(ahead.x)
         } else {
@@ -37,17 +43,17 @@ impl PathLaw for Pid {
         if heading.abs() > TURN_FIRST {
             return Wanted::Turn(heading);
         }
-        let aside = path.pose().position() - view.map_from_base.position();
+        let aside = path.position() - view.map_from_base.position();
         let cross = -yaw.sin() * aside.x + yaw.cos() * aside.y;
         self.integral = (self.integral + cross * view.dt).clamp(-WINDUP, WINDUP);
-        let braking = (2.0 * BRAKING_SHARE * drive.acceleration() * rail.left()).sqrt();
+        let braking = (2.0 * BRAKING_SHARE * drive.acceleration() * projection.left()).sqrt();
         let v = path.v.abs().max(LEAST_SPEED).min(braking.max(LEAST_SPEED));
         let rate = v.max(0.1) * heading.sin();
         let w = gains.pid_p * cross + gains.pid_i * self.integral + gains.pid_d * rate;
         Wanted::Drive(Twist2::new(v, w))
     }
 
-    fn target(&self, rail: &PathProjection) -> Point2<f64> {
-        rail.here().pose().position()
+    fn target(&self, projection: &PathProjection) -> Point2<f64> {
+        projection.here().position()
     }
 }

@@ -27,9 +27,15 @@ pub struct PurePursuit {
 }
 
 impl PathLaw for PurePursuit {
-    fn step(&mut self, rail: &PathProjection, drive: &Drive, view: &TrackerInput, gains: &ControllerGains) -> Wanted {
+    fn step(
+        &mut self,
+        projection: &PathProjection,
+        drive: &Drive,
+        view: &TrackerInput,
+        gains: &ControllerGains,
+    ) -> Wanted {
         let distance = (view.velocity.v.abs() * gains.lookahead_secs).clamp(LOOKAHEAD.0, LOOKAHEAD.1);
-        let target = rail.ahead(&view.map_from_base, distance);
+        let target = projection.ahead(&view.map_from_base, distance);
         self.target = Some(target);
         let alpha = bearing(&view.map_from_base, target);
         if alpha.abs() > TURN_FIRST {
@@ -38,12 +44,12 @@ impl PathLaw for PurePursuit {
         let reach = (target - view.map_from_base.position()).norm().max(1e-3);
         let curvature = 2.0 * alpha.sin() / reach;
         let bend = (1.0 / (curvature.abs() * TIGHT).max(1e-9)).min(1.0);
-        let near = (rail.left() / APPROACH).min(1.0);
+        let near = (projection.left() / APPROACH).min(1.0);
         let v = (drive.top_speed() * bend).max(LEAST_SPEED) * near.max(LEAST_SPEED / drive.top_speed());
         Wanted::Drive(Twist2::new(v, v * curvature))
     }
 
-    fn target(&self, rail: &PathProjection) -> Point2<f64> {
-        self.target.unwrap_or_else(|| rail.here().pose().position())
+    fn target(&self, projection: &PathProjection) -> Point2<f64> {
+        self.target.unwrap_or_else(|| projection.here().position())
     }
 }

@@ -7,10 +7,10 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::TrajectoryPoint;
 use zenav_protocol::robot::{ControllerGains, Drive};
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
-use super::{AT_REST, Progress, ReferenceTrajectory, Tracker, TrackerInput, capped};
+use super::{AT_REST, Progress, Tracker, TrackerInput, capped};
 use crate::passive_safety::GENTLE;
 
 /// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
@@ -34,7 +34,7 @@ const SETTLE_TIME: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub struct TrajectoryTracker {
     drive: Drive,
-    timeline: ReferenceTrajectory,
+    trajectory: Trajectory,
     time: f64,
     settling: f64,
     finished: bool,
@@ -44,11 +44,14 @@ pub struct TrajectoryTracker {
 impl TrajectoryTracker {
     /// From plan time `time` on.
     #[must_use]
-    pub fn new(drive: &Drive, timeline: ReferenceTrajectory, time: f64) -> Self {
-        let time = time.clamp(timeline.start(), timeline.end().max(timeline.start()));
+    pub fn new(drive: &Drive, trajectory: Trajectory, time: f64) -> Self {
+        let time = time.clamp(
+            trajectory.start_time(),
+            trajectory.end_time().max(trajectory.start_time()),
+        );
         Self {
             drive: drive.clone(),
-            timeline,
+            trajectory,
             time,
             settling: 0.0,
             finished: false,
@@ -59,7 +62,7 @@ impl TrajectoryTracker {
     /// Where the robot should be now.
     #[must_use]
     pub fn reference(&self) -> TrajectoryPoint {
-        self.timeline.sample(self.time)
+        self.trajectory.sample(self.time)
     }
 
     /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
@@ -115,21 +118,21 @@ impl TrajectoryTracker {
 
 impl Tracker for TrajectoryTracker {
     fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
-        let goal = self.timeline.sample(self.time);
+        let goal = self.trajectory.sample(self.time);
         let error = view.map_from_base.inverse() * goal.pose();
         self.off = error.x.hypot(error.y);
         if self.finished {
             return Twist2::ZERO;
         }
-        let ended = self.time >= self.timeline.end();
+        let ended = self.time >= self.trajectory.end_time();
         if ended {
             return self.settle(view, &error, gains);
         }
         let rate = self.rate(view, &goal, &error);
-        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.timeline.end());
+        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.trajectory.end_time());
 
         // The motors answer late: ask for the speed of the moment at which they will have it.
-        let ahead = self.timeline.sample(self.time + self.drive.motor_lag * rate);
+        let ahead = self.trajectory.sample(self.time + self.drive.motor_lag * rate);
         let (v, w) = (rate * ahead.v, rate * ahead.w);
         let sinc = if error.yaw.abs() < 1e-3 {
             1.0
@@ -145,11 +148,11 @@ impl Tracker for TrajectoryTracker {
     }
 
     fn progress(&self, _: &Pose2) -> Progress {
-        let end = self.timeline.end();
+        let end = self.trajectory.end_time();
         Progress {
             time: self.time,
             waypoint: 0,
-            distance_left: self.timeline.length_left(self.time),
+            distance_left: self.trajectory.length_left(self.time),
             time_left: (end - self.time).max(0.0),
             finished: self.finished,
         }
@@ -159,8 +162,8 @@ impl Tracker for TrajectoryTracker {
         Some(("reference", self.reference().pose().position()))
     }
 
-    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
-        Some((&self.timeline, self.time))
+    fn followed(&self) -> Option<(&Trajectory, f64)> {
+        Some((&self.trajectory, self.time))
     }
 
     fn off_track(&self) -> f64 {
@@ -190,7 +193,7 @@ mod tests {
     }
 
     /// Rest, 0.5 m/s on a circle of 1 m radius, rest; 20 ms apart.
-    fn curve() -> ReferenceTrajectory {
+    fn curve() -> Trajectory {
         let mut points = Vec::new();
         let mut pose = Pose2::IDENTITY;
         for i in 0..=400 {
@@ -206,7 +209,7 @@ mod tests {
             });
             pose = pose.advance(Twist2::new(v, v), 0.02);
         }
-        ReferenceTrajectory::new(points)
+        Trajectory::new(points)
     }
 
     /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
@@ -242,9 +245,9 @@ mod tests {
 
     #[test]
     fn a_curve_is_followed_to_within_two_centimetres_and_ended_at_rest() {
-        let timeline = curve();
-        let end = timeline.sample(8.0).pose();
-        let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
+        let trajectory = curve();
+        let end = trajectory.sample(8.0).pose();
+        let mut tracker = TrajectoryTracker::new(&model().drive, trajectory, 0.0);
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 600, |_| f64::INFINITY);
         assert!(worst < 0.02, "{worst}");
         assert!(
@@ -291,9 +294,9 @@ mod tests {
                 }
             })
             .collect();
-        let timeline = ReferenceTrajectory::new(points);
-        let end = timeline.sample(2.0).yaw;
-        let mut tracker = TrajectoryTracker::new(&model().drive, timeline, 0.0);
+        let trajectory = Trajectory::new(points);
+        let end = trajectory.sample(2.0).yaw;
+        let mut tracker = TrajectoryTracker::new(&model().drive, trajectory, 0.0);
         let (_, pose) = drive(&mut tracker, Pose2::IDENTITY, 300, |_| f64::INFINITY);
         assert!(
             tracker.progress(&pose).finished && (pose.yaw - end).abs() < 0.03 && pose.x.hypot(pose.y) < 0.01,

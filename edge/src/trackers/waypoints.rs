@@ -4,8 +4,9 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
+use zenav_protocol::trajectory::Trajectory;
 
-use super::{AT_REST, PathProjection, Progress, ReferenceTrajectory, Tracker, TrackerInput};
+use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput};
 
 /// Where the last waypoint counts as reached at most, m: it is a place to be at, the others are passed.
 const FINAL_THRESHOLD: f64 = 0.1;
@@ -34,28 +35,28 @@ pub struct ThroughWaypoints<L> {
     waypoints: Vec<Point2<f64>>,
     next: usize,
     finished: bool,
-    rail: Option<PathProjection>,
+    projection: Option<PathProjection>,
 }
 
 impl<L: WaypointLaw> ThroughWaypoints<L> {
-    /// From the first waypoint on; `rail` where the plan has a trajectory.
+    /// From the first waypoint on; `projection` where the plan has a trajectory.
     #[must_use]
-    pub fn new(law: L, drive: &Drive, waypoints: Vec<Point2<f64>>, rail: Option<PathProjection>) -> Self {
+    pub fn new(law: L, drive: &Drive, waypoints: Vec<Point2<f64>>, projection: Option<PathProjection>) -> Self {
         Self {
             law,
             drive: drive.clone(),
             waypoints,
             next: 0,
             finished: false,
-            rail,
+            projection,
         }
     }
 }
 
 impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
     fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
-        if let Some(rail) = &mut self.rail {
-            rail.advance(&view.map_from_base);
+        if let Some(projection) = &mut self.projection {
+            projection.advance(&view.map_from_base);
         }
         let here = view.map_from_base.position();
         let threshold = self.law.threshold(gains);
@@ -82,7 +83,7 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
             (sum + (to - from).norm(), *to)
         });
         Progress {
-            time: self.rail.as_ref().map_or(0.0, PathProjection::time),
+            time: self.projection.as_ref().map_or(0.0, PathProjection::time),
             waypoint: self.next,
             distance_left,
             time_left: distance_left / self.drive.top_speed(),
@@ -94,12 +95,12 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
         self.waypoints.get(self.next).map(|place| ("waypoint", *place))
     }
 
-    fn motion(&self) -> Option<(&ReferenceTrajectory, f64)> {
-        self.rail.as_ref().map(PathProjection::motion)
+    fn followed(&self) -> Option<(&Trajectory, f64)> {
+        self.projection.as_ref().map(PathProjection::followed)
     }
 
     fn off_track(&self) -> f64 {
-        self.rail.as_ref().map_or(0.0, PathProjection::off_track)
+        self.projection.as_ref().map_or(0.0, PathProjection::off_track)
     }
 
     fn boxed(&self) -> Box<dyn Tracker> {

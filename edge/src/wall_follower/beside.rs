@@ -1,4 +1,4 @@
-//! Where is the wall beside the robot, what is in its way, and how is the distance kept?
+//! Wall distance control. Where is the wall beside the robot, which obstacle is in the way, and how is the distance kept?
 //!
 //! In the base frame, mirrored where needed so that the wall lies on the left: who reads this needs one side only.
 //! The distance is that to the nearest point of the walls within 60 degrees of abeam. On a straight wall that is its foot; past an outer
@@ -104,11 +104,11 @@ impl Beside {
 
 /// PID on the distance from the offset line: P and I on the distance, D on its rate, which follows from speed and heading.
 #[derive(Clone, Debug, Default)]
-pub struct DistanceKeeper {
+pub struct DistanceController {
     sum: f64,
 }
 
-impl DistanceKeeper {
+impl DistanceController {
     /// The yaw rate (left is positive) that keeps `wanted` m from a wall on the left at speed `v`.
     pub fn steer(&mut self, beside: &Beside, wanted: f64, v: f64, settings: &WallFollowing, dt: f64) -> f64 {
         let error = beside.distance - wanted;
@@ -188,7 +188,7 @@ mod tests {
         let settings = WallFollowing::default();
         let steer = |distance: f64| {
             let beside = Beside::of([wall((2.0, distance), (-2.0, distance))].into_iter()).unwrap();
-            DistanceKeeper::default().steer(&beside, 0.5, 0.2, &settings, 0.02)
+            DistanceController::default().steer(&beside, 0.5, 0.2, &settings, 0.02)
         };
         assert!(steer(0.6) > 0.1 && steer(0.4) < -0.1);
         assert!(steer(3.0) <= settings.wall_d * 0.2 * STEEPEST + 1e-9);

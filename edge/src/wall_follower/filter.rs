@@ -1,11 +1,10 @@
-//! Which returns of a sweep are walls, and which are noise? A window that slides over neighbouring returns keeps those that
-//! stand together.
+//! Return filter. Which returns of a scan are walls, and which are noise? Runs of neighbouring returns close together are kept.
 
 use nalgebra::Point2;
 
-/// Neighbours farther apart than this do not stand together, m.
+/// Neighbours farther apart than this end a run, m.
 const GAP: f64 = 0.15;
-/// Most points that are looked at; of more, every so many.
+/// Most points used; more are thinned evenly.
 const MOST: usize = 4096;
 
 /// Runs of returns that stand together, at least `least` in each; `points` are those of a sweep in the order of its beams.

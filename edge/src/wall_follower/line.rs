@@ -1,4 +1,4 @@
-//! Which straight walls does a run of returns show? Split and merge, each piece a line by principal components.
+//! Line extraction. Which straight walls does a run of returns show? Split and merge, each piece fitted by principal components.
 //!
 //! Nguyen, Gächter, Martinelli, Tomatis and Siegwart, "A Comparison of Line Extraction Algorithms Using 2D Range Data for Indoor Mobile
 //! Robotics", Autonomous Robots 23, 2007: a run is split where it bends farthest from its chord; the total least squares line of a

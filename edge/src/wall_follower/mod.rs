@@ -1,7 +1,7 @@
-//! What does a robot do that nobody commands, where its policy is to follow walls? A state machine of its own, without a cloud.
+//! Wall follower. What does a robot do whose link is lost and whose policy is to follow walls? A state machine on the robot, without a cloud.
 //!
-//! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the way ahead is clear, `wall_follow` drives
-//! along it; `bump`, from anywhere, waits until an operator has driven the robot away.
+//! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the path ahead is clear, `wall_follow` drives
+//! along it; `bump`, entered from every state, waits until an operator has driven the robot away.
 //!
 //! | file | answers |
 //! |---|---|
@@ -22,7 +22,7 @@ use zenav_protocol::wall_following::WallFollowing;
 
 use crate::event_log::EventLog;
 use crate::local_obstacles::LocalObstacles;
-use beside::{Beside, DistanceKeeper};
+use beside::{Beside, DistanceController};
 use line::Wall;
 
 /// A wall bends where a return is farther than this from its chord, m, or than so many deviations of the lidar.
@@ -40,8 +40,8 @@ const ELBOW_ROOM: f64 = 0.05;
 /// A way ahead is clear when it is free for so many target distances.
 const CLEAR: f64 = 2.0;
 /// Directions tried on each side for the better one.
-const LOOKS: u32 = 36;
-/// Stopped by the guard for this long the robot turns elsewhere, s.
+const DIRECTIONS: u32 = 36;
+/// Stopped by the collision monitor for this long the robot turns elsewhere, s.
 const BLOCKED: f64 = 1.0;
 /// A wall this many times farther than any distance that is kept is lost.
 const LOST: f64 = 1.4;
@@ -54,22 +54,22 @@ const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
 /// A bump is left when the robot has been driven this far from what it touched, m.
 const AWAY: f64 = 0.05;
 
-/// What the follower may look at in one tick.
+/// Inputs of one tick.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight<'a> {
-    /// When.
+pub struct WallFollowerInput<'a> {
+    /// Time of the tick.
     pub now: Stamp,
     /// Time since the last tick, s.
     pub dt: f64,
     /// The settings in force.
     pub settings: &'a WallFollowing,
-    /// What the lidar sees.
-    pub around: &'a LocalObstacles,
+    /// Obstacles around the robot.
+    pub obstacles: &'a LocalObstacles,
     /// Odometry.
     pub odom_from_base: Pose2,
     /// The bumper.
     pub bump: &'a Bump,
-    /// Whether the guard let nothing through at the last tick.
+    /// Whether the collision monitor stopped the robot at the last tick.
     pub stopped: bool,
 }
 
@@ -95,7 +95,7 @@ pub struct WallFollower {
     /// What is left to turn before the robot gives up, rad.
     patience: f64,
     last_yaw: f64,
-    keeper: DistanceKeeper,
+    distance_controller: DistanceController,
     /// The distance to keep now, m.
     wanted: f64,
     blocked: f64,
@@ -111,7 +111,7 @@ pub struct WallFollower {
 }
 
 impl WallFollower {
-    /// At the beginning.
+    /// In the initial state.
     #[must_use]
     pub fn new(model: &RobotModel) -> Self {
         Self {
@@ -129,7 +129,7 @@ impl WallFollower {
             side: -1.0,
             patience: 0.0,
             last_yaw: 0.0,
-            keeper: DistanceKeeper::default(),
+            distance_controller: DistanceController::default(),
             wanted: model.wall_following.target_distance,
             blocked: 0.0,
             touched: None,
@@ -140,56 +140,56 @@ impl WallFollower {
         }
     }
 
-    /// Where it stands.
+    /// The current state.
     #[must_use]
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// One tick in which somebody else commands, or nobody may: begins anew afterwards. A bump is left by an operator only.
-    pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, journal: &mut EventLog) {
+    /// One tick in which another source commands, or none: it starts again afterwards. Only an operator ends a bump.
+    pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, events: &mut EventLog) {
         if bump.pressed {
-            self.touch(now, bump, odom_from_base, journal);
+            self.touch(now, bump, odom_from_base, events);
         } else if let Some((place, bearing)) = self.touched {
             let gone = place.inverse() * odom_from_base;
             if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -AWAY {
                 self.touched = None;
-                self.enter(now, State::WallSearch, "driven away by hand", journal);
+                self.enter(now, State::WallSearch, "driven away by an operator", events);
             }
         } else if self.state != State::WallSearch {
-            self.enter(now, State::WallSearch, "somebody else commands", journal);
+            self.enter(now, State::WallSearch, "another source commands", events);
         }
     }
 
     /// One tick in which it moves the robot: the wanted twist.
-    pub fn step(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
-        let Sight {
+    pub fn step(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
+        let WallFollowerInput {
             now, odom_from_base, ..
-        } = *sight;
-        if sight.bump.pressed {
-            self.touch(now, sight.bump, odom_from_base, journal);
+        } = *input;
+        if input.bump.pressed {
+            self.touch(now, input.bump, odom_from_base, events);
         }
         if self.state == State::Bump {
             return Twist2::ZERO;
         }
-        self.look(sight);
+        self.take_scan(input);
         let turn = wrap_angle(odom_from_base.yaw - std::mem::replace(&mut self.last_yaw, odom_from_base.yaw));
-        self.blocked = if sight.stopped { self.blocked + sight.dt } else { 0.0 };
+        self.blocked = if input.stopped { self.blocked + input.dt } else { 0.0 };
         if self.blocked > BLOCKED && self.state != State::Turn {
             self.blocked = 0.0;
-            self.begin_turn(sight, None, "blocked by the guard", journal);
+            self.begin_turn(input, None, "blocked by the collision monitor", events);
         }
         match self.state {
-            State::WallSearch => self.search(sight, journal),
-            State::Approach => self.approach(sight, journal),
+            State::WallSearch => self.search(input, events),
+            State::Approach => self.approach(input, events),
             State::Turn => {
                 self.patience -= turn.abs();
                 self.turned += self.side * turn;
-                self.turn(sight, journal)
+                self.turn(input, events)
             }
             State::WallFollow => {
                 self.turned += self.side * turn;
-                self.follow(sight, journal)
+                self.follow(input, events)
             }
             State::Bump => Twist2::ZERO,
         }
@@ -217,11 +217,11 @@ impl WallFollower {
         ]
     }
 
-    fn enter(&mut self, now: Stamp, to: State, reason: &str, journal: &mut EventLog) {
+    fn enter(&mut self, now: Stamp, to: State, reason: &str, events: &mut EventLog) {
         if to == self.state {
             return;
         }
-        journal.tell(
+        events.record(
             now,
             EventKind::Transition {
                 behaviour: "wall_follow".to_owned(),
@@ -235,21 +235,21 @@ impl WallFollower {
         self.followed = None;
     }
 
-    fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, journal: &mut EventLog) {
+    fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, events: &mut EventLog) {
         // Without a bearing the contact is taken to lie ahead.
         self.touched = Some((odom_from_base, bump.bearing.unwrap_or(0.0)));
-        self.enter(now, State::Bump, "contact", journal);
+        self.enter(now, State::Bump, "contact", events);
     }
 
-    /// Takes in a new sweep.
-    fn look(&mut self, sight: &Sight<'_>) {
-        if self.scan == sight.around.stamp() {
+    /// Extracts walls from a new scan.
+    fn take_scan(&mut self, input: &WallFollowerInput<'_>) {
+        if self.scan == input.obstacles.stamp() {
             return;
         }
-        self.scan = sight.around.stamp();
-        let least = sight.settings.wall_min_points;
-        let sweeps = sight.around.seen_by_lidar();
-        let runs: Vec<_> = sweeps
+        self.scan = input.obstacles.stamp();
+        let least = input.settings.wall_min_points;
+        let scans = input.obstacles.seen_by_lidar();
+        let runs: Vec<_> = scans
             .flat_map(|points| filter::runs(points.iter().copied(), least))
             .collect();
         self.walls = runs.iter().flat_map(|run| line::walls(run, self.bend)).collect();
@@ -291,37 +291,37 @@ impl WallFollower {
         Some(odom_from_base.inverse().transform_point(chosen.1))
     }
 
-    fn search(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
-        let settings = sight.settings;
-        let Some(wall) = self.nearest(sight.odom_from_base) else {
+    fn search(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
+        let settings = input.settings;
+        let Some(wall) = self.nearest(input.odom_from_base) else {
             // Nothing to be seen: farther on there may be something.
             return Twist2::new(settings.greatest_speed, 0.0);
         };
         let bearing = wall.y.atan2(wall.x);
         if bearing.abs() <= settings.search_tolerance {
             let goal = self.goal;
-            self.enter(sight.now, State::Approach, "the nearest wall lies ahead", journal);
+            self.enter(input.now, State::Approach, "nearest wall ahead", events);
             self.goal = goal;
             return Twist2::ZERO;
         }
         Twist2::new(0.0, turning(bearing, settings))
     }
 
-    fn approach(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
-        let settings = sight.settings;
-        let Some(wall) = self.nearest(sight.odom_from_base) else {
-            self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
+    fn approach(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
+        let settings = input.settings;
+        let Some(wall) = self.nearest(input.odom_from_base) else {
+            self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;
         };
         // Something else may stand in the way: then that is followed.
-        let distance = self.ahead(sight, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
+        let distance = self.ahead(input, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
         let (left, bearing) = (distance - settings.identify_wall_distance, wall.y.atan2(wall.x));
         if left <= 0.0 {
-            self.begin_turn(sight, None, "the wall is reached", journal);
+            self.begin_turn(input, None, "wall reached", events);
             return Twist2::ZERO;
         }
         if bearing.abs() > ASTRAY {
-            self.enter(sight.now, State::WallSearch, "the wall is not ahead", journal);
+            self.enter(input.now, State::WallSearch, "wall not ahead", events);
             return Twist2::ZERO;
         }
         let v = (settings.approach_gain * left).clamp(settings.least_speed, settings.greatest_speed);
@@ -329,15 +329,15 @@ impl WallFollower {
     }
 
     /// Begins to turn: away from the wall beside, or to the side that is clear after the lesser turn.
-    fn begin_turn(&mut self, sight: &Sight<'_>, wall_on: Option<f64>, reason: &str, journal: &mut EventLog) {
+    fn begin_turn(&mut self, input: &WallFollowerInput<'_>, wall_on: Option<f64>, reason: &str, events: &mut EventLog) {
         self.side = wall_on.unwrap_or_else(|| {
-            let step = std::f64::consts::PI / f64::from(LOOKS);
+            let step = std::f64::consts::PI / f64::from(DIRECTIONS);
             let needed = |sign: f64| {
-                (1..=LOOKS)
-                    .map(|look| step * f64::from(look))
+                (1..=DIRECTIONS)
+                    .map(|nth| step * f64::from(nth))
                     .find(|angle| {
-                        self.ahead(sight, sign * angle)
-                            .is_none_or(|free| free > CLEAR * sight.settings.target_distance)
+                        self.ahead(input, sign * angle)
+                            .is_none_or(|free| free > CLEAR * input.settings.target_distance)
                     })
                     .unwrap_or(f64::INFINITY)
             };
@@ -348,31 +348,31 @@ impl WallFollower {
         if wall_on.is_none() {
             (self.turned, self.way) = (0.0, None);
         }
-        self.enter(sight.now, State::Turn, reason, journal);
+        self.enter(input.now, State::Turn, reason, events);
     }
 
-    fn turn(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
-        let settings = sight.settings;
+    fn turn(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
+        let settings = input.settings;
         if self
-            .ahead(sight, 0.0)
+            .ahead(input, 0.0)
             .is_none_or(|free| free > CLEAR * settings.target_distance)
         {
-            self.keeper = DistanceKeeper::default();
+            self.distance_controller = DistanceController::default();
             self.wanted = settings.target_distance;
-            self.enter(sight.now, State::WallFollow, "the way ahead is clear", journal);
+            self.enter(input.now, State::WallFollow, "path ahead clear", events);
             return Twist2::ZERO;
         }
         if self.patience < 0.0 {
-            self.enter(sight.now, State::WallSearch, "no way is clear", journal);
+            self.enter(input.now, State::WallSearch, "no clear direction", events);
             return Twist2::ZERO;
         }
         Twist2::new(0.0, -self.side * settings.turn_rate)
     }
 
-    fn follow(&mut self, sight: &Sight<'_>, journal: &mut EventLog) -> Twist2 {
-        let settings = sight.settings;
+    fn follow(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
+        let settings = input.settings;
         let side = self.side;
-        let base_from_odom = sight.odom_from_base;
+        let base_from_odom = input.odom_from_base;
         let mirror = |point: Point2<f64>| Point2::new(point.x, side * point.y);
         let walls = self.walls.iter().map(|wall| {
             let wall = wall.seen_from(base_from_odom);
@@ -383,26 +383,26 @@ impl WallFollower {
         });
         let farthest = LOST * settings.widest_distance.max(settings.identify_wall_distance);
         let Some(beside) = Beside::of(walls).filter(|beside| beside.distance < farthest) else {
-            self.enter(sight.now, State::WallSearch, "the wall is lost", journal);
+            self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;
         };
-        let here = sight.odom_from_base.position();
+        let here = input.odom_from_base.position();
         let (low, high) = self
             .way
             .map_or((here, here), |(low, high)| (low.inf(&here), high.sup(&here)));
         self.way = Some((low, high));
         if self.turned > AROUND {
             self.island = self.way;
-            self.enter(sight.now, State::WallSearch, "this is an island", journal);
+            self.enter(input.now, State::WallSearch, "circled an island", events);
             return Twist2::ZERO;
         }
-        let odom = |point: Point2<f64>| sight.odom_from_base.transform_point(mirror(point));
+        let odom = |point: Point2<f64>| input.odom_from_base.transform_point(mirror(point));
         self.followed = Some(Wall {
             from: odom(beside.wall.from),
             to: odom(beside.wall.to),
         });
-        let ahead = self.ahead(sight, 0.0).unwrap_or(f64::INFINITY);
-        let inverse = sight.odom_from_base.inverse();
+        let ahead = self.ahead(input, 0.0).unwrap_or(f64::INFINITY);
+        let inverse = input.odom_from_base.inverse();
         let points = self.points.iter().map(|point| mirror(inverse.transform_point(*point)));
         let wanted = beside.wanted(settings, self.body, points);
 
@@ -412,21 +412,23 @@ impl WallFollower {
             .min(slow_for_heading)
             .clamp(settings.least_speed, settings.greatest_speed);
         if ahead <= settings.target_distance + 0.5 * v * v / self.braking {
-            self.begin_turn(sight, Some(side), "a wall lies ahead", journal);
+            self.begin_turn(input, Some(side), "wall ahead", events);
             return Twist2::ZERO;
         }
-        let change = WIDENING * v * sight.dt;
+        let change = WIDENING * v * input.dt;
         self.wanted += (wanted - self.wanted).clamp(-change, change);
-        let w = self.keeper.steer(&beside, self.wanted, v, settings, sight.dt);
+        let w = self
+            .distance_controller
+            .steer(&beside, self.wanted, v, settings, input.dt);
         Twist2::new(v, side * w)
     }
 
     /// How far the robot could go straight after a turn by `angle`, m; `None` where nothing is in the way.
-    fn ahead(&self, sight: &Sight<'_>, angle: f64) -> Option<f64> {
-        let heading = sight.odom_from_base * Pose2::new(0.0, 0.0, angle);
+    fn ahead(&self, input: &WallFollowerInput<'_>, angle: f64) -> Option<f64> {
+        let heading = input.odom_from_base * Pose2::new(0.0, 0.0, angle);
         let inverse = heading.inverse();
         // A wall that is to be passed at the target distance must not count as in the way.
-        let half = self.body.min(0.8 * sight.settings.target_distance);
+        let half = self.body.min(0.8 * input.settings.target_distance);
         self.points
             .iter()
             .map(|point| inverse.transform_point(*point))

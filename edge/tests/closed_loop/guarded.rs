@@ -86,7 +86,7 @@ fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_met
                 ..TrajectoryPoint::default()
             }
         });
-        let plan = rig.plan(&[], points.collect());
+        let plan = rig.plan(&[], points.collect::<Vec<_>>());
         let secs = rig.drive(plan, 15.0, |_| {});
         let truth = rig.truth();
         let guard: Vec<_> = rig
@@ -120,7 +120,10 @@ fn a_rear_lidar_lets_a_robot_back_up_at_full_recovery_speed() {
             (ahead, back)
         };
         let (ahead, back) = fastest("");
-        assert!(ahead > 0.4 && (0.1..0.17).contains(&back), "{robot} alone: {ahead} {back}");
+        assert!(
+            ahead > 0.4 && (0.1..0.17).contains(&back),
+            "{robot} alone: {ahead} {back}"
+        );
         let (ahead, back) = fastest("+rear_lidar");
         assert!(ahead > 0.4 && back > 0.4, "{robot} with a rear lidar: {ahead} {back}");
     }

@@ -1,11 +1,12 @@
 //! A world, a robot and its pilot in lockstep, and a small mission that keeps its lease.
 
 use nalgebra::Point2;
-use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Question, Ticket};
+use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
 pub struct Rig {
@@ -60,7 +61,7 @@ impl Rig {
         };
         let request = LeaseRequest::new("m", role, LeaseAction::Acquire, "1");
         let out = rig.tick(Inbox {
-            questions: vec![(Ticket(1), Question::Lease(request))],
+            requests: vec![(Ticket(1), EdgeRequest::Lease(request))],
             ..Inbox::default()
         });
         assert_eq!(
@@ -124,7 +125,7 @@ impl Rig {
         self.sim.truth(0)
     }
 
-    pub fn plan(&self, waypoints: &[(f64, f64)], trajectory: Vec<TrajectoryPoint>) -> Plan {
+    pub fn plan(&self, waypoints: &[(f64, f64)], trajectory: impl Into<Trajectory>) -> Plan {
         Plan {
             goal_id: "g".into(),
             epoch: self.epoch,
@@ -141,7 +142,7 @@ impl Rig {
             },
             valid_for: 5.0,
             waypoints: waypoints.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            trajectory,
+            trajectory: trajectory.into(),
             splice: None,
             statistics: PlanStatistics::default(),
         }
@@ -182,7 +183,7 @@ impl Rig {
             epoch: Some(self.epoch),
         };
         self.tick(Inbox {
-            questions: vec![(Ticket(2), Question::Maneuver(request))],
+            requests: vec![(Ticket(2), EdgeRequest::Behaviour(request))],
             ..Inbox::default()
         });
         let mut fastest = 0.0_f64;

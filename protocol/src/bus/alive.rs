@@ -1,4 +1,6 @@
-//! Who is there? Liveliness tokens: for discovery, never for authority (a frozen process keeps its token until its lease ends).
+//! Liveliness. Which components are there?
+//!
+//! Zenoh's liveliness tokens, for discovery only and never for authority: a frozen process keeps its token until its link times out.
 
 use std::fmt;
 use std::sync::Arc;
@@ -13,13 +15,13 @@ use zenoh::sample::{Sample, SampleKind};
 use super::inbox::{Inbox, Newest};
 use super::{Bus, BusError};
 
-/// Says "I am here" until it is dropped, or its process dies.
+/// A declared token: others see the component until the token is dropped or the process dies.
 #[derive(Debug)]
 pub struct AliveToken {
     _token: LivelinessToken,
 }
 
-/// Tells who comes and goes.
+/// A watch on tokens that appear and disappear.
 pub struct AliveWatch {
     inbox: Arc<Inbox<Newest<KeyExpr<'static>, bool>>>,
     _subscriber: Subscriber<()>,
@@ -32,7 +34,7 @@ impl fmt::Debug for AliveWatch {
 }
 
 impl Bus {
-    /// Declares that somebody is at this key (see [`crate::topics::alive_key`]).
+    /// Declares a token at a key (see [`crate::topics::alive_key`]).
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -43,7 +45,7 @@ impl Bus {
         })
     }
 
-    /// Watches the tokens that match; those that are there already come first.
+    /// Watches the tokens that match a pattern; those that exist already are reported first.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -64,8 +66,9 @@ impl Bus {
         })
     }
 
-    /// The tokens that match now, in order; waits for `timeout` at most. A session that watches the same tokens is now and then told of none
-    /// (Zenoh 1.10): ask in another.
+    /// Lists the tokens that match a pattern now, sorted; takes `timeout` at most.
+    ///
+    /// Use another session than one that watches the same tokens: Zenoh 1.10 sometimes reports none to it.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -88,21 +91,21 @@ impl Bus {
             keys.push(key.to_string());
         }
         keys.sort_unstable();
-        // A robot's own endpoint tells of the router's tokens twice.
+        // A robot's own endpoint reports the router's tokens twice.
         keys.dedup();
         Ok(keys)
     }
 }
 
 impl AliveWatch {
-    /// Waits for the next change: the key, and whether it is there now. Changes that were not read yet are merged by key,
-    /// and one may be told twice. `None` when the bus was closed.
+    /// Waits for the next change: a key, and whether its token exists now. Unread changes are merged by key, and one may be reported twice.
+    /// `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<(String, bool)> {
         let (key, up) = self.inbox.next().await?;
         Some((key.to_string(), up))
     }
 
-    /// The next change if there is one. Never waits.
+    /// The next change, if there is one; never waits.
     pub fn try_next(&mut self) -> Option<(String, bool)> {
         let (key, up) = self.inbox.try_next()?;
         Some((key.to_string(), up))

@@ -1,8 +1,9 @@
-//! How does one get an answer over a network that loses things? Ask until the deadline.
+//! Ask. How does a client get an answer over a network that loses messages?
 //!
-//! No reply is not an answer (a server may just be starting, or reconnecting), nor is silence (it may be frozen): after a while the
-//! question is asked again, while the answer to the earlier one still counts. A standby's `NotLeader` and a `Busy` are passed over until
-//! the deadline. Since asking repeats effects, requests that change something carry an id.
+//! It repeats the request until the deadline. No reply is not an answer (the server may be starting, or reconnecting), nor is silence (the
+//! server may be frozen): after a while the client sends the request again, and a reply to an earlier copy still counts. `NotLeader` from a
+//! standby, and `Busy`, are passed over until the deadline. A repeated request repeats its effects, so a request that changes something
+//! carries an id.
 
 use std::time::Duration;
 
@@ -22,16 +23,17 @@ use crate::codec::{self, CodecError, Encoding};
 use crate::messages::{Refusal, exit_code};
 use crate::topics::Ask;
 
-/// Largest reply looked at, bytes.
+/// Largest reply that is decoded, bytes.
 const MAX_REPLY: usize = 64 * 1024 * 1024;
-/// Largest refusal looked at, bytes.
+/// Largest refusal that is decoded, bytes.
 const MAX_REFUSAL: usize = 64 * 1024;
-/// Replies that wait to be looked at.
+/// Most replies that wait to be decoded.
 const MAX_WAITING: usize = 256;
-/// The first wait after a question that got no reply; doubles up to `LONGEST_WAIT`.
+/// First pause after a request without any reply; doubles up to `LONGEST_WAIT`.
 const SHORTEST_WAIT: Duration = Duration::from_millis(20);
+/// Longest pause between two requests.
 const LONGEST_WAIT: Duration = Duration::from_millis(500);
-/// Silence is taken for a frozen server after a third of the deadline, at least this.
+/// A silent server counts as frozen after a third of the deadline, but not before this time.
 const LEAST_PATIENCE: Duration = Duration::from_millis(250);
 
 /// Why there is no answer.
@@ -40,26 +42,26 @@ pub enum AskError {
     /// Nobody answered in time.
     #[error("no answer from {key} in time")]
     Timeout {
-        /// The key asked.
+        /// The key that was asked.
         key: String,
     },
-    /// The server said no.
+    /// The server refused the request.
     #[error("{0}")]
     Refused(Refusal),
-    /// The server's answer could not be read: it speaks another version.
+    /// The reply could not be decoded: the server speaks another version.
     #[error("unreadable answer from {key}: {reason}")]
     Malformed {
-        /// The key asked.
+        /// The key that was asked.
         key: String,
-        /// Where it went wrong.
+        /// What the decoder expected.
         reason: String,
     },
-    /// The question has no form on the wire, or its chunks make no key.
+    /// The request cannot be encoded, or its chunks make no key.
     #[error("cannot ask {key}: {reason}")]
     Unaskable {
-        /// The key asked.
+        /// The key that was asked.
         key: String,
-        /// Why.
+        /// What is wrong with the request.
         reason: String,
     },
     /// The bus was closed.
@@ -68,7 +70,7 @@ pub enum AskError {
 }
 
 impl AskError {
-    /// The exit code of a command line that got no answer.
+    /// The exit code of a command that got no answer.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
@@ -81,41 +83,43 @@ impl AskError {
     }
 }
 
-/// One of several answers.
+/// The answer of one of several servers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer<R> {
     /// The chunks of the answering server's key; empty for a refusal, which carries no key.
     pub chunks: Vec<String>,
-    /// What it said.
+    /// The reply, or the refusal.
     pub result: Result<R, Refusal>,
 }
 
-/// What comes back from a question that was sent: a reply, or `None` when no more come.
+/// A reply to a request that was sent, or `None` when no more come.
 type Event = Option<Reply>;
 
-/// Sends the end when Zenoh lets go of the callback.
+/// Reports the end when Zenoh drops the callback.
 struct Replies(mpsc::Sender<Event>);
 
 impl Drop for Replies {
     fn drop(&mut self) {
-        // A full queue is being read, and its reader gives up on its own.
+        // A full queue has a reader at work, which ends by its own deadline.
         let _ = self.0.try_send(None);
     }
 }
 
-/// A reply, read.
+/// A decoded reply.
 enum Verdict<R> {
     Answer(Answer<R>),
     Unreadable(CodecError),
-    /// Zenoh's own word that time is up.
+    /// Zenoh's own report of a timeout.
     Nothing,
 }
 
 impl Bus {
-    /// The first answer that is neither `NotLeader` nor `Busy`, before `deadline` (wall time) is over. A chunk may be `*`.
+    /// Asks, and repeats the request until a server answers with something else than `NotLeader` or `Busy`, for `deadline` (wall time) at
+    /// most. A chunk may be `*`.
     ///
     /// # Errors
-    /// [`AskError`]; after a deadline with nothing but `NotLeader` or `Busy`, that refusal.
+    /// [`AskError::Timeout`] naming the key; [`AskError::Refused`] with the server's refusal, also with `NotLeader` or `Busy` when nothing
+    /// else came; [`AskError::Malformed`], [`AskError::Unaskable`], [`AskError::Closed`].
     pub async fn ask<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -136,7 +140,7 @@ impl Bus {
         let mut open = 0_usize;
         let mut again = start;
         loop {
-            // Not left to the timer alone: it rounds up to a millisecond, several times what an answer takes.
+            // Tokio's timer rounds up to a millisecond, several times the duration of an answer.
             if Instant::now() >= again {
                 self.send(&question, end.saturating_duration_since(Instant::now()), &sender)?;
                 open += 1;
@@ -163,7 +167,7 @@ impl Bus {
                     if self.session.is_closed() {
                         return Err(AskError::Closed);
                     }
-                    // Another server may have answered well; only now is it sure that none did.
+                    // Another server might still have answered; now it is certain that none did.
                     if let Some(error) = unreadable {
                         return Err(AskError::Malformed {
                             key: question.key.to_string(),
@@ -191,10 +195,10 @@ impl Bus {
         }
     }
 
-    /// What all servers answer that are there now, asked once; those that are silent until `deadline` are left out.
+    /// Asks every server once and gathers the answers that arrive before `deadline`.
     ///
     /// # Errors
-    /// [`AskError::Unaskable`] and [`AskError::Closed`]; no answer at all is an empty list.
+    /// [`AskError::Unaskable`], [`AskError::Closed`]. No answer at all is an empty list, not an error.
     pub async fn ask_all<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -212,13 +216,13 @@ impl Bus {
                 match read(ask, reply) {
                     Verdict::Answer(answer) => answers.push(answer),
                     Verdict::Unreadable(error) => {
-                        tracing::warn!(key = %question.key, %error, "unreadable answer left out")
+                        tracing::warn!(key = %question.key, %error, "reply ignored: it cannot be decoded")
                     }
                     Verdict::Nothing => {}
                 }
             }
         };
-        // Zenoh ends the question at the deadline by itself; this is for a Zenoh that does not.
+        // Zenoh ends the query at the deadline; this is in case it does not.
         let _ = tokio::time::timeout(deadline + LEAST_PATIENCE, gather).await;
         answers.sort_by(|a, b| a.chunks.cmp(&b.chunks));
         Ok(answers)
@@ -254,12 +258,12 @@ impl Bus {
             .payload(question.payload.clone())
             .encoding(zenoh::bytes::Encoding::APPLICATION_JSON)
             .target(QueryTarget::All)
-            // The first reply at once, not when the last server has answered.
+            // Deliver the first reply at once, not after the last server has answered.
             .consolidation(ConsolidationMode::None)
             .priority(Priority::InteractiveHigh)
             .timeout(timeout.max(Duration::from_millis(1)))
             .callback(move |reply| {
-                // Padding what waits there a flood of replies is dropped.
+                // When the queue is full, further replies are dropped.
                 let _ = replies.0.try_send(Some(reply));
             })
             .wait()
@@ -276,7 +280,7 @@ impl Bus {
     }
 }
 
-/// A question, ready to be sent again.
+/// An encoded request, ready to be sent again.
 struct Question {
     key: KeyExpr<'static>,
     parameters: &'static str,

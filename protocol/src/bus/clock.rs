@@ -1,7 +1,7 @@
-//! What time is it? The wall's, or a simulation's; a service has no other clock than the one it is given.
+//! Clock. What time is it, on the wall or in the simulation?
 //!
-//! The wall clock is UNIX time at the start plus monotonic time since then: it never jumps with the system's time.
-//! A simulated clock stands still until its handle, or topic `zenav/sim/clock`, moves it.
+//! A service uses only the clock that it is given. The wall clock is UNIX time at the start plus monotonic time since then: it never jumps
+//! when the system time is set. A simulated clock stands still until its handle, or the topic `zenav/sim/clock`, moves it.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -13,10 +13,20 @@ use super::{Bus, BusError};
 use crate::time::Stamp;
 use crate::topics::SIM_CLOCK;
 
-/// A step back by more than this is a simulation that began anew, less is a reordered message.
+/// A step back by more than this means that the simulation restarted; a smaller one is a reordered message.
 const RESTART: Duration = Duration::from_secs(1);
 
-/// The clock of a service. Clones show the same time.
+/// Clock of a service. Clones show the same time.
+///
+/// ```
+/// use std::time::Duration;
+/// use zenav_protocol::bus::Clock;
+/// use zenav_protocol::time::Stamp;
+///
+/// let (clock, handle) = Clock::simulated(Stamp::ZERO);
+/// handle.advance(Duration::from_secs(2));
+/// assert_eq!(clock.now(), Stamp::from_secs(2.0));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Clock(Kind);
 
@@ -31,7 +41,7 @@ enum Kind {
 pub struct ClockHandle(Arc<watch::Sender<Stamp>>);
 
 impl ClockHandle {
-    /// Sets the time and wakes who waited for it. A small step back is ignored; a large one is a new simulation.
+    /// Sets the time, and wakes whoever waits for it. A small step back is ignored; a large one means that the simulation restarted.
     pub fn set(&self, now: Stamp) {
         self.0.send_if_modified(|current| {
             let moved = now > *current || current.since(now) > RESTART;
@@ -42,7 +52,7 @@ impl ClockHandle {
         });
     }
 
-    /// Moves the time on.
+    /// Moves the time forwards.
     pub fn advance(&self, by: Duration) {
         self.0.send_modify(|current| *current = *current + by);
     }
@@ -66,13 +76,13 @@ impl Clock {
         (Self(Kind::Simulated(receiver)), ClockHandle(Arc::new(sender)))
     }
 
-    /// The simulated clock that others publish; stands at zero until the first message. In a Tokio runtime only.
+    /// Follows the simulated clock on the bus; shows zero until the first message. Must be called in a Tokio runtime.
     ///
-    /// When a simulation begins anew, this clock goes on from where it stood: no deadline of a service waits for a time that has
-    /// been before. Stamps of others are theirs; nobody compares clocks.
+    /// When the simulation restarts, this clock continues from where it stood, so that no deadline of a service waits for a time that has
+    /// passed already.
     ///
     /// # Errors
-    /// [`BusError`] when the topic cannot be subscribed to.
+    /// [`BusError::Closed`] after the bus was closed.
     pub fn follow(bus: &Bus) -> Result<Self, BusError> {
         let mut topic = bus.latest(&SIM_CLOCK, &[])?;
         let (clock, handle) = Self::simulated(Stamp::ZERO);
@@ -80,7 +90,7 @@ impl Clock {
         tokio::spawn(async move {
             loop {
                 tokio::select! {
-                    // The last clone of the clock is gone.
+                    // The last clone of the clock was dropped.
                     () = handle.0.closed() => return,
                     open = topic.changed() => if !open { return },
                 }
@@ -96,13 +106,13 @@ impl Clock {
         Ok(clock)
     }
 
-    /// Whether this is a simulation's time.
+    /// Whether the clock is a simulation's.
     #[must_use]
     pub const fn is_simulated(&self) -> bool {
         matches!(self.0, Kind::Simulated(_))
     }
 
-    /// Now.
+    /// The time now.
     #[must_use]
     pub fn now(&self) -> Stamp {
         match &self.0 {
@@ -111,7 +121,7 @@ impl Clock {
         }
     }
 
-    /// Waits until the clock shows `stamp`. For ever, if a simulation ends before.
+    /// Waits until the clock shows `stamp`; for ever, if the simulation ends before.
     pub async fn sleep_until(&self, stamp: Stamp) {
         match &self.0 {
             Kind::Wall { start, start_stamp } => match start.checked_add(stamp.since(*start_stamp)) {
@@ -126,12 +136,12 @@ impl Clock {
         }
     }
 
-    /// Waits this long on this clock.
+    /// Waits for a duration on this clock.
     pub async fn sleep(&self, duration: Duration) {
         self.sleep_until(self.now() + duration).await;
     }
 
-    /// The future's output, or `None` when this clock shows `duration` more before.
+    /// Waits for a future, for `duration` on this clock at most; `None` after that.
     pub async fn timeout<F: Future>(&self, duration: Duration, future: F) -> Option<F::Output> {
         tokio::select! {
             biased;
@@ -140,7 +150,7 @@ impl Clock {
         }
     }
 
-    /// Ticks every `period`, the first at once.
+    /// An interval that ticks every `period`, the first time at once.
     #[must_use]
     pub fn interval(&self, period: Duration) -> Interval {
         Interval {
@@ -151,7 +161,7 @@ impl Clock {
     }
 }
 
-/// Absolute deadlines one period apart; missed ones are skipped, never caught up.
+/// Absolute deadlines, one period apart. A missed deadline is skipped, never caught up.
 #[derive(Clone, Debug)]
 pub struct Interval {
     clock: Clock,
@@ -160,11 +170,11 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Waits for the next deadline; the time now.
+    /// Waits for the next deadline; returns the time now.
     pub async fn tick(&mut self) -> Stamp {
         self.clock.sleep_until(self.next).await;
         let now = self.clock.now();
-        // A simulation that began anew takes the deadlines back with it.
+        // The simulation restarted: the deadlines restart with it.
         if self.next.since(now) > RESTART {
             self.next = now;
         }

@@ -1,5 +1,6 @@
-//! What stands between Zenoh's receiving threads, which must never wait, and ours? Two bounded boxes:
-//! [`Queue`] keeps the last so many items, [`Newest`] the last item of each key. Both drop the oldest, and count it.
+//! Inbox. What decouples Zenoh's receiving threads, which must never wait, from the readers?
+//!
+//! A bounded store with one reader: [`Queue`] keeps the last items in order, [`Newest`] the last item of each key. Both count what they drop.
 
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
@@ -8,19 +9,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-/// Most keys that a [`Newest`] tells apart; what comes under further ones is dropped.
+/// Most keys that a [`Newest`] holds; items of further keys are dropped.
 const MAX_KEYS: usize = 4096;
 
-/// A store behind a box: how items go in and come out.
+/// The store behind an inbox.
 pub(super) trait Store {
     type Item;
-    /// Whether nothing had to be dropped.
+    /// Adds an item; `false` when one had to be dropped.
     fn put(&mut self, item: Self::Item) -> bool;
     fn pop(&mut self) -> Option<Self::Item>;
     fn len(&self) -> usize;
 }
 
-/// All items in order, the oldest dropped when full.
+/// All items in order; the oldest is dropped when full.
 pub(super) struct Queue<T> {
     items: VecDeque<T>,
     capacity: usize,
@@ -76,7 +77,7 @@ impl<K: Hash + Eq + Clone, T> Store for Newest<K, T> {
 
     fn put(&mut self, (key, item): (K, T)) -> bool {
         if let Some(place) = self.items.get_mut(&key) {
-            // Skipping what nobody looked at is what this box is for: not counted as a loss.
+            // Replacing an unread item is the purpose of this store: not counted as a loss.
             *place = item;
             return true;
         }
@@ -98,7 +99,7 @@ impl<K: Hash + Eq + Clone, T> Store for Newest<K, T> {
     }
 }
 
-/// A box with one reader.
+/// A bounded inbox with one reader.
 pub(super) struct Inbox<S> {
     state: Mutex<State<S>>,
     ready: Notify,
@@ -111,7 +112,7 @@ struct State<S> {
 }
 
 impl<S: Store> Inbox<S> {
-    /// The box and its one slot to put things in; when the slot is dropped, the reader learns that nothing more comes.
+    /// An inbox, and the slot that fills it; dropping the slot closes the inbox.
     pub(super) fn new(store: S) -> (Arc<Self>, Slot<S>) {
         let inbox = Arc::new(Self {
             state: Mutex::new(State { store, closed: false }),
@@ -125,12 +126,12 @@ impl<S: Store> Inbox<S> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next item, if there is one.
+    /// The next item, if there is one; never waits.
     pub(super) fn try_next(&self) -> Option<S::Item> {
         self.lock().store.pop()
     }
 
-    /// The next item; `None` once the box is empty and closed.
+    /// Waits for the next item; `None` once the inbox is empty and closed.
     pub(super) async fn next(&self) -> Option<S::Item> {
         loop {
             {
@@ -142,12 +143,12 @@ impl<S: Store> Inbox<S> {
                     return None;
                 }
             }
-            // A permit given since the look above is kept: no wake-up is lost.
+            // `Notify` stores a permit given since the check above: no wake-up is lost.
             self.ready.notified().await;
         }
     }
 
-    /// Waits until there is something; false once the box is empty and closed.
+    /// Waits until there is an item; `false` once the inbox is empty and closed.
     pub(super) async fn filled(&self) -> bool {
         loop {
             {
@@ -163,17 +164,17 @@ impl<S: Store> Inbox<S> {
         }
     }
 
-    /// Items lost so far because the reader was slower than the writers.
+    /// Number of items dropped so far because the reader was too slow.
     pub(super) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 }
 
-/// Where items go in.
+/// The writing end of an inbox.
 pub(super) struct Slot<S: Store>(Arc<Inbox<S>>);
 
 impl<S: Store> Slot<S> {
-    /// Never waits (but for the reader's own short look).
+    /// Adds an item; waits for nothing but the reader's short critical section.
     pub(super) fn put(&self, item: S::Item) {
         if !self.0.lock().store.put(item) {
             self.0.dropped.fetch_add(1, Ordering::Relaxed);
@@ -181,7 +182,7 @@ impl<S: Store> Slot<S> {
         self.0.ready.notify_one();
     }
 
-    /// Puts unless `capacity` items wait already; gives the item back then.
+    /// Adds an item unless `capacity` items are waiting; returns it otherwise.
     pub(super) fn put_within(&self, item: S::Item, capacity: usize) -> Option<S::Item> {
         {
             let mut state = self.0.lock();
@@ -202,12 +203,12 @@ impl<S: Store> Drop for Slot<S> {
     }
 }
 
-/// A counter of things that should not happen often: tells when to log (the 1st, 2nd, 4th, 8th, … time).
+/// Counts failures, and says when to log one: the 1st, 2nd, 4th, 8th, … time.
 #[derive(Default)]
 pub(super) struct Complaints(AtomicU64);
 
 impl Complaints {
-    /// Counts one more; the count, when it is time to say so.
+    /// Counts a failure; returns the count when it is to be logged.
     pub(super) fn add(&self) -> Option<u64> {
         let count = self.0.fetch_add(1, Ordering::Relaxed) + 1;
         count.is_power_of_two().then_some(count)

@@ -1,21 +1,56 @@
-//! How do the parts talk? Typed topics and asks over Zenoh; no other module knows that it is Zenoh.
+//! Bus. How do the components talk? Typed publish, subscribe and ask over Zenoh.
 //!
-//! | file | answers |
+//! ```
+//! # use std::time::Duration;
+//! # use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
+//! # use zenav_protocol::messages::{SimClock, StopReply, StopRequest};
+//! # use zenav_protocol::time::Stamp;
+//! # use zenav_protocol::topics::{SIM_CLOCK, STOP};
+//! # #[tokio::main]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // A router on a free port, and two components that join it.
+//! let router = Router::open(&RouterConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..RouterConfig::default() }).await?;
+//! let endpoint = router.endpoints().await.remove(0);
+//! let robot = Bus::open(BusConfig::service("robot", &endpoint)).await?;
+//! let cloud = Bus::open(BusConfig::service("cloud", &endpoint)).await?;
+//!
+//! // Serve and ask.
+//! let mut stops = robot.serve(&STOP, &["tiago"])?;
+//! tokio::spawn(async move {
+//!     while let Some(request) = stops.next().await {
+//!         request.reply(&StopReply { stopped: true });
+//!     }
+//! });
+//! let reply = cloud.ask(&STOP, &["tiago"], &StopRequest::default(), Duration::from_secs(10)).await?;
+//! assert!(reply.stopped);
+//!
+//! // Publish and subscribe.
+//! let mut clock = cloud.latest(&SIM_CLOCK, &[])?;
+//! let publisher = robot.publisher(&SIM_CLOCK, &[])?;
+//! while clock.borrow().is_none() {
+//!     publisher.put(&SimClock { stamp: Stamp::from_secs(1.0) });
+//!     tokio::time::sleep(Duration::from_millis(10)).await;
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | file | subject |
 //! |---|---|
-//! | `session` | how a part joins: a client of the router, or (with an endpoint of its own) a router of its own that outlives the others |
-//! | `router` | the router itself |
-//! | `publish`, `subscribe` | topics: publishers, the newest value, all values in order |
-//! | `ask`, `serve` | questions with a deadline, and those who answer |
-//! | `alive` | who is there |
-//! | `raw` | bytes, for tools that know no types |
-//! | `clock`, `shutdown` | time and the end, the only ones a service gets |
-//! | `overhead` | what all this costs over raw Zenoh |
-//! | `inbox` | the bounded boxes between Zenoh's threads and ours |
+//! | `session` | [`Bus`]: a component's session, a client of the router, or a router itself when it listens on an endpoint of its own |
+//! | `router` | [`Router`] |
+//! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
+//! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
+//! | `serve_part` | all asks of one component, as its core's own request type |
+//! | `alive` | liveliness tokens: which components are there |
+//! | `raw` | untyped bytes, for tools |
+//! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
+//! | `overhead` | cost of the typed bus over raw Zenoh |
+//! | `inbox` | bounded queues between Zenoh's threads and the readers |
 //!
-//! No Zenoh callback blocks or decodes: it puts a sample in a bounded box and wakes the reader. What cannot be decoded is
-//! counted, logged now and then, and otherwise harmless. Declaring is quick and synchronous, and works from any thread
-//! (in a Tokio runtime it must be the multi-threaded one). Every `next` and `changed` may be dropped halfway, as `select!` does:
-//! nothing is lost.
+//! No Zenoh callback blocks or decodes: it puts the sample into a bounded queue and wakes the reader. A payload that cannot be decoded is
+//! counted, logged now and then, and otherwise ignored. Declarations are synchronous and work from any thread; inside a Tokio runtime it
+//! must be the multi-threaded one. Every `next` and `changed` is cancel-safe: a `select!` that drops it loses nothing.
 
 mod alive;
 mod ask;
@@ -26,6 +61,7 @@ mod publish;
 mod raw;
 mod router;
 mod serve;
+mod serve_part;
 mod session;
 mod shutdown;
 mod subscribe;
@@ -37,6 +73,7 @@ pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use router::{Router, RouterConfig};
 pub use serve::{Request, Server};
+pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};
 pub use shutdown::Shutdown;
 pub use subscribe::{Latest, Received, Subscription};

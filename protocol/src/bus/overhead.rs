@@ -1,7 +1,8 @@
-//! What does the typed bus cost over raw Zenoh? Identical bytes, the same codec, the same sessions, taking turns in one run.
+//! Overhead. What does the typed bus cost over raw Zenoh?
 //!
-//! A sample is the time from before encoding to after decoding, from one client to another over a router, all in this process on
-//! loopback TCP. Raw means Zenoh's own publisher, subscriber channel, `get` and queryable, used as its documentation does.
+//! Both send identical bytes by the same codec over the same sessions, and take turns in one run. A sample is the time from before encoding
+//! to after decoding, from one client to another over a router, all in this process on loopback TCP. Raw means Zenoh's own publisher,
+//! subscriber channel, `get` and queryable, as its documentation uses them.
 
 use std::time::{Duration, Instant};
 
@@ -19,38 +20,38 @@ use crate::topics::{SCAN, STOP};
 
 /// Beams of the scan that is sent.
 const BEAMS: usize = 720;
-/// Longer than a message ever takes; a lost one is sent again.
+/// A message that takes longer counts as lost and is sent again.
 const LOST: Duration = Duration::from_secs(1);
-/// A machine on which this many are not enough for the samples wanted loses nearly all.
+/// Most rounds: a machine that needs more loses nearly every message.
 const MOST_ROUNDS: usize = 1_000_000;
-/// Between samples, so that each finds an idle link.
+/// Pause between samples, so that each finds an idle link.
 const PAUSE: Duration = Duration::from_micros(500);
 
-/// Both ways to do one thing.
+/// Latency of one operation, typed and raw.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Comparison {
-    /// What was measured.
+    /// The operation measured.
     pub what: String,
-    /// Payload, bytes.
+    /// Size of the payload, bytes.
     pub bytes: usize,
-    /// Samples of each way.
+    /// Number of samples of each.
     pub samples: usize,
-    /// The typed bus.
+    /// Latency of the typed bus.
     pub typed: Latency,
-    /// Raw Zenoh.
+    /// Latency of raw Zenoh.
     pub raw: Latency,
-    /// Typed over raw, medians.
+    /// Ratio of the medians, typed over raw.
     pub ratio_p50: f64,
-    /// Typed over raw, 99th percentiles.
+    /// Ratio of the 99th percentiles, typed over raw.
     pub ratio_p99: f64,
 }
 
-/// Percentiles, microseconds.
+/// Percentiles of a latency.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Latency {
-    /// Half are faster.
+    /// Median, µs.
     pub p50_us: f64,
-    /// All but one of a hundred are faster.
+    /// 99th percentile, µs.
     pub p99_us: f64,
 }
 
@@ -84,10 +85,10 @@ impl Latency {
     }
 }
 
-/// Measures publications of a scan and asks, `samples` of each way, over a router of its own on a free port.
+/// Measures the publication of a scan and an ask, `samples` times each, typed and raw, over a router of its own on a free port.
 ///
 /// # Errors
-/// [`BusError`] when this machine does not let it listen or connect.
+/// [`BusError`] when the router cannot listen, or a session cannot connect.
 pub async fn measure(samples: usize) -> Result<Vec<Comparison>, BusError> {
     let router = Router::open(&RouterConfig {
         listen: vec!["tcp/127.0.0.1:0".to_owned()],
@@ -107,7 +108,7 @@ pub async fn measure(samples: usize) -> Result<Vec<Comparison>, BusError> {
     Ok(results)
 }
 
-/// Whether it is the typed way's turn to go first: they change, so that neither profits from the other's warm caches.
+/// Order of typed (`true`) and raw in a round: it alternates, so that neither profits from the other's warm caches.
 fn order(round: usize) -> [bool; 2] {
     if round.is_multiple_of(2) {
         [true, false]
@@ -156,7 +157,7 @@ async fn publications(near: &Bus, far: &Bus, samples: usize) -> Result<Compariso
                 })
             };
             let elapsed = start.elapsed();
-            // The first ones are lost, before the subscriptions are known.
+            // The first messages are lost, before the router knows of the subscriptions.
             if received.is_some_and(|received| received.stamp == scan.stamp) {
                 if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
             } else if near.session.is_closed() {
@@ -190,7 +191,7 @@ async fn asks(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusEr
                 .await
                 .is_err()
             {
-                tracing::debug!("the asker is gone");
+                tracing::debug!("the client is gone");
             }
         }
     });
@@ -240,7 +241,7 @@ async fn asks(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusEr
     Ok(Comparison::new("ask, question to answer", bytes, typed, raw))
 }
 
-/// A scan as a robot would send it, with every digit a float has.
+/// A scan as a robot sends it, with all digits of a float.
 fn scan() -> Scan {
     let ranges = (0..BEAMS).map(|beam| 2.0 + (beam as f32 * 0.1).sin()).collect();
     Scan {

@@ -1,8 +1,9 @@
-//! How does a value reach everybody who wants it? By a publisher of its topic, which never waits for a slow reader.
+//! Publisher. How does a value reach every reader without waiting for a slow one?
 //!
-//! `Events` and `State` use Zenoh's advanced publication: the writer keeps the last samples and numbers them, so that a late
-//! joiner gets them and a gap (dropped under congestion, or while a link was cut) is asked for again. That is why even they are sent
-//! with "drop": no frozen reader can hold up a robot. Only bulk (CBOR) waits for room, since one lost fragment costs the whole of it.
+//! `Events` and `State` topics use Zenoh's advanced publisher: it numbers its samples and keeps the last ones, so that a late joiner gets
+//! them and a reader asks again for a missing one (dropped under congestion, or lost while a link was cut). So even they are sent with
+//! congestion control "drop", and no frozen reader can hold up a robot. Only bulk (CBOR) blocks for room, for one lost fragment would cost
+//! the whole message.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -18,10 +19,10 @@ use super::{Bus, BusError};
 use crate::codec::{self, Encoding};
 use crate::topics::{Qos, Topic};
 
-/// How often an advanced publisher repeats the number of its last sample: a lost last sample is noticed this late.
+/// Period at which an advanced publisher repeats the number of its last sample: the delay until a lost last sample is noticed.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
-/// Writes one key of a topic.
+/// Publishes on one key of a topic.
 pub struct Publisher<T> {
     carrier: Carrier,
     encoding: Encoding,
@@ -44,17 +45,17 @@ impl<T> fmt::Debug for Publisher<T> {
 }
 
 impl Bus {
-    /// A publisher of the topic's key with these chunks, none of them wild.
+    /// A publisher on the topic's key with these chunks; no chunk may be a wildcard.
     ///
     /// # Errors
-    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn publisher<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Publisher<T>, BusError> {
         let key = topic.key(chunks);
         let key_expr = Self::key(key.clone())?;
         if key_expr.is_wild() {
             return Err(BusError::Key {
                 key,
-                reason: "a writer needs one key, not a pattern".into(),
+                reason: "expected a key without wildcards to publish on".into(),
             });
         }
         let congestion = match topic.encoding {
@@ -94,7 +95,7 @@ impl Bus {
     }
 }
 
-/// Samples kept by an advanced writer.
+/// Number of samples that an advanced publisher keeps.
 pub(super) fn kept(qos: Qos) -> usize {
     match qos {
         Qos::Events { cache } => cache.max(1),
@@ -103,8 +104,8 @@ pub(super) fn kept(qos: Qos) -> usize {
 }
 
 impl<T: Serialize> Publisher<T> {
-    /// Sends the value, from any thread. Order is kept. A value that cannot be sent (the bus is closed, the type has no
-    /// form in the encoding) is logged now and then.
+    /// Publishes a value, from any thread; the order is kept. A failure (the bus was closed, or the encoding cannot express the value) is
+    /// counted and logged now and then.
     pub fn put(&self, message: &T) {
         let failure = match codec::encode(message, self.encoding) {
             Ok(bytes) => self.put_bytes(bytes).err().map(|error| error.to_string()),
@@ -126,14 +127,14 @@ impl<T: Serialize> Publisher<T> {
 }
 
 impl<T> Publisher<T> {
-    /// The key it writes.
+    /// The key that is published on.
     #[must_use]
     pub fn key(&self) -> &str {
         &self.key
     }
 
-    /// Whether somebody may be listening, as far as this session knows. What is costly to make need not be made for nobody; a session
-    /// that has just declared the publisher may not know of anybody yet.
+    /// Whether there may be a subscriber, as far as this session knows: what is costly to compute need not be computed for nobody. Just
+    /// after the declaration the session may not know of anybody yet.
     #[must_use]
     pub fn may_be_heard(&self) -> bool {
         let status = match &self.carrier {
@@ -143,7 +144,7 @@ impl<T> Publisher<T> {
         status.map_or(true, |status| status.matching())
     }
 
-    /// Values that could not be sent.
+    /// Number of values that could not be published.
     #[must_use]
     pub fn failures(&self) -> u64 {
         self.failures.count()

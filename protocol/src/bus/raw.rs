@@ -1,4 +1,4 @@
-//! What do tools see that know no types? Keys, bytes and encodings as they are on the wire.
+//! Raw access. What do tools see that know no message types? Keys, bytes and encodings, as they are on the wire.
 
 use std::fmt;
 use std::sync::Arc;
@@ -15,21 +15,21 @@ use super::subscribe::{Carrier, HISTORY_TIMEOUT};
 use super::{Bus, BusError};
 use crate::time::Stamp;
 
-/// Replies to one raw query that are kept.
+/// Most replies to one query that are kept.
 const MAX_REPLIES: usize = 4096;
 
-/// A sample as it came.
+/// A sample as it came over the wire.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawSample {
-    /// Its key.
+    /// Key of the sample.
     pub key: String,
-    /// Its payload.
+    /// Payload of the sample.
     pub bytes: Vec<u8>,
-    /// Its encoding's name.
+    /// Name of the sample's encoding.
     pub encoding: String,
-    /// When its writer's Zenoh stamped it, UNIX time.
+    /// Time at which the publisher's Zenoh session stamped the sample, UNIX time.
     pub stamp: Option<Stamp>,
-    /// Whether it deletes its key.
+    /// Whether the sample deletes its key.
     pub deleted: bool,
 }
 
@@ -50,18 +50,18 @@ impl From<&Sample> for RawSample {
 /// One reply to a raw query.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RawReply {
-    /// A value.
+    /// A reply.
     Ok(RawSample),
-    /// An error reply's payload and encoding.
+    /// An error reply.
     Err {
-        /// The payload.
+        /// Payload of the error reply.
         bytes: Vec<u8>,
-        /// Its encoding's name.
+        /// Name of the sample's encoding.
         encoding: String,
     },
 }
 
-/// Samples as they come.
+/// A subscription to samples as they come.
 pub struct RawSubscription {
     inbox: Arc<Inbox<Queue<Sample>>>,
     _carrier: Carrier,
@@ -74,12 +74,12 @@ impl fmt::Debug for RawSubscription {
 }
 
 impl RawSubscription {
-    /// Waits for the next sample; `None` when the bus was closed.
+    /// Waits for the next sample; `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<RawSample> {
         self.inbox.next().await.as_ref().map(RawSample::from)
     }
 
-    /// Samples dropped because the reader was too slow.
+    /// Number of samples dropped because the reader was too slow.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.inbox.dropped()
@@ -87,7 +87,7 @@ impl RawSubscription {
 }
 
 impl Bus {
-    /// All samples on keys that match, live only; at most `capacity` wait to be read, beyond that the oldest are dropped.
+    /// Subscribes to all new samples on keys that match; at most `capacity` wait to be read, beyond that the oldest are dropped.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -105,7 +105,7 @@ impl Bus {
         })
     }
 
-    /// As [`Self::raw_subscribe`], preceded by what the writers of `Events` and `State` topics keep for late joiners.
+    /// As [`Self::raw_subscribe`], preceded by the samples that publishers of `Events` and `State` topics keep for late joiners.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -139,7 +139,7 @@ impl Bus {
         )
     }
 
-    /// All replies to a selector (`zenav/tiago/ask/cloud/map?format=png`), asked once; a payload, if any, is JSON.
+    /// Queries a selector once (`zenav/tiago/ask/cloud/map?format=png`) and gathers all replies; a payload, if any, is JSON.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].

@@ -1,18 +1,18 @@
-//! Where do all parts meet? At a Zenoh router, in any process that opens one.
+//! Router. Where do all components meet? At a Zenoh router, which any process can open.
 
 use zenoh::Session;
 use zenoh::config::WhatAmI;
 
 use super::session::{BusError, endpoints, link_settings};
 
-/// How a router runs.
+/// Configuration of a router.
 #[derive(Clone, Debug)]
 pub struct RouterConfig {
-    /// Endpoints to listen on; port 0 takes a free one (see [`Router::endpoints`]).
+    /// Endpoints to listen on; port 0 picks a free one (see [`Router::endpoints`]).
     pub listen: Vec<String>,
-    /// Other routers to link to, looked for in the background.
+    /// Other routers to link to; the router keeps trying in the background.
     pub connect: Vec<String>,
-    /// Shown to who inspects the network.
+    /// Name shown by tools that inspect the network.
     pub name: String,
 }
 
@@ -26,17 +26,17 @@ impl Default for RouterConfig {
     }
 }
 
-/// A running router, with its admin space readable; ends with [`Router::close`] or when dropped.
+/// A running router with a readable admin space. It stops on [`Router::close`], or when dropped.
 #[derive(Debug)]
 pub struct Router {
     session: Session,
 }
 
 impl Router {
-    /// Starts one.
+    /// Starts a router.
     ///
     /// # Errors
-    /// [`BusError::CannotListen`] when an endpoint is taken, [`BusError::Config`] when it is not one.
+    /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Config`] for text that is no endpoint.
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
         let zenoh = link_settings(WhatAmI::Router, &config.connect, &config.listen, &config.name)?;
         let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
@@ -46,15 +46,15 @@ impl Router {
         Ok(Self { session })
     }
 
-    /// The endpoints it listens on, with the ports that were taken for 0.
+    /// Endpoints that the router listens on, with the ports picked for 0.
     pub async fn endpoints(&self) -> Vec<String> {
         endpoints(&self.session).await
     }
 
-    /// Ends it: every link is closed.
+    /// Stops the router and closes every link.
     pub async fn close(self) {
         if let Err(error) = self.session.close().await {
-            tracing::warn!(%error, "the router did not close well");
+            tracing::warn!(%error, "closing the router failed");
         }
     }
 }

@@ -1,4 +1,6 @@
-//! How are questions answered? One after the other, from a bounded queue; what is not a proper question never gets there.
+//! Server. How are requests answered?
+//!
+//! One after the other, from a bounded queue. A malformed or oversized request is refused before the service sees it.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -19,10 +21,10 @@ use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
 use crate::topics::Ask;
 
-/// Questions that wait to be answered; further ones are refused as `Busy`.
+/// Most requests that wait to be answered; further ones are refused as `Busy`.
 const MAX_WAITING: usize = 64;
 
-/// Answers one ask.
+/// Receives the requests of one ask.
 pub struct Server<Q, R> {
     inbox: Arc<Inbox<Queue<Query>>>,
     ask: Ask<Q, R>,
@@ -37,11 +39,10 @@ impl<Q, R> fmt::Debug for Server<Q, R> {
 }
 
 impl Bus {
-    /// Answers questions on the ask's key with these chunks. A chunk may be `*` (one mapping for all robots): questions must then
-    /// name the robot.
+    /// Serves the ask's key with these chunks. A chunk may be `*` (one service for all robots); requests must then name the robot.
     ///
     /// # Errors
-    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn serve<Q, R>(&self, ask: &Ask<Q, R>, chunks: &[&str]) -> Result<Server<Q, R>, BusError> {
         let key = Self::key(ask.key(chunks))?;
         let (inbox, slot) = Inbox::new(Queue::new(MAX_WAITING));
@@ -56,7 +57,7 @@ impl Bus {
                     refuse(
                         &query,
                         &Refusal::Busy {
-                            reason: format!("{MAX_WAITING} requests wait already"),
+                            reason: format!("{MAX_WAITING} requests are waiting already"),
                         },
                     );
                 }
@@ -72,7 +73,7 @@ impl Bus {
 }
 
 impl<Q: DeserializeOwned, R> Server<Q, R> {
-    /// Waits for the next question; `None` when the bus was closed. What cannot be read is refused here with the reason.
+    /// Waits for the next request; `None` after the bus was closed. A request that cannot be decoded is refused here, with the reason.
     pub async fn next(&mut self) -> Option<Request<Q, R>> {
         loop {
             let query = self.inbox.next().await?;
@@ -83,14 +84,14 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
         }
     }
 
-    /// The key to answer on, and the question.
+    /// The key to reply on, and the decoded request.
     fn read(&self, query: &Query) -> Result<(KeyExpr<'static>, Q), Refusal> {
         let key = if !self.key.is_wild() {
             self.key.clone()
         } else if !query.key_expr().is_wild() {
             query.key_expr().clone()
         } else {
-            return Err(Refusal::bad_request("this server needs a key without wildcards"));
+            return Err(Refusal::bad_request("expected a key without wildcards"));
         };
         match read_body(query, self.ask.max_bytes) {
             Ok(body) => Ok((key, body)),
@@ -123,7 +124,7 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     }
 }
 
-/// An empty payload stands for `{}`, or for `null` where that is what the request may be.
+/// Decodes a request. An empty payload stands for `{}`, or for `null` where the request type takes that.
 fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, CodecError> {
     match query.payload().filter(|payload| !payload.is_empty()) {
         Some(payload) => codec::decode(
@@ -136,13 +137,13 @@ fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, 
     }
 }
 
-/// A question to be answered once. Dropped without a reply it counts as not heard: the asker asks again until its deadline.
+/// A request to be answered once. When it is dropped without a reply, the client asks again until its deadline.
 pub struct Request<Q, R> {
-    /// The question.
+    /// The decoded request.
     pub body: Q,
-    /// The chunks of the server's key, in the order of the pattern's names.
+    /// The named chunks of the key, in the order of the pattern's names.
     pub chunks: Vec<String>,
-    /// The selector's parameters: `format` is `png` in `map?format=png`.
+    /// Parameters of the selector: `format` is `png` in `map?format=png`.
     pub parameters: BTreeMap<String, String>,
     key: KeyExpr<'static>,
     query: Query,
@@ -159,7 +160,7 @@ impl<Q: fmt::Debug, R> fmt::Debug for Request<Q, R> {
 }
 
 impl<Q, R: Serialize> Request<Q, R> {
-    /// Answers, in JSON unless the asker's selector says `format=cbor`.
+    /// Replies, in JSON unless the selector says `format=cbor`.
     pub fn reply(self, reply: &R) {
         let encoding = if self.parameters.get("format").is_some_and(|format| format == "cbor") {
             Encoding::Cbor
@@ -176,7 +177,7 @@ impl<Q, R: Serialize> Request<Q, R> {
 }
 
 impl<Q, R> Request<Q, R> {
-    /// Answers with bytes of any encoding: `image/png`.
+    /// Replies with bytes of any encoding, such as `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
         sent(
             &self.query,
@@ -184,21 +185,21 @@ impl<Q, R> Request<Q, R> {
         );
     }
 
-    /// Refuses.
+    /// Refuses the request.
     pub fn refuse(self, refusal: &Refusal) {
         refuse(&self.query, refusal);
     }
 }
 
 fn refuse(query: &Query, refusal: &Refusal) {
-    // A refusal always has a JSON form.
+    // A refusal can always be encoded as JSON.
     let bytes = codec::encode(refusal, Encoding::Json).unwrap_or_default();
     sent(query, query.reply_err(bytes).encoding(Wire::APPLICATION_JSON).wait());
 }
 
 fn sent(query: &Query, result: zenoh::Result<()>) {
     if let Err(error) = result {
-        // The asker is gone or has given up: its business.
+        // The client is gone or gave up.
         tracing::debug!(key = %query.key_expr(), %error, "reply not sent");
     }
 }

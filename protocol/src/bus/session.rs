@@ -1,11 +1,10 @@
-//! How does a part join the others, and what becomes of it when the router is away?
+//! Session. How does a component join the others, and what happens while the router is away?
 //!
-//! Without an endpoint of its own a part is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
-//! others: it starts without them, keeps looking for them in the background, and whoever connects straight to it reaches its
-//! topics and asks while they are gone. (A Zenoh client refuses other clients, and opens only once connected; to a peer a
-//! router would carry nothing from other peers, which is what Zenoh's own tools and bindings are by default.)
-//! Multicast and gossip are off: nobody is found that was not named. The lease and retry times make a cut link
-//! resume about one second after it heals.
+//! Without an endpoint of its own a component is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
+//! others: it starts without them, keeps trying to reach them in the background, and whoever connects straight to it reaches its topics and
+//! asks meanwhile. (A Zenoh client refuses other clients, and opens only once connected; to a peer a router carries nothing from other
+//! peers, which is what Zenoh's own tools and bindings are by default.) Multicast and gossip are off: a session links only to endpoints that
+//! were named. With these lease and retry times a cut link resumes about one second after it heals.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -18,33 +17,33 @@ use zenoh::{Config, Session};
 
 use crate::messages::exit_code;
 
-/// Zenoh's own port: where the router is unless told otherwise.
+/// The router's endpoint by default: Zenoh's own port.
 const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// A silent link is dead after this long, ms.
+/// A silent link counts as dead after this time, ms.
 const LEASE_MS: u64 = 2000;
-/// The largest message taken from a link, bytes: somewhat more than the largest of the key table.
+/// Largest message accepted from a link, bytes: more than the largest of the key table.
 const MAX_MESSAGE: usize = 128 * 1024 * 1024;
-/// The longest wait between two tries to connect.
+/// Longest pause between two attempts to connect.
 const MAX_RETRY: Duration = Duration::from_secs(1);
-/// The shortest.
+/// Shortest pause between two attempts to connect.
 const MIN_RETRY: Duration = Duration::from_millis(200);
-/// Zenoh's routers look at who came and went 0.1 s after somebody did: one that comes within that of another's leaving is taken for it,
-/// and is told nothing of what the others declared. A part that was started anew at once lets that time pass before it links.
-const AFTER_ANOTHER: Duration = Duration::from_millis(150);
-/// How long a close may take.
+/// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: one that arrives within that time
+/// after another's departure is taken for the departed one, and is told of no declarations. A component may just have been restarted.
+const SETTLING: Duration = Duration::from_millis(150);
+/// Time limit for closing a session.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// How to join.
+/// Configuration of a session.
 #[derive(Clone, Debug)]
 pub struct BusConfig {
-    /// Routers to connect to, one of them is enough: `tcp/127.0.0.1:7447`.
+    /// Endpoints of routers, such as `tcp/127.0.0.1:7447`; a link to one of them is enough.
     pub connect: Vec<String>,
-    /// Endpoints of one's own; port 0 takes a free one (see [`Bus::endpoints`]).
+    /// Endpoints to listen on; port 0 picks a free one (see [`Bus::endpoints`]).
     pub listen: Vec<String>,
-    /// Shown to who inspects the network.
+    /// Name shown by tools that inspect the network.
     pub name: String,
-    /// Without a router: wait for one (true), or fail at once (false). A part that listens never waits.
+    /// Whether to wait for a router, or to fail at once without one. A component that listens never waits.
     pub retry: bool,
 }
 
@@ -60,7 +59,7 @@ impl Default for BusConfig {
 }
 
 impl BusConfig {
-    /// A service of the router at `endpoint`: waits for it.
+    /// For a service: waits until the router at `endpoint` is there.
     #[must_use]
     pub fn service(name: &str, endpoint: &str) -> Self {
         Self {
@@ -70,7 +69,7 @@ impl BusConfig {
         }
     }
 
-    /// A command at `endpoint`: fails at once when nobody is there.
+    /// For a command: fails at once when there is no router at `endpoint`.
     #[must_use]
     pub fn command(name: &str, endpoint: &str) -> Self {
         Self {
@@ -80,35 +79,35 @@ impl BusConfig {
     }
 }
 
-/// Why there is no link.
+/// Why a session or a declaration failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum BusError {
-    /// Nobody answers there.
+    /// No router answers at the endpoint.
     #[error("cannot connect to {endpoint}")]
     CannotConnect {
-        /// Where, several separated by commas.
+        /// The endpoints, separated by commas.
         endpoint: String,
     },
-    /// The endpoint is taken, or not this machine's.
+    /// The endpoint is in use, or belongs to another machine.
     #[error("cannot listen on {endpoint}: {reason}")]
     CannotListen {
-        /// Where, several separated by commas.
+        /// The endpoints, separated by commas.
         endpoint: String,
-        /// Zenoh's words.
+        /// Zenoh's error.
         reason: String,
     },
-    /// Not an endpoint, or neither one to connect to nor one to listen on.
+    /// An endpoint is malformed, or there is none at all.
     #[error("bad bus configuration: {reason}")]
     Config {
-        /// Zenoh's words.
+        /// Zenoh's error.
         reason: String,
     },
-    /// Not a key.
+    /// The text is no key.
     #[error("bad key {key}: {reason}")]
     Key {
         /// The key.
         key: String,
-        /// Zenoh's words.
+        /// Zenoh's error.
         reason: String,
     },
     /// The bus was closed.
@@ -117,7 +116,7 @@ pub enum BusError {
 }
 
 impl BusError {
-    /// The exit code of a command line that has no link.
+    /// The exit code of a command without a session.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
@@ -128,7 +127,7 @@ impl BusError {
     }
 }
 
-/// A part's link to the others. Clones share it; it closes with [`Bus::close`] or with its last clone.
+/// A component's session. Clones share it; it closes with [`Bus::close`] or with its last clone.
 #[derive(Clone, Debug)]
 pub struct Bus {
     pub(super) session: Session,
@@ -136,16 +135,16 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Joins.
+    /// Opens a session.
     ///
     /// # Errors
-    /// [`BusError::CannotConnect`] without `retry`; with it this waits until a router is there (drop the future to give up).
+    /// [`BusError::CannotConnect`] unless `retry` is set; with it, this waits until a router is there (drop the future to give up).
     /// [`BusError::CannotListen`] and [`BusError::Config`] at once.
     pub async fn open(config: BusConfig) -> Result<Self, BusError> {
         let mode = match (config.listen.is_empty(), config.connect.is_empty()) {
             (true, true) => {
                 return Err(BusError::Config {
-                    reason: "neither an endpoint to connect to nor one to listen on".into(),
+                    reason: "expected an endpoint to connect to, or one to listen on".into(),
                 });
             }
             (true, false) => WhatAmI::Client,
@@ -153,7 +152,7 @@ impl Bus {
         };
         let zenoh = link_settings(mode, &config.connect, &config.listen, &config.name)?;
         if mode == WhatAmI::Router && !config.connect.is_empty() {
-            sleep(AFTER_ANOTHER).await;
+            sleep(SETTLING).await;
         }
         let mut wait = MIN_RETRY;
         loop {
@@ -185,7 +184,7 @@ impl Bus {
         }
     }
 
-    /// The name given at the start.
+    /// The component's name, as configured.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
@@ -197,24 +196,24 @@ impl Bus {
         self.session.zid().to_string()
     }
 
-    /// The endpoints this part listens on, with the ports that were taken for 0.
+    /// Endpoints that this component listens on, with the ports picked for 0.
     pub async fn endpoints(&self) -> Vec<String> {
         endpoints(&self.session).await
     }
 
-    /// Whether a router is linked now.
+    /// Whether there is a link to a router now.
     pub async fn is_connected(&self) -> bool {
         self.session.info().routers_zid().await.next().is_some()
     }
 
-    /// Sends what is queued and leaves. What was declared on any clone ends; whoever waits on it gets its end.
+    /// Sends what is queued, and closes the session. All declarations of all clones end, and with them whoever waits on one.
     pub async fn close(&self) {
         if tokio::time::timeout(CLOSE_TIMEOUT, self.session.close()).await.is_err() {
             tracing::warn!(name = %self.name, "the bus did not close in time");
         }
     }
 
-    /// The key, or what is wrong with it.
+    /// Parses a key.
     pub(super) fn key(key: String) -> Result<zenoh::key_expr::KeyExpr<'static>, BusError> {
         zenoh::key_expr::KeyExpr::new(key.clone()).map_err(|error| BusError::Key {
             key,
@@ -222,7 +221,7 @@ impl Bus {
         })
     }
 
-    /// The result of a declaration: it fails on a closed session only, the key was checked before.
+    /// The result of a declaration; it fails only on a closed session, for the key was parsed before.
     pub(super) fn declared<T>(&self, result: zenoh::Result<T>) -> Result<T, BusError> {
         result.map_err(|error| {
             if !self.session.is_closed() {
@@ -233,7 +232,7 @@ impl Bus {
     }
 }
 
-/// The endpoints of a session that listens.
+/// Endpoints of a session that listens.
 pub(super) async fn endpoints(session: &Session) -> Vec<String> {
     session
         .info()
@@ -244,7 +243,7 @@ pub(super) async fn endpoints(session: &Session) -> Vec<String> {
         .collect()
 }
 
-/// The settings that all sessions share, router and tests included.
+/// Zenoh's settings, the same for all sessions.
 pub(super) fn link_settings(
     mode: WhatAmI,
     connect: &[String],
@@ -259,7 +258,7 @@ pub(super) fn link_settings(
     let json = |value: &[String]| serde_json::Value::from(value).to_string();
     set("mode", format!("\"{mode}\""));
     set("metadata", serde_json::json!({ "name": name }).to_string());
-    // A client tries once, and `Bus::open` loops; reconnecting after a loss is Zenoh's own. The others try for ever in the background.
+    // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
     set(
         "connect",
@@ -285,7 +284,7 @@ pub(super) fn link_settings(
         "scouting",
         "{ delay: 0, multicast: { enabled: false }, gossip: { enabled: false } }".into(),
     );
-    // The advanced publishers' caches need time stamps.
+    // The caches of advanced publishers need time stamps.
     set("timestamping", "{ enabled: true }".into());
     set(
         "transport",

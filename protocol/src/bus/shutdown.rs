@@ -1,10 +1,19 @@
-//! How does a service learn that it shall end? A handle that all clones of it share.
+//! Shutdown. How does a service learn that it must end?
 
 use std::sync::Arc;
 
 use tokio::sync::watch;
 
-/// The end of a run, once [`triggered`](Self::trigger). Clones share it.
+/// A shutdown signal. Clones share it.
+///
+/// ```
+/// use zenav_protocol::bus::Shutdown;
+///
+/// let shutdown = Shutdown::new();
+/// let of_the_service = shutdown.clone();
+/// shutdown.trigger();
+/// assert!(of_the_service.is_set());
+/// ```
 #[derive(Clone, Debug)]
 pub struct Shutdown(Arc<watch::Sender<bool>>);
 
@@ -15,24 +24,24 @@ impl Default for Shutdown {
 }
 
 impl Shutdown {
-    /// Not yet triggered.
+    /// A signal that was not triggered yet.
     #[must_use]
     pub fn new() -> Self {
         Self(Arc::new(watch::Sender::new(false)))
     }
 
-    /// Ends the run; a second time changes nothing.
+    /// Triggers the shutdown; a second time changes nothing.
     pub fn trigger(&self) {
         self.0.send_replace(true);
     }
 
-    /// Whether the run shall end.
+    /// Whether the shutdown was triggered.
     #[must_use]
     pub fn is_set(&self) -> bool {
         *self.0.borrow()
     }
 
-    /// Waits for the end of the run.
+    /// Waits until the shutdown is triggered.
     pub async fn wait(&self) {
         // The sender lives in `self`, so this cannot fail.
         let _ = self.0.subscribe().wait_for(|set| *set).await;

@@ -1,7 +1,7 @@
-//! How does a part get a topic's values? The newest of each key ([`Latest`]), or all of them in order ([`Subscription`]).
+//! Subscriptions. How does a component receive a topic: only its newest value, or all values in order?
 //!
-//! Both decode when the reader asks, not in Zenoh's thread: what is skipped is never decoded. A payload over the topic's limit is
-//! let go of at once.
+//! [`Latest`] and [`Subscription`] decode when the reader asks, not in Zenoh's thread: a skipped value is never decoded. A payload over the
+//! topic's limit is dropped at once.
 
 use std::fmt;
 use std::sync::Arc;
@@ -19,15 +19,15 @@ use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
 use crate::topics::{Qos, Topic};
 
-/// How long one try to get a writer's past samples may take; newer ones wait behind it.
+/// Time limit for fetching a publisher's past samples; newer samples wait meanwhile.
 pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A value and the chunks of the key it came on, in the order of the pattern's names.
+/// A value, and the named chunks of the key it came on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Received<T> {
-    /// `["tiago"]` for `zenav/tiago/edge/scan`.
+    /// The chunks in the order of the pattern's names: `["tiago"]` for `zenav/tiago/edge/scan`.
     pub chunks: Vec<String>,
-    /// The value.
+    /// The decoded value.
     pub message: T,
 }
 
@@ -38,7 +38,7 @@ pub(super) enum Carrier {
     Advanced(AdvancedSubscriber<()>),
 }
 
-/// What a reader does to a sample, and what it could not read.
+/// Decodes samples, and counts those that cannot be decoded.
 struct Reader<T> {
     topic: Topic<T>,
     unreadable: Arc<Complaints>,
@@ -66,12 +66,12 @@ impl<T: DeserializeOwned> Reader<T> {
     }
 }
 
-/// The message in a sample, by the sample's own encoding.
+/// Decodes a sample by its own encoding.
 pub(super) fn decode_sample<T: DeserializeOwned>(sample: &Sample, max_bytes: usize) -> Result<T, CodecError> {
     codec::decode(&sample.payload().to_bytes(), encoding_of(sample.encoding()), max_bytes)
 }
 
-/// Without building the encoding's name for the two that matter.
+/// The sample's encoding; avoids building its name for the two that are in use.
 pub(super) fn encoding_of(encoding: &zenoh::bytes::Encoding) -> Encoding {
     use zenoh::bytes::Encoding as Wire;
     if *encoding == Wire::APPLICATION_JSON {
@@ -90,10 +90,10 @@ fn complain(complaints: &Complaints, key: &KeyExpr<'_>, error: &CodecError) {
 }
 
 impl Bus {
-    /// The newest value of the topic on the key with these chunks; a chunk may be `*`.
+    /// Subscribes to the newest value of the topic on the key with these chunks; a chunk may be `*`.
     ///
     /// # Errors
-    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
         let (inbox, slot) = Inbox::new(Newest::new());
         let reader = self.read(topic, chunks, slot, |sample| (sample.key_expr().clone(), sample))?;
@@ -104,11 +104,11 @@ impl Bus {
         })
     }
 
-    /// All values of the topic on the key with these chunks (a chunk may be `*`), each writer's in order. At most `capacity` wait
-    /// to be read; beyond that the oldest are dropped and counted.
+    /// Subscribes to all values of the topic on the key with these chunks (a chunk may be `*`), those of each publisher in order. At most
+    /// `capacity` values wait to be read; beyond that the oldest are dropped and counted.
     ///
     /// # Errors
-    /// [`BusError::Key`] when the chunks make no key, [`BusError::Closed`].
+    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn subscribe<T>(
         &self,
         topic: &Topic<T>,
@@ -172,7 +172,7 @@ impl Bus {
     }
 }
 
-/// The newest value of a topic; under a wild chunk, of each of its keys. Usable from any thread.
+/// The newest value of a topic; with a wildcard, of each matching key. Usable from any thread.
 pub struct Latest<T> {
     inbox: Arc<Inbox<Newest<KeyExpr<'static>, Sample>>>,
     reader: Reader<T>,
@@ -188,7 +188,7 @@ impl<T> fmt::Debug for Latest<T> {
 }
 
 impl<T: DeserializeOwned> Latest<T> {
-    /// The newest value that was not taken yet. Never waits. Under a wild chunk the keys take turns.
+    /// Takes the newest value, unless it was taken before; never waits. With a wildcard the keys take turns.
     pub fn take(&mut self) -> Option<T> {
         while let Some((_, sample)) = self.inbox.try_next() {
             if let Some(message) = self.reader.read(&sample) {
@@ -198,7 +198,7 @@ impl<T: DeserializeOwned> Latest<T> {
         None
     }
 
-    /// As [`Self::take`], with the chunks of its key.
+    /// As [`Self::take`], with the key's chunks.
     pub fn take_received(&mut self) -> Option<Received<T>> {
         while let Some((key, sample)) = self.inbox.try_next() {
             if let Some(message) = self.reader.read(&sample) {
@@ -211,7 +211,7 @@ impl<T: DeserializeOwned> Latest<T> {
         None
     }
 
-    /// The newest value known to `borrow`, old or new; what [`Self::take`] took is not.
+    /// The newest value, whether it was borrowed before or not; a value that [`Self::take`] took does not come back.
     pub fn borrow(&mut self) -> Option<&T> {
         while let Some(message) = self.take() {
             self.current = Some(message);
@@ -219,13 +219,12 @@ impl<T: DeserializeOwned> Latest<T> {
         self.current.as_ref()
     }
 
-    /// Waits until something was received that was not taken; false when nothing more comes, because the bus was closed.
-    /// (What was received may turn out to be unreadable.)
+    /// Waits until there is a value to take; `false` after the bus was closed. (The value may turn out to be unreadable.)
     pub async fn changed(&mut self) -> bool {
         self.inbox.filled().await
     }
 
-    /// Waits for the next value that was not taken; `None` when the bus was closed.
+    /// Waits for a value that was not taken yet; `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<Received<T>> {
         loop {
             let (key, sample) = self.inbox.next().await?;
@@ -238,14 +237,14 @@ impl<T: DeserializeOwned> Latest<T> {
         }
     }
 
-    /// Payloads that were too large or could not be decoded.
+    /// Number of payloads that were too large or could not be decoded.
     #[must_use]
     pub fn unreadable(&self) -> u64 {
         self.reader.unreadable.count()
     }
 }
 
-/// All values of a topic in order.
+/// All values of a topic, in order.
 pub struct Subscription<T> {
     inbox: Arc<Inbox<Queue<Sample>>>,
     reader: Reader<T>,
@@ -260,7 +259,7 @@ impl<T> fmt::Debug for Subscription<T> {
 }
 
 impl<T: DeserializeOwned> Subscription<T> {
-    /// Waits for the next value; `None` when the bus was closed.
+    /// Waits for the next value; `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<Received<T>> {
         loop {
             let sample = self.inbox.next().await?;
@@ -270,7 +269,7 @@ impl<T: DeserializeOwned> Subscription<T> {
         }
     }
 
-    /// The next value if there is one. Never waits.
+    /// The next value, if there is one; never waits.
     pub fn try_next(&mut self) -> Option<Received<T>> {
         while let Some(sample) = self.inbox.try_next() {
             if let Some(received) = self.received(&sample) {
@@ -288,13 +287,13 @@ impl<T: DeserializeOwned> Subscription<T> {
         })
     }
 
-    /// Values dropped because the reader was too slow.
+    /// Number of values dropped because the reader was too slow.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.inbox.dropped()
     }
 
-    /// Payloads that were too large or could not be decoded.
+    /// Number of payloads that were too large or could not be decoded.
     #[must_use]
     pub fn unreadable(&self) -> u64 {
         self.reader.unreadable.count()

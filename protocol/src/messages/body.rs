@@ -1,7 +1,7 @@
-//! How does an edge drive a body that is in another process: a world served for many robots, or a driver in any language?
+//! Remote body. How does an edge drive a robot body in another process, be it a simulated world or a driver in any language?
 //!
-//! The body publishes [`Readings`](crate::readings::Readings) each tick, the edge its [`WheelSpeeds`]. A body that hears none for 0.1 s
-//! stops its wheels by itself.
+//! The body publishes [`Readings`](crate::readings::Readings) each tick, the edge answers with [`WheelSpeeds`]. A body that receives none
+//! for 0.1 s stops its wheels by itself.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,42 +9,43 @@ use crate::geometry::Pose2;
 use crate::robot::RobotModel;
 use crate::time::Stamp;
 
-/// Wanted wheel speeds.
+/// Commanded wheel speeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WheelSpeeds {
-    /// Stamp of the readings that they answer.
+    /// Stamp of the readings that these speeds answer.
     pub stamp: Stamp,
-    /// Left and right, rad/s.
+    /// Speeds of the left and the right wheel, rad/s.
     pub wheels: [f64; 2],
-    /// Which edge drives: the number of its [`AttachRequest`]; 0 for a body that asked for none.
+    /// Which edge commands: the number of its [`AttachRequest`]; 0 for a body that asked for none.
     #[serde(default)]
     pub edge: u64,
 }
 
-/// Puts a robot into the served world, or takes hold again of one that is in it and that no edge drives any more: the second of two edges
-/// of one name is told that the robot is busy.
+/// Puts a robot into a served world, or takes over one that is already in it and that no edge drives any more.
+///
+/// The second of two edges with one name is refused as `Busy`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AttachRequest {
     /// The robot's id.
     pub robot: String,
     /// Footprint, limits and sensors of the simulated body.
     pub model: RobotModel,
-    /// Where it starts, map frame; the world's own start without it. A robot that is there already stays where it is.
+    /// Start pose, map frame; without it, the world's own start. A robot that is in the world already stays where it is.
     pub start: Option<Pose2>,
-    /// Which edge asks: a number of this life of it, up to 2^53. The robot obeys only wheel speeds that carry it.
+    /// Identifies this start of the edge: a random number up to 2^53. The body obeys only wheel speeds that carry it.
     #[serde(default)]
     pub edge: u64,
 }
 
-/// The robot stands in the world.
+/// Answer to an attach request: the robot is in the world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AttachReply {
-    /// The world's name.
+    /// Name of the world.
     pub world: String,
-    /// Where the robot stands, map frame.
+    /// The robot's pose, map frame.
     pub start: Pose2,
-    /// Simulated time between readings, s.
+    /// Time between readings, s of simulated time.
     pub tick_secs: f64,
-    /// Simulated seconds a second of wall time.
+    /// Simulated seconds per second of wall time.
     pub speed: f64,
 }

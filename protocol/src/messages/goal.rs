@@ -1,4 +1,4 @@
-//! What is the robot to achieve? Goals as people and programs submit them, and what became of them.
+//! Goals. What is a robot asked to achieve, and how far has it come?
 
 use std::collections::BTreeMap;
 
@@ -7,225 +7,226 @@ use serde::{Deserialize, Serialize};
 use super::DrivingProfile;
 use crate::time::Stamp;
 
-/// A place to be at, map frame.
+/// A place, map frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GoalPoint {
-    /// Map x, m.
+    /// x, map frame, m.
     pub x: f64,
-    /// Map y, m.
+    /// y, map frame, m.
     pub y: f64,
-    /// Heading, rad, where one is wanted.
+    /// Heading, rad; without it, any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub yaw: Option<f64>,
 }
 
-/// A goal: exactly one of (`x`, `y`), `place`, `waypoints`, or a `tree`, alone or with one of them: the tree then finds it in
-/// its entry `goal`, or `goals`.
+/// A goal: exactly one of (`x`, `y`), `place` and `waypoints`; or a `tree`, alone or with one of them.
+///
+/// A tree finds the place on its blackboard as `goal`, the waypoints as `goals`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalRequest {
-    /// Name of the goal, made by the asker: a repeated id is the same goal.
+    /// Identifies the goal; made by the asker. A repeated id is the same goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<String>,
-    /// Map x, m.
+    /// x, map frame, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub x: Option<f64>,
-    /// Map y, m.
+    /// y, map frame, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y: Option<f64>,
-    /// Heading wanted at the end, rad.
+    /// Heading at the goal, rad; without it, any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub yaw: Option<f64>,
-    /// A named place.
+    /// Name of a place in the world or deployment file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
-    /// Places to pass in order.
+    /// Places to pass, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub waypoints: Vec<GoalPoint>,
-    /// A behaviour tree: the name of a shipped one, or XML.
+    /// A behaviour tree: the name of a shipped one, or its XML.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tree: Option<String>,
-    /// Entries of the tree's blackboard.
+    /// Entries for the tree's blackboard.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub blackboard: BTreeMap<String, serde_json::Value>,
-    /// What to do when another goal runs.
+    /// What happens while another goal is being executed.
     #[serde(default)]
     pub on_busy: OnBusy,
-    /// Of goals that wait the one with the greatest has its turn first, then the oldest.
+    /// Queue priority, highest first; goals of equal priority in the order of their arrival.
     #[serde(default)]
     pub priority: i32,
-    /// Time after which the goal is given up, s.
+    /// Time limit from acceptance, s; the goal is aborted after it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_secs: Option<f64>,
-    /// Distance that counts as reached, m.
+    /// Distance to the place that counts as reached, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<f64>,
-    /// What its motions are to be good at; without it the deployment's choice.
+    /// Driving profile for its trajectories; without it, the deployment's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile: Option<DrivingProfile>,
 }
 
-/// What to do with a goal when another one runs.
+/// What happens to a goal that arrives while another one is being executed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnBusy {
-    /// Wait for its turn.
+    /// The new goal joins the queue.
     #[default]
     Queue,
-    /// Cancel the running goal.
+    /// The running goal is cancelled.
     Preempt,
-    /// Refuse.
+    /// The new goal is refused.
     Reject,
 }
 
-/// Where a goal stands.
+/// Phase of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum GoalPhase {
-    /// Stored; waits for its turn.
+    /// The goal is stored and waits in the queue.
     Accepted,
-    /// Being driven.
+    /// The goal is being executed.
     Active,
-    /// Held by a pause.
+    /// The goal is paused.
     Paused,
-    /// Reached.
+    /// The goal was reached.
     Succeeded,
-    /// Given up, with a reason.
+    /// The goal was given up; the reason says why.
     Aborted,
-    /// Canceled by someone.
+    /// Somebody cancelled the goal.
     Canceled,
-    /// Refused after it had been stored.
+    /// The goal was refused after it had been stored.
     Rejected,
 }
 
 impl GoalPhase {
-    /// Whether nothing comes after it.
+    /// Whether the goal has ended: no other phase follows.
     #[must_use]
     pub const fn is_end(self) -> bool {
         matches!(self, Self::Succeeded | Self::Aborted | Self::Canceled | Self::Rejected)
     }
 }
 
-/// Answer to a goal, cancel or pause.
+/// Answer to a goal, a cancel or a pause.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GoalReply {
-    /// The goal's name.
+    /// Identifies the goal.
     pub id: String,
-    /// Where it stands.
+    /// The goal's phase.
     pub state: GoalPhase,
-    /// Why, for an end that is not success.
+    /// For an end other than success: why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// The robot that took it, where a group was asked.
+    /// The robot that took the goal, where a group of robots was asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
 }
 
-/// A goal and what became of it.
+/// A goal and its progress.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GoalState {
-    /// The goal's name.
+    /// Identifies the goal.
     pub id: String,
-    /// The robot that it is for.
+    /// The robot that the goal is for.
     pub robot: String,
-    /// Where it stands.
+    /// The goal's phase.
     pub state: GoalPhase,
-    /// Why, for an end that is not success.
+    /// For an end other than success: why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// When it was accepted.
+    /// Time of acceptance, on the mission's clock.
     pub accepted: Stamp,
-    /// When driving began.
+    /// Time at which its execution began.
     #[serde(default)]
     pub started: Option<Stamp>,
-    /// When it ended.
+    /// Time of the end.
     #[serde(default)]
     pub ended: Option<Stamp>,
-    /// How it goes.
+    /// Progress on the goal.
     #[serde(default)]
     pub feedback: GoalFeedback,
-    /// Its drives, in order; only the newest where there are many.
+    /// The goal's drives, in order; only the newest where there are many.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub legs: Vec<Leg>,
-    /// What was asked for.
+    /// The goal as it was submitted.
     pub request: GoalRequest,
 }
 
-/// One drive of a goal: a path or a list of waypoints, followed.
+/// One drive of a goal: the robot follows a path or a list of waypoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Leg {
-    /// Name of the tree's node that drove.
+    /// Name of the tree node that drove.
     pub name: String,
-    /// Where to, where it is one place.
+    /// The drive's destination, where it is one place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goal: Option<GoalPoint>,
     /// `Active`, `Succeeded`, `Aborted` or `Canceled`.
     pub state: GoalPhase,
-    /// Why, for an end that is not success.
+    /// For an end other than success: why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// When driving began.
+    /// Time at which driving began.
     pub started: Stamp,
-    /// When it ended.
+    /// Time of the end.
     #[serde(default)]
     pub ended: Option<Stamp>,
-    /// Motions published for it.
+    /// Trajectories published for the drive.
     #[serde(default)]
     pub plans: u64,
-    /// Motions that replaced a blocked, lost or refused one.
+    /// Trajectories that replaced one that was blocked, lost or refused.
     #[serde(default)]
     pub replans: u64,
-    /// Length of its first way as planned, m.
+    /// Length of the first path planned, m.
     #[serde(default)]
     pub planned_length: f64,
 }
 
-/// How a goal goes.
+/// Progress on a goal.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalFeedback {
-    /// What the tree is at, in words.
+    /// What the behaviour tree is doing, in words.
     pub step: String,
-    /// Way left, m.
+    /// Path left, m.
     #[serde(default)]
     pub distance_left: Option<f64>,
     /// Time left, s.
     #[serde(default)]
     pub time_left: Option<f64>,
-    /// Plans published for it.
+    /// Plans published for the goal.
     #[serde(default)]
     pub plans: u64,
     /// Plans that replaced a blocked or lost one.
     #[serde(default)]
     pub replans: u64,
-    /// Recoveries tried.
+    /// Recoveries started.
     #[serde(default)]
     pub recoveries: u64,
 }
 
-/// Cancels a goal; without an id, the running one.
+/// Cancels a goal.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CancelRequest {
-    /// Which goal.
+    /// Which goal; without it, the running one.
     #[serde(default)]
     pub id: Option<String>,
-    /// The same request is answered with the first answer.
+    /// Identifies the request: a repeated one gets the first answer.
     #[serde(default)]
     pub request_id: Option<String>,
 }
 
-/// Holds the running goal, or lets it go on.
+/// Pauses a goal, or resumes it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PauseRequest {
-    /// Which goal; without an id, the running one.
+    /// Which goal; without it, the running one.
     #[serde(default)]
     pub id: Option<String>,
-    /// `false` holds, `true` lets it go on.
+    /// `false` pauses the goal, `true` resumes it.
     #[serde(default)]
     pub resume: bool,
-    /// The same request is answered with the first answer.
+    /// Identifies the request: a repeated one gets the first answer.
     #[serde(default)]
     pub request_id: Option<String>,
 }
 
-/// Asks for goals.
+/// Lists goals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalsRequest {
     /// Only this goal.
@@ -234,14 +235,14 @@ pub struct GoalsRequest {
     /// Only goals in these states; empty means all.
     #[serde(default)]
     pub states: Vec<GoalPhase>,
-    /// At most so many, newest first.
+    /// Largest number of goals in the answer, newest first.
     #[serde(default)]
     pub limit: Option<usize>,
 }
 
-/// Goals, newest first.
+/// Answer to a list of goals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalsReply {
-    /// The goals.
+    /// The goals, newest first.
     pub goals: Vec<GoalState>,
 }

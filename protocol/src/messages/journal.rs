@@ -1,4 +1,6 @@
-//! How does a standby come to hold what its leader has acknowledged? It joins; then every write of the leader's store is handed to it.
+//! Replication. How does a standby come to hold everything that its leader has acknowledged?
+//!
+//! The standby joins; from then on the leader sends it every write to its store.
 //!
 //! Primary and backup with an arbiter of membership, which is the robot: Lin et al., "PacificA: Replication in Log-Based Distributed
 //! Storage Systems", Microsoft Research 2008.
@@ -8,57 +10,58 @@ use serde::{Deserialize, Serialize};
 use super::GoalRequest;
 use crate::time::Stamp;
 
-/// A standby's wish to be handed all that the leader holds, and what it writes from then on.
+/// A standby asks for the content of the leader's store, and for every later write.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JoinRequest {
-    /// Name of its store.
+    /// Name of the standby's store.
     pub store: String,
-    /// Names what is to be handed over, anew for every wish: the standby takes nothing that is sent for another.
+    /// Identifies this join; new for every join. The standby accepts entries of this session only.
     pub session: String,
-    /// Goals that it took before any mission of the robot led; they become the leader's.
+    /// Goals that the standby took before any mission of the robot led; they become the leader's.
     #[serde(default)]
     pub goals: Vec<GoalRequest>,
 }
 
-/// What a leader answers to who joins.
+/// A leader's answer to a standby that joins.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JoinReply {
     /// Name of the leader's store.
     pub leader: String,
 }
 
-/// Writes of a leader's store for one standby.
+/// Writes to a leader's store, for one standby.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JournalEntry {
     /// Name of the leader's store.
     pub leader: String,
-    /// Epoch under which it leads.
+    /// Epoch under which the leader leads.
     pub epoch: u64,
-    /// The session of the standby's join.
+    /// Session of the standby's join.
     pub session: String,
-    /// Number of the entry in the session, from one: the first begins with an empty store. One without writes repeats the number before.
+    /// Number of the entry in the session, from one. Entry one begins with an empty store; an entry without writes repeats the number
+    /// before.
     pub position: u64,
-    /// The leader's time, by which stored stamps are to be read.
+    /// The leader's time: stored stamps are relative to it.
     pub now: Stamp,
-    /// What is written, all or nothing; none says that the leader is there.
+    /// The writes, to be applied all or not at all; an entry without any only shows that the leader is alive.
     pub writes: Vec<JournalWrite>,
 }
 
 /// One record of a store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JournalWrite {
-    /// Which kind of record.
+    /// Kind of record.
     pub table: String,
-    /// Its name.
+    /// The record's key.
     pub key: String,
-    /// Its text; none removes it.
+    /// The record's JSON text; `None` removes the record.
     #[serde(default)]
     pub value: Option<String>,
 }
 
-/// The standby's word that an entry is on its disk.
+/// A standby's acknowledgement that an entry is on its disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JournalReply {
-    /// Number of the newest entry that it holds, with all before.
+    /// Number of the newest entry that the standby holds, together with all before.
     pub position: u64,
 }

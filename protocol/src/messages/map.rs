@@ -1,4 +1,4 @@
-//! What does the world look like? A map's description, its changed tiles, and the question for the whole.
+//! Occupancy grid map. What does the world look like, what changed in it, and how is mapping controlled?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -6,117 +6,120 @@ use serde::{Deserialize, Serialize};
 use crate::grid::{GridError, GridSpec, OccupancyGrid};
 use crate::time::Stamp;
 
-/// Side of a tile, cells.
+/// Side of a map tile, cells.
 pub const TILE: u32 = 64;
 
-/// Which map, and which state of it.
+/// A map at one of its revisions.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct MapRef {
-    /// The map's name, new for every map that is begun.
+    /// Identifies the map; new for every map that is begun.
     pub id: String,
-    /// Grows with every change.
+    /// Number of the map's latest change.
     pub revision: u64,
 }
 
-/// A map's description.
+/// Description of a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapInfo {
-    /// Stamp of the newest scan in it.
+    /// Stamp of the newest scan in the map, on the robot's clock.
     pub stamp: Stamp,
-    /// Which map and revision.
+    /// The map and its revision.
     pub map: MapRef,
-    /// Where the grid lies.
+    /// Geometry of the map's grid.
     pub spec: GridSpec,
-    /// Free cells.
+    /// Number of free cells.
     pub free: u64,
-    /// Occupied cells.
+    /// Number of occupied cells.
     pub occupied: u64,
-    /// Unknown cells.
+    /// Number of unknown cells.
     pub unknown: u64,
-    /// Scans inserted.
+    /// Number of scans inserted.
     pub scans: u64,
-    /// Whether the map was loaded or has been saved as complete ("does map exist?").
+    /// Whether the map was loaded from a file, or saved as complete (a behaviour tree's `DoesMapExist`).
     pub stored: bool,
 }
 
-/// A square of cells of a map.
+/// A square block of a map's cells.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tile {
-    /// Column of the tile: its first cell is `TILE * x`.
+    /// Column of the tile; its first cell has column `TILE * x`.
     pub x: u32,
-    /// Row of the tile.
+    /// Row of the tile; its first cell has row `TILE * y`.
     pub y: u32,
     /// `TILE * TILE` occupancy values, row-major from the lowest row; cells beyond the grid are -1.
     #[serde(with = "occupancy_bytes")]
     pub values: Vec<i8>,
 }
 
-/// The tiles that changed from one revision to the next.
+/// Tiles that changed from one revision to the next. Tiles carry values, not differences.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapPatch {
-    /// Stamp of the newest scan in it.
+    /// Stamp of the newest scan in the map, on the robot's clock.
     pub stamp: Stamp,
-    /// Which map, and its revision after the patch.
+    /// The map, at its revision after the patch.
     pub map: MapRef,
-    /// The revision that the patch applies to; zero starts from an unknown map. A receiver with another one asks for the whole.
+    /// The revision that the patch applies to; zero is the unknown map. A replica at another revision asks for the whole map.
     pub base_revision: u64,
-    /// The whole map's grid after the patch: it may have grown, by whole tiles.
+    /// Geometry of the whole map after the patch: it may have grown, by whole tiles.
     pub spec: GridSpec,
-    /// Changed tiles.
+    /// The changed tiles.
     pub tiles: Vec<Tile>,
 }
 
-/// Question for a map; the selector's `format` parameter (`json`, `png`, `pgm`, `yaml`, `cbor`) says in which form.
+/// Asks for the map, or changes what mapping does with it.
+///
+/// The selector's parameter `format` (`json`, `png`, `pgm`, `yaml`, `cbor`) says in which form the map is wanted. While somebody holds the
+/// robot's lease, every action but `get` must carry the lease's epoch, as in `{"action": "reset", "epoch": 7}`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MapRequest {
-    /// Effects wanted besides the answer.
+    /// What mapping is to do; without it, only answer.
     #[serde(default)]
     pub action: MapAction,
-    /// Who asks: the same id is answered with the first answer.
+    /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
     #[serde(default)]
     pub request_id: Option<String>,
-    /// Lease epoch, for an action that changes something.
+    /// Lease epoch of the asker, for every action but `get`.
     #[serde(default)]
     pub epoch: Option<u64>,
 }
 
-/// What a map question is to do.
+/// What mapping is asked to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MapAction {
-    /// Only answer.
+    /// Only answer, with the map.
     #[default]
     Get,
-    /// Store the map as `map_server` files, from now on "the map exists".
+    /// Store the map as `map_server` files; from then on it counts as complete.
     Save,
-    /// Begin a new, unknown map.
+    /// Begin a new map, all unknown, and insert scans into it.
     Reset,
-    /// Go on inserting scans (a stored map that was loaded is not changed until then).
+    /// Insert scans again. A map loaded from a file is held until then.
     Resume,
-    /// Insert no more scans.
+    /// Hold the map: insert no more scans.
     Hold,
-    /// Take everything for gone that may only have passed by: what is still there is seen again.
+    /// Let every recent obstacle decay at once; what is still there will be seen again.
     Forget,
 }
 
-/// A whole map.
+/// The whole map, or the answer to an action.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapReply {
-    /// Its description.
+    /// Description of the map.
     pub info: MapInfo,
-    /// All values, row-major from the lowest row; empty when only an action was asked for.
+    /// Occupancy of every cell, row-major from the lowest row; empty in the answer to an action.
     #[serde(with = "occupancy_bytes")]
     pub values: Vec<i8>,
-    /// Poses of the robot while the map was built, map frame, about every 0.1 m.
+    /// Positions of the robot while the map was built, map frame, about every 0.1 m.
     #[serde(default)]
     pub trajectory: Vec<Point2<f64>>,
 }
 
 impl MapReply {
-    /// The grid.
+    /// The map as a grid.
     ///
     /// # Errors
-    /// [`GridError`] when the description is not sane or the values do not fill it.
+    /// [`GridError`] for a geometry that is out of bounds, or values that do not fill it.
     pub fn grid(&self) -> Result<OccupancyGrid, GridError> {
         OccupancyGrid::from_values(self.info.spec.checked()?, self.values.clone())
     }

@@ -1,4 +1,4 @@
-//! What is the mission doing? Every node's status, and who leads.
+//! Mission status. What is the behaviour tree doing, and who is each component?
 
 use serde::{Deserialize, Serialize};
 
@@ -6,44 +6,33 @@ use super::{BasedOn, GoalFeedback};
 use crate::robot::RobotModel;
 use crate::time::Stamp;
 
-/// Renews the lease.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heartbeat {
-    /// Who.
-    pub holder: String,
-    /// Under which grant.
-    pub epoch: u64,
-    /// Counts the holder's heartbeats: a replayed or re-ordered one renews nothing.
-    pub counter: u64,
-}
-
-/// What a mission does.
+/// Status of a robot's mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MissionStatus {
-    /// When.
+    /// Time of the status, on the mission's clock.
     pub stamp: Stamp,
-    /// Name of the orchestrator.
+    /// Name of the orchestrator, as it stands in the lease.
     pub holder: String,
-    /// Whether it holds the robot's lease.
+    /// Whether the orchestrator holds the robot's lease.
     pub leads: bool,
-    /// The lease's epoch, zero without one.
+    /// Epoch of the orchestrator's lease; zero without one.
     pub epoch: u64,
-    /// The goal that runs.
+    /// The goal being executed.
     #[serde(default)]
     pub goal_id: Option<String>,
-    /// Name of the tree that runs.
+    /// Name of the behaviour tree being executed.
     #[serde(default)]
     pub tree: Option<String>,
-    /// Its nodes, in document order.
+    /// The tree's nodes, in document order.
     #[serde(default)]
     pub nodes: Vec<NodeStatus>,
-    /// How the goal goes.
+    /// Progress on the goal.
     #[serde(default)]
     pub feedback: GoalFeedback,
-    /// Goals that wait.
+    /// Number of goals in the queue.
     #[serde(default)]
     pub queued: u64,
-    /// Stores of other orchestrators that hold all goals and can take over at once; without one, it works alone.
+    /// Stores of the standbys that hold every goal and can take over at once. Empty: the orchestrator has no standby.
     #[serde(default)]
     pub standbys: Vec<String>,
 }
@@ -51,64 +40,65 @@ pub struct MissionStatus {
 /// One node of a behaviour tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeStatus {
-    /// Number in document order.
+    /// The node's number in document order.
     pub uid: u32,
-    /// Number of its parent; `None` for the root.
+    /// Number of the node's parent; `None` for the root.
     #[serde(default)]
     pub parent: Option<u32>,
-    /// Instance name.
+    /// The node's instance name.
     pub name: String,
-    /// Registration id, such as `Sequence`.
+    /// The node's registration id, such as `Sequence`.
     pub id: String,
     /// `IDLE`, `RUNNING`, `SUCCESS`, `FAILURE` or `SKIPPED`.
     pub status: String,
-    /// What it says of itself.
+    /// The node's own words on its status.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub feedback: String,
 }
 
-/// Asks a component who it is.
+/// Asks a component for its name, version and robot.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InfoRequest {}
 
-/// Who a component is.
+/// A component's name, version and robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InfoReply {
-    /// `edge`, `mapping`, `mission`, `planning`.
+    /// Kind of component: `edge`, `mapping`, `mission`, `planning`.
     pub component: String,
-    /// Version of the program.
+    /// Version of the component's program.
     pub version: String,
-    /// Version of the messages; a mismatch refuses to start.
+    /// Version of the component's message schema ([`SCHEMA_VERSION`](crate::SCHEMA_VERSION)); a client with another one refuses to start.
     pub schema: u32,
-    /// The robot it serves.
+    /// The robot that the component serves.
     pub robot: String,
-    /// Its present boot and time, for an edge.
+    /// From an edge: its present start and time.
     #[serde(default)]
     pub boot: Option<BasedOn>,
-    /// Name of the store, from a mission that keeps goals.
+    /// From a mission: name of the store that keeps its goals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub store: Option<String>,
-    /// Whether it keeps the robot's goals, or will unless the robot says otherwise.
+    /// From a mission: whether it keeps the robot's goals, or will unless the robot says otherwise.
     #[serde(default)]
     pub leads: bool,
-    /// The robot's footprint, limits and sensors, from an edge.
+    /// From an edge: the robot's footprint, limits and sensors.
     #[serde(default)]
     pub model: Option<RobotModel>,
-    /// How punctual its control loop is, from an edge.
+    /// From an edge: timing of its control loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pacing: Option<Pacing>,
 }
 
-/// How late control ticks began, since start: after their deadline, or longer after the tick before than the body's pace, where that
-/// gives it.
+/// Loop timing: how late control ticks began, since the start.
+///
+/// Lateness counts from the tick's deadline; where the body sets the pace, from one body tick after the tick before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pacing {
-    /// Ticks counted.
+    /// Number of ticks.
     pub ticks: u64,
-    /// Median, ms.
+    /// Median lateness, ms.
     pub late_p50_ms: f64,
-    /// What one tick in a hundred exceeds, ms.
+    /// 99th percentile of the lateness, ms.
     pub late_p99_ms: f64,
-    /// The worst, ms.
+    /// Largest lateness, ms.
     pub late_max_ms: f64,
 }

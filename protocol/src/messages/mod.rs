@@ -1,28 +1,56 @@
-//! Everything that crosses the wire: small plain structs, one file a part of the data way.
+//! Messages. What crosses the wire between robot, cloud and operator?
 //!
-//! Every message carries the stamp of its writer's own clock. Unknown fields are ignored; missing optional ones take
-//! their default. Numbers are SI units; yaw in (-pi, pi].
+//! Plain structs with serde, one file for each part of the data way. Conventions, for all of them:
+//!
+//! * SI units; angles in radians, yaw counter-clockwise in (-π, π]; coordinates in the map frame unless the field says otherwise.
+//! * A message carries the stamp of its writer's own clock; clocks of two machines are never compared.
+//! * A receiver ignores unknown fields, and a missing optional field takes its default.
+//! * A request that changes something carries the lease's `epoch`, and an id under which a repeated request gets the first answer.
+//!
+//! | file | subject |
+//! |---|---|
+//! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
+//! | `estimate` | the robot's pose estimate, and corrections to it |
+//! | `state`, `event` | what the robot is doing, and what happened on it |
+//! | `lease` | who may command the robot |
+//! | `control` | stop, teleop, modes, parameters |
+//! | `behaviour` | manoeuvres that the robot executes by itself |
+//! | `map` | the occupancy grid map and its changes |
+//! | `plan` | plans, and what planners and smoothers are asked |
+//! | `goal`, `mission` | goals, their states, and the behaviour tree at work |
+//! | `journal` | replication of a mission's store to its standbys |
+//! | `remote` | actions of a behaviour tree in other programs |
+//! | `body` | a robot body in another process |
+//! | `refusal` | why a request was refused |
 
+mod behaviour;
 mod body;
-mod edge;
+mod control;
 mod estimate;
+mod event;
 mod goal;
 mod journal;
+mod lease;
 mod map;
 mod mission;
 mod plan;
 mod refusal;
 mod remote;
+mod state;
 
+pub use behaviour::*;
 pub use body::*;
-pub use edge::*;
+pub use control::*;
 pub use estimate::*;
+pub use event::*;
 pub use goal::*;
 pub use journal::*;
+pub use lease::*;
 pub use map::*;
 pub use mission::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
+pub use state::*;
 
 pub use crate::sensors::{Battery, Bump, Gps, Imu, Scan};

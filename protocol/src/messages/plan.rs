@@ -7,6 +7,7 @@ use super::MapRef;
 use crate::geometry::{Pose2, Twist2};
 use crate::robot::RobotModel;
 use crate::time::Stamp;
+pub use crate::trajectory::{Trajectory, TrajectoryPoint};
 
 /// Order of the plans of one robot: a restarted writer is newer, never stale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -15,41 +16,6 @@ pub struct Revision {
     pub incarnation: u64,
     /// Counts the writer's plans from one.
     pub counter: u64,
-}
-
-/// Where the robot is to be at a time of the trajectory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TrajectoryPoint {
-    /// Time since the trajectory's start, s.
-    pub t: f64,
-    /// Map x, m.
-    pub x: f64,
-    /// Map y, m.
-    pub y: f64,
-    /// Heading in the map, rad.
-    pub yaw: f64,
-    /// Forward speed, m/s.
-    pub v: f64,
-    /// Yaw rate, rad/s.
-    pub w: f64,
-}
-
-impl TrajectoryPoint {
-    /// The pose.
-    #[must_use]
-    pub fn pose(&self) -> Pose2 {
-        Pose2 {
-            x: self.x,
-            y: self.y,
-            yaw: self.yaw,
-        }
-    }
-
-    /// The velocity.
-    #[must_use]
-    pub fn twist(&self) -> Twist2 {
-        Twist2::new(self.v, self.w)
-    }
 }
 
 /// The edge pose that something was computed from.
@@ -83,7 +49,7 @@ pub struct Plan {
     /// The way as corner points, start excluded; driven by the waypoint law when there is no trajectory.
     pub waypoints: Vec<Point2<f64>>,
     /// The time-stamped trajectory; empty for a plain list of waypoints.
-    pub trajectory: Vec<TrajectoryPoint>,
+    pub trajectory: Trajectory,
     /// Where on the motion before this one the trajectory begins; without it, where the robot rests.
     #[serde(default)]
     pub splice: Option<Splice>,
@@ -328,7 +294,7 @@ pub struct SmoothReply {
     /// The map that was smoothed on.
     pub map: MapRef,
     /// The trajectory; never empty unless the way itself is blocked.
-    pub trajectory: Vec<TrajectoryPoint>,
+    pub trajectory: Trajectory,
     /// Status, times, certificate.
     pub statistics: PlanStatistics,
 }

@@ -1,81 +1,81 @@
-//! Why was an ask refused? One enum, one table to exit codes.
+//! Refusals. Why was a request refused, and with which exit code does a command then end?
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{GoalPoint, Leader, LeaseRole};
 
-/// An error reply: `{"error": "Rejected", "reason": …}`.
+/// A server's reply to a request that it does not carry out: `{"error": "Rejected", "reason": …}`.
 #[derive(Clone, Debug, Error, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "error")]
 pub enum Refusal {
-    /// Understood, but not to be done.
+    /// The server understood the request, but the request cannot be carried out.
     #[error("rejected: {reason}{}", nearest(.nearest_free))]
     Rejected {
-        /// What stands against it.
+        /// What stands against it, with the numbers that were compared.
         reason: String,
-        /// The nearest place that would do, map frame.
+        /// The nearest free place, map frame.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         nearest_free: Option<GoalPoint>,
     },
-    /// Not understood.
+    /// The server did not understand the request.
     #[error("bad request: {reason}")]
     BadRequest {
-        /// What was expected, and where it went wrong.
+        /// What the server expected, and where the request differs.
         reason: String,
     },
-    /// More bytes than the key's limit.
+    /// The request is larger than its key allows.
     #[error("payload too large: at most {limit} bytes here")]
     TooLarge {
         /// The key's limit, bytes.
         limit: usize,
     },
-    /// No such goal, map, parameter, place.
+    /// There is no such goal, map, parameter or place.
     #[error("not found: {what}")]
     NotFound {
-        /// What was looked for.
+        /// What was not found.
         what: String,
     },
-    /// This server stands by; another one leads.
+    /// The server is a standby; another one leads.
     #[error("not the leader")]
     NotLeader,
-    /// Somebody else may command the robot now.
+    /// Somebody else holds the lease.
     #[error("{holder} holds the lease ({role:?}, epoch {epoch})")]
     Held {
-        /// Who.
+        /// The holder.
         holder: String,
-        /// As what.
+        /// The holder's role.
         role: LeaseRole,
-        /// Their epoch.
+        /// The holder's epoch.
         epoch: u64,
         /// The mission that leads, whoever holds the lease.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         leader: Option<Leader>,
     },
-    /// A mission that does not hold all goals that were acknowledged for the robot.
-    #[error("only {} may lead: its goals are not known here", .caught_up.join(" or "))]
+    /// The mission may not lead: it does not hold every goal that was acknowledged for the robot.
+    #[error("may not lead: the robot's goals are in the store {}", .caught_up.join(" or "))]
     NotCaughtUp {
-        /// The stores that hold them.
+        /// The stores that hold every goal.
         caught_up: Vec<String>,
     },
-    /// A command of another epoch than the current one.
-    #[error("epoch {got} is not the current one, {current}")]
+    /// The command's lease epoch is not the current one.
+    #[error("epoch {got} is not the current one ({current})")]
     WrongEpoch {
-        /// The command's.
+        /// The command's epoch.
         got: u64,
-        /// The current one.
+        /// The current epoch.
         current: u64,
     },
-    /// Too much to do; ask again later.
+    /// The server has too much to do; ask again later.
     #[error("busy: {reason}")]
     Busy {
-        /// With what.
+        /// What keeps the server busy.
         reason: String,
     },
-    /// The server itself failed.
+    /// The server failed.
     #[error("internal: {reason}")]
     Internal {
-        /// How.
+        /// The server's own error.
         reason: String,
     },
 }
@@ -88,7 +88,7 @@ fn nearest(nearest_free: &Option<GoalPoint>) -> String {
 }
 
 impl Refusal {
-    /// A rejection with a reason alone.
+    /// [`Refusal::Rejected`] with a reason and no nearest free place.
     #[must_use]
     pub fn rejected(reason: impl Into<String>) -> Self {
         Self::Rejected {
@@ -97,13 +97,13 @@ impl Refusal {
         }
     }
 
-    /// A request that could not be understood.
+    /// [`Refusal::BadRequest`] with what the server expected.
     #[must_use]
     pub fn bad_request(reason: impl Into<String>) -> Self {
         Self::BadRequest { reason: reason.into() }
     }
 
-    /// The exit code of a command line that met this refusal.
+    /// The exit code of a command whose request was refused.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
@@ -118,25 +118,25 @@ impl Refusal {
     }
 }
 
-/// Exit codes of every command.
+/// Exit codes of every `zenav` command.
 pub mod exit_code {
-    /// Done.
+    /// The command succeeded.
     pub const OK: u8 = 0;
-    /// Failed.
+    /// The command failed.
     pub const FAILED: u8 = 1;
     /// The command line or its input was wrong.
     pub const USAGE: u8 = 2;
-    /// No such robot, goal, file.
+    /// There is no such robot, goal or file.
     pub const NOT_FOUND: u8 = 3;
-    /// No router, no peer.
+    /// Neither router nor robot could be reached.
     pub const CANNOT_CONNECT: u8 = 4;
-    /// No answer in time.
+    /// Nobody answered in time.
     pub const TIMEOUT: u8 = 5;
-    /// The goal was canceled.
+    /// The goal was cancelled.
     pub const CANCELED: u8 = 6;
     /// The goal was rejected.
     pub const REJECTED: u8 = 7;
-    /// Ctrl-C.
+    /// The user pressed Ctrl-C.
     pub const INTERRUPTED: u8 = 130;
 }
 

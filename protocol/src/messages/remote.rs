@@ -1,75 +1,74 @@
-//! What does a tree's `RemoteAction` say to a program that does the action, and what does that answer?
+//! Remote action. How does a behaviour tree have an action executed by a program in any language?
 //!
-//! The protocol, for programs in any language: whoever does an action answers queries on one Zenoh key. A query carries a
-//! [`RemoteRequest`] as JSON, the reply is a [`RemoteReply`] as JSON, on the same key.
+//! The program, called the server here, answers queries on one Zenoh key. A query carries a [`RemoteRequest`] as JSON; the server replies
+//! on the same key with a [`RemoteReply`] as JSON.
 //!
-//! * `run` with an `execution` that is not known begins it; with one that is known it only tells how that goes. The reply comes
-//!   at once, `RUNNING` while the action goes on: it is not the reply that waits for the action's end. Whoever asks, asks again
-//!   a few times a second until the answer is `SUCCESS` or `FAILURE`, and after an end the answer stays the same.
-//! * `cancel` stops an execution that runs, and is answered like `run`. Of one that is not known nothing is begun: `FAILURE`.
-//! * A request may come more than once, also at the same time, and after a restart of either side: an execution is done at least
-//!   once, and exactly once by a program that keeps the ids of what it has begun.
-//! * `epoch` is the lease under which the mission commands its robot, greater after every change of hands: of two requests for
-//!   one robot, a program that can should obey the greater.
+//! * `run` with a new `execution` starts it; with a known one it only reports. The server replies at once, with `RUNNING` while the action
+//!   goes on. The mission asks again a few times a second until the reply is `SUCCESS` or `FAILURE`; after that the reply stays the same.
+//! * `cancel` stops a running execution; the server replies as to `run`. For an unknown execution it starts nothing and replies `FAILURE`.
+//! * A request may arrive more than once, at the same time too, and after a restart of either side. So an execution happens at least once,
+//!   and exactly once with a server that keeps the ids of what it has started.
+//! * `epoch` is the lease under which the mission commands its robot; it grows with every change of holder. Of two requests for one robot
+//!   the server should obey the one with the greater epoch.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// Asks a program to do an action, how it goes, or to stop it.
+/// Starts an action, asks for its status, or stops it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RemoteRequest {
-    /// Name of the execution: the same for every request about it, and for no other.
+    /// Identifies the execution: the same in every request about it, and in no other.
     pub execution: String,
     /// What is asked.
     pub action: RemoteAction,
-    /// The robot whose mission asks.
+    /// Name of the robot whose mission asks.
     pub robot: String,
-    /// The goal that is served.
+    /// The goal that the action serves.
     pub goal: String,
     /// Name of the node in the tree.
     pub node: String,
-    /// Lease epoch of the mission.
+    /// The mission's lease epoch.
     pub epoch: u64,
-    /// The node's ports that have a value, besides those that say where and how often to ask.
+    /// Values of the node's input ports, except the ports that say where and how often to ask.
     #[serde(default)]
     pub inputs: BTreeMap<String, serde_json::Value>,
 }
 
-/// What is asked of an execution.
+/// What a request asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RemoteAction {
-    /// Begin it, or tell how it goes.
+    /// Start the execution, or report on it.
     Run,
-    /// Stop it.
+    /// Stop the execution.
     Cancel,
 }
 
-/// How an execution goes.
+/// Status of an execution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RemoteReply {
-    /// Its name.
+    /// Identifies the execution.
     pub execution: String,
-    /// Where it stands.
+    /// The execution's status.
     pub status: RemoteStatus,
-    /// What it says of itself: what it is doing, or why it failed.
+    /// What the server is doing, or why the action failed, for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub feedback: String,
-    /// Values for the node's ports that lead to blackboard entries; looked at once it has ended.
+    /// Values for the node's output ports; read once the execution has ended.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub outputs: BTreeMap<String, serde_json::Value>,
 }
 
-/// Where an execution stands.
+/// Status of an execution, as a behaviour tree's node has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum RemoteStatus {
-    /// It goes on.
+    /// The action goes on.
     Running,
-    /// Its aim was reached.
+    /// The action reached its aim.
     Success,
-    /// It was not.
+    /// The action failed or was cancelled.
     Failure,
 }
 

@@ -1,5 +1,5 @@
-//! How many robots' missions does one orchestrator run on one core? A real orchestrator on a core of its own; its robots, planner and smoother are
-//! puppets: they answer at once and drive every plan perfectly, so that what is measured is the orchestrator.
+//! Fleet size. How many robots' missions does one process run on one core? A real mission process on a core of its own; robots, planner and
+//! smoother are fakes that answer at once and drive every plan perfectly, so that the missions alone are measured.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,18 +7,22 @@ use std::time::Duration;
 
 use nalgebra::Point2;
 use tokio::time::{Instant, MissedTickBehavior, interval};
+use zenav_fixtures::robot;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, BusError, Publisher, Server};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::lease::LeaseArbiter;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, GuardZone, InfoReply, LeaseReply, Link, MapInfo,
+    MapPatch, MapRef, MapReply, Mode, Plan, PlanOrigin, PlanOutcome, PlanProgress, PlanReply, PlanRequest,
+    PlanStatistics, PoseEstimate, SimClock, SmoothReply, SmoothRequest, TILE, Tile,
+};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_smoothing::unsmoothed;
 
-use super::sim_rig;
 use crate::deployment::Deployment;
 use crate::usage::{cpu_secs, memory};
 
@@ -29,17 +33,17 @@ const POSE_EVERY: u32 = 4;
 const STATE_EVERY: u32 = 20;
 /// Sample period of trajectories, s.
 const SAMPLES: f64 = 0.05;
-/// Time between two heartbeats of a mission that is never late, s.
-const BEAT: f64 = 0.1;
+/// Nominal heartbeat period, s.
+const HEARTBEAT_PERIOD: f64 = 0.1;
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
-/// Wall time for all robots to be led.
+/// Wall time until every robot has a live lease.
 const READY: Duration = Duration::from_secs(60);
-/// Life of a lease.
+/// Lease TTL.
 const LEASE: Duration = Duration::from_secs(1);
-/// Time for all to have their maps and first goals before it is measured.
+/// Time for maps and first goals before anything is measured.
 const SETTLING: Duration = Duration::from_secs(10);
-/// Robots begin one after the other, by this much.
+/// Time between the first goals of two robots.
 const STAGGER: Duration = Duration::from_millis(70);
 /// Every robot's map: 12.8 m square, free.
 const MAP: GridSpec = GridSpec {
@@ -48,7 +52,7 @@ const MAP: GridSpec = GridSpec {
     width: 256,
     height: 256,
 };
-/// Goals are driven to in turn, m.
+/// Goals, driven to in turn, m.
 const PLACES: [(f64, f64); 4] = [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0)];
 
 /// What was found.
@@ -56,8 +60,7 @@ const PLACES: [(f64, f64); 4] = [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0
 pub struct Findings {
     /// Robots.
     pub robots: usize,
-    /// How far each time between two heartbeats of a robot's mission was from what it should be, s. They are sent by its steps, and more while
-    /// one waits for the disk.
+    /// Deviation of each heartbeat interval from its nominal period, s. The mission's step sends a heartbeat, and so does a wait for the disk.
     pub jitter: Vec<f64>,
     /// Share of the core.
     pub load: f64,
@@ -70,16 +73,16 @@ pub struct Findings {
 }
 
 /// A robot that drives every plan perfectly.
-struct Puppet {
+struct FakeRobot {
     name: String,
-    book: LeaseArbiter,
+    arbiter: LeaseArbiter,
     pose: Pose2,
     velocity: Twist2,
     plan: Option<(Plan, Stamp)>,
     finished: bool,
     place: usize,
     goals: u64,
-    beat: Option<Instant>,
+    heartbeat: Option<Instant>,
     states: Publisher<EdgeState>,
     poses: Publisher<PoseEstimate>,
     events: Publisher<Event>,
@@ -87,18 +90,18 @@ struct Puppet {
     maps: (Publisher<MapInfo>, Publisher<MapPatch>),
 }
 
-impl Puppet {
+impl FakeRobot {
     fn new(bus: &Bus, name: String) -> Result<Self, BusError> {
         let chunks = [name.as_str()];
         Ok(Self {
-            book: LeaseArbiter::new(LEASE, 0, None),
+            arbiter: LeaseArbiter::new(LEASE, 0, None),
             pose: Pose2::IDENTITY,
             velocity: Twist2::ZERO,
             plan: None,
             finished: false,
             place: 0,
             goals: 0,
-            beat: None,
+            heartbeat: None,
             states: bus.publisher(&topics::STATE, &chunks)?,
             poses: bus.publisher(&topics::POSE, &chunks)?,
             events: bus.publisher(&topics::EVENT, &chunks)?,
@@ -143,7 +146,7 @@ impl Puppet {
     }
 
     fn take(&mut self, now: Stamp, plan: Plan) -> bool {
-        if !self.book.admits(now, plan.epoch) {
+        if !self.arbiter.admits(now, plan.epoch) {
             return false;
         }
         let known = self
@@ -172,15 +175,15 @@ impl Puppet {
         let mut progress = None;
         if let Some((plan, begun)) = &self.plan {
             let time = now.secs_since(*begun);
-            let next = plan.trajectory.partition_point(|point| point.t <= time);
-            if let Some(point) = plan.trajectory.get(next).or(plan.trajectory.last()) {
+            let left = (plan.trajectory.end_time() - time).max(0.0);
+            if !plan.trajectory.is_empty() {
+                let point = plan.trajectory.sample(time);
                 self.pose = point.pose();
-                self.finished = next == plan.trajectory.len();
+                self.finished = left == 0.0;
                 if !self.finished {
-                    self.velocity = Twist2::new(point.v, point.w);
+                    self.velocity = point.twist();
                 }
             }
-            let left = plan.trajectory.last().map_or(0.0, |last| last.t - time).max(0.0);
             progress = Some(PlanProgress {
                 goal_id: plan.goal_id.clone(),
                 epoch: plan.epoch,
@@ -208,7 +211,7 @@ impl Puppet {
                 boot_id: "boot".to_owned(),
                 mode: if progress.is_some() { Mode::Follow } else { Mode::Idle },
                 link: Link::Connected,
-                lease: self.book.state(now),
+                lease: self.arbiter.state(now),
                 plan: progress,
                 velocity: self.velocity,
                 guard: GuardZone::Clear,
@@ -256,7 +259,7 @@ fn map_info(now: Stamp) -> MapInfo {
 /// When a part cannot be started or joined, or a robot is not led.
 pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, String> {
     let text = |error: BusError| error.to_string();
-    let model = sim_rig::robot("tiago").map_err(|error| error.to_string())?;
+    let model = robot("tiago");
     let deployment = Deployment::new(binary, "kitchen", 1.0);
     let names: Vec<String> = (1..=robots).map(|number| format!("robot{number:03}")).collect();
     let mut sections = String::new();
@@ -268,20 +271,20 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     }
     let _router = deployment.start_router();
     let bus = deployment.bus().await;
-    let mut puppets = BTreeMap::new();
+    let mut fakes = BTreeMap::new();
     for name in &names {
-        puppets.insert(name.clone(), Puppet::new(&bus, name.clone()).map_err(text)?);
+        fakes.insert(name.clone(), FakeRobot::new(&bus, name.clone()).map_err(text)?);
     }
     let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
     let mut infos = bus.serve(&topics::EDGE_INFO, &["*"]).map_err(text)?;
     let mut maps = bus.serve(&topics::MAP, &["*"]).map_err(text)?;
-    let plans = bus.serve(&topics::PLAN_SERVICE, &["puppet"]).map_err(text)?;
-    let smooths = bus.serve(&topics::SMOOTH_SERVICE, &["puppet"]).map_err(text)?;
+    let plans = bus.serve(&topics::PLAN_SERVICE, &["fake"]).map_err(text)?;
+    let smooths = bus.serve(&topics::SMOOTH_SERVICE, &["fake"]).map_err(text)?;
     let _workers = [tokio::spawn(plan(plans)), tokio::spawn(smooth(smooths, model.clone()))];
-    let alive = |service: &str| bus.declare_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "puppet"]));
+    let alive = |service: &str| bus.declare_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "fake"]));
     let _alive = [alive("plan").map_err(text)?, alive("smooth").map_err(text)?];
     let clock = bus.publisher(&topics::SIM_CLOCK, &[]).map_err(text)?;
-    let mut beats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
+    let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
     let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
     let orchestrator = deployment.start_missions_on_one_core(&sections);
@@ -298,30 +301,30 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     loop {
         tokio::select! {
                     biased;
-                    Some(beat) = beats.next() => {
-                        let Some(puppet) = beat.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                        puppet.book.renew(now(), &beat.message.holder, beat.message.epoch, beat.message.counter);
-                        let last = puppet.beat.replace(Instant::now());
+                    Some(heartbeat) = heartbeats.next() => {
+                        let Some(fake) = heartbeat.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                        fake.arbiter.renew(now(), &heartbeat.message.holder, heartbeat.message.epoch, heartbeat.message.counter);
+                        let last = fake.heartbeat.replace(Instant::now());
                         if let (Some(last), Some(_)) = (last, measured) {
-                            findings.jitter.push((last.elapsed().as_secs_f64() - BEAT).abs());
+                            findings.jitter.push((last.elapsed().as_secs_f64() - HEARTBEAT_PERIOD).abs());
                         }
                     }
                     _ = ticks.tick() => {
                         count += 1;
                         clock.put(&SimClock { stamp: now() });
-                        for puppet in puppets.values_mut() {
-                            puppet.tick(now(), count);
+                        for fake in fakes.values_mut() {
+                            fake.tick(now(), count);
                         }
-                        let led = puppets.values().filter(|puppet| puppet.book.is_live(now())).count();
+                        let led = fakes.values().filter(|fake| fake.arbiter.is_live(now())).count();
                         match measured {
                     None if settling.is_some_and(|since: Instant| since.elapsed() > SETTLING) => {
                         measured = Some((Instant::now(), used()?));
                     }
                     None if settling.is_some() => {}
                     None if led == robots => {
-                        for (turn, puppet) in (0_u32..).zip(puppets.values_mut()) {
-                            puppet.tell_map(now());
-                            submit(&bus, puppet, turn * STAGGER);
+                        for (turn, fake) in (0_u32..).zip(fakes.values_mut()) {
+                            fake.tell_map(now());
+                            submit(&bus, fake, turn * STAGGER);
                         }
                         settling = Some(Instant::now());
                     }
@@ -341,8 +344,8 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         }
                     }
             Some(request) = leases.next() => {
-                        let Some(puppet) = request.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                        match puppet.book.request(now(), &request.body) {
+                        let Some(fake) = request.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                        match fake.arbiter.request(now(), &request.body) {
                             Ok(granted) => request.reply(&LeaseReply {
                                 epoch: granted.epoch,
                                 ttl_secs: LEASE.as_secs_f64(),
@@ -369,16 +372,16 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         trajectory: Vec::new(),
                     }),
                     Some(plan) = written.next() => {
-                        let Some(puppet) = plan.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                        findings.faults[1] += usize::from(!puppet.take(now(), plan.message) && measured.is_some());
+                        let Some(fake) = plan.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                        findings.faults[1] += usize::from(!fake.take(now(), plan.message) && measured.is_some());
                     }
                     Some(goal) = ended.next() => {
-                        let Some(puppet) = goal.chunks.first().and_then(|name| puppets.get_mut(name)) else { continue };
-                        if goal.message.state.is_end() && goal.message.id == format!("{}-{}", puppet.name, puppet.goals) {
+                        let Some(fake) = goal.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                        if goal.message.state.is_end() && goal.message.id == format!("{}-{}", fake.name, fake.goals) {
                             let good = goal.message.state == GoalPhase::Succeeded;
                             findings.goals += usize::from(good && measured.is_some());
                             findings.faults[2] += usize::from(!good);
-                            submit(&bus, puppet, Duration::ZERO);
+                            submit(&bus, fake, Duration::ZERO);
                         }
                     }
                         }
@@ -387,8 +390,8 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     Ok(findings)
 }
 
-fn submit(bus: &Bus, puppet: &mut Puppet, after: Duration) {
-    let (bus, name, goal) = (bus.clone(), puppet.name.clone(), puppet.next_goal());
+fn submit(bus: &Bus, fake: &mut FakeRobot, after: Duration) {
+    let (bus, name, goal) = (bus.clone(), fake.name.clone(), fake.next_goal());
     tokio::spawn(async move {
         tokio::time::sleep(after).await;
         if let Err(error) = bus.ask(&topics::GOAL, &[&name], &goal, Duration::from_secs(10)).await {

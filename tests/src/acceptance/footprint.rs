@@ -1,5 +1,6 @@
-//! What does the robot's side cost its machine? `zenav-edge` as its own process, attached to a served world as on a robot, driven by hand and
-//! heard by a client like the cloud; processor time, memory and punctuality as the system and the edge itself count them.
+//! Resources of the robot's binary. What does the robot's side take of its machine? `zenav-edge` as its own process, attached to a served world
+//! as on a robot, teleoperated, with a client that subscribes like the cloud; processor time, memory and loop jitter as the system and the
+//! edge itself report them.
 
 use std::path::Path;
 use std::time::Duration;
@@ -7,7 +8,10 @@ use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, Latest, Publisher, Subscription};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, Event, Heartbeat, InfoReply, InfoRequest, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Pacing,
+    PoseEstimate, Scan, Teleop,
+};
 use zenav_protocol::topics;
 
 use crate::process::{Process, free_endpoint};
@@ -15,14 +19,14 @@ use crate::usage::{Unknown, busy_secs, cpu_secs, peak_memory};
 
 /// The robot, by its shipped name.
 const ROBOT: &str = "tiago";
-/// It turns on the spot, rad/s: the whole room passes its lidar, and nothing is in its way.
+/// It turns on the spot, rad/s: the whole room passes its lidar, and it meets no obstacle.
 const TURN: f64 = 0.5;
 /// Wall time for the edge to come up.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Time at the beginning that is not measured: processes start.
 const SETTLING: Duration = Duration::from_secs(3);
-/// Time between two commands by hand, each with a heartbeat.
-const BY_HAND: Duration = Duration::from_millis(100);
+/// Time between two teleop commands, each with a heartbeat.
+const TELEOP_PERIOD: Duration = Duration::from_millis(100);
 
 /// Why nothing was measured.
 #[derive(Debug, thiserror::Error)]
@@ -36,10 +40,10 @@ pub enum FootprintError {
     /// A file.
     #[error("{0}: {1}")]
     File(String, std::io::Error),
-    /// What the system tells of a process cannot be read; only Linux tells it this way.
+    /// `/proc` cannot be read; only Linux has it.
     #[error(transparent)]
     Proc(#[from] Unknown),
-    /// The edge did not come up, or does not tell.
+    /// The edge did not come up, or did not report.
     #[error("the edge {0}")]
     Silent(&'static str),
 }
@@ -80,7 +84,7 @@ pub async fn measure(zenav: &Path, edge: &Path, time: Duration) -> Result<Footpr
     let opening = Bus::open(BusConfig::service("footprint", &router));
     let bus = timeout(PATIENCE, opening)
         .await
-        .map_err(|_| FootprintError::Silent("has no world to be in"))??;
+        .map_err(|_| FootprintError::Silent("found no world"))??;
     let arguments = [
         "--attach",
         "--robot",
@@ -112,7 +116,7 @@ pub async fn measure(zenav: &Path, edge: &Path, time: Duration) -> Result<Footpr
     })
 }
 
-/// Somebody who drives the robot by hand, and hears of it what mapping and mission do.
+/// A client that teleoperates the robot, and subscribes to what mapping and mission do.
 struct Client {
     bus: Bus,
     epoch: u64,
@@ -150,10 +154,10 @@ impl Client {
         })
     }
 
-    /// Keeps the robot turning; returns how many scans came, and the beams of the last.
+    /// Keeps the robot turning; returns the number of scans, and the beams of the last.
     async fn drive(&mut self, time: Duration) -> (u32, usize) {
         let end = Instant::now() + time;
-        let mut beat = interval(BY_HAND);
+        let mut beat = interval(TELEOP_PERIOD);
         beat.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let (mut scans, mut beams) = (0, 0);
         while beat.tick().await < end {
@@ -189,6 +193,6 @@ impl Client {
             .ask(&topics::EDGE_INFO, &[ROBOT], &InfoRequest {}, PATIENCE)
             .await?;
         info.pacing
-            .ok_or(FootprintError::Silent("does not tell how late its ticks are"))
+            .ok_or(FootprintError::Silent("does not report its loop jitter"))
     }
 }

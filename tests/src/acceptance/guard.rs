@@ -1,51 +1,52 @@
-//! Does the robot ever drive into anything, whatever it is told? Random worlds, shipped robots with crooked wheels, movers that
-//! are no faster than the robot, and commands from the gentle to the mad.
+//! Collision monitor. Does the robot ever drive into anything, whatever it is told? Random worlds, shipped robots with wheel errors, movers
+//! no faster than the robot, and commands from benign to adversarial.
 
 use nalgebra::Point2;
 use zenav_edge::Inbox;
+use zenav_fixtures::robot;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{LeaseRole, Teleop, TrajectoryPoint};
+use zenav_protocol::messages::{LeaseRole, Teleop, Trajectory, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 use zenav_sim::{Simulation, World};
 
-use super::sim_rig::{SimRig, SimRigError, robot};
-use super::worlds::{HALF, Rng, random};
+use super::sim_rig::{SimRig, SimRigError};
+use super::worlds::{HALF, Rng, random_world};
 
 /// The robot's own speed towards something at contact that counts as driving into it, m/s.
 pub const GENTLE: f64 = 0.01;
-/// How long each world is driven in, s.
+/// Length of a run, s.
 const DURATION: f64 = 12.0;
-/// Whoever switches a robot on sees to it that nobody can come up within this time from where it cannot look, s: it has never
-/// seen that place, and no guard could tell such a world from one in which the same turn is benign.
-const SWITCHED_ON_CLEAR: f64 = 1.5;
-/// Distance that a benign way keeps from what stands, m.
+/// At power-on nobody is within this time of the robot in its blind sector, s: the robot has never seen that place, and no collision monitor
+/// could tell such a world from one in which the same turn is benign. Whoever powers the robot on checks it.
+const POWER_ON_CLEAR: f64 = 1.5;
+/// Clearance of a benign path from static obstacles, m.
 const BENIGN_CLEARANCE: f64 = 0.12;
-/// And from where movers go, m: none comes near within the robot's time to stop.
-const BENIGN_BERTH: f64 = 1.8;
+/// Clearance of a benign path from the paths of movers, m: none comes near within the robot's stopping time.
+const MOVER_CLEARANCE: f64 = 1.8;
 
-/// What the robot is told.
+/// What the robot is commanded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Command {
-    /// A plan past everything: to be finished without an intervention.
+    /// A plan clear of everything, to be finished without an intervention.
     Benign,
-    /// By hand, full speed at the nearest thing.
+    /// Teleop: full speed at the nearest obstacle.
     AtTheNearest,
-    /// By hand, full speed backwards and along arcs.
+    /// Teleop: full speed backwards and along arcs.
     Backwards,
-    /// By hand, fast arcs at random.
+    /// Teleop: fast random arcs.
     Wild,
-    /// By hand, full speed, then silence or old stamps.
+    /// Teleop: full speed, then silence or old stamps.
     Stale,
-    /// By hand, with numbers that are none among them.
+    /// Teleop: not-a-number and infinite velocities.
     NotANumber,
-    /// By hand, another thing every tick.
+    /// Teleop: contradictory commands every tick.
     Contradictory,
-    /// By hand, and the same messages again.
+    /// Teleop: messages sent again.
     Replayed,
-    /// A plan through whatever stands there.
+    /// A plan through obstacles.
     ThroughWalls,
-    /// By hand, full speed, while the lidar falls silent or talks nonsense.
+    /// Teleop: full speed while the lidar is silent or its sweeps are cut short.
     Blind,
 }
 
@@ -62,31 +63,31 @@ const COMMANDS: [Command; 10] = [
     Command::Blind,
 ];
 
-/// How one world went.
+/// What a run in one world found.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The world.
+    /// Seed of the world.
     pub seed: u64,
-    /// Who drove.
+    /// The robot.
     pub robot: String,
-    /// What it was told.
+    /// What it was commanded.
     pub command: Command,
-    /// Whether anything moved.
+    /// Whether the world had movers.
     pub movers: bool,
     /// Contacts, however gentle.
     pub contacts: u32,
     /// The robot's largest own speed towards something that it touched, m/s.
     pub hardest: f64,
-    /// Way driven, m.
+    /// Distance driven, m.
     pub length: f64,
-    /// Why the guard stepped in, each time.
+    /// Reason of each intervention of the collision monitor.
     pub interventions: Vec<String>,
     /// Whether a benign plan was finished.
     pub finished: bool,
 }
 
 impl Outcome {
-    /// Whether it went as it must.
+    /// Whether nothing was driven into, and a benign plan was finished without an intervention.
     #[must_use]
     pub fn is_good(&self) -> bool {
         let benign = self.command != Command::Benign || (self.finished && self.interventions.is_empty());
@@ -94,92 +95,110 @@ impl Outcome {
     }
 }
 
+/// Whether the collision monitor stands between commands and wheels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protection {
+    /// As on every robot.
+    Monitored,
+    /// Teleop commands go straight to the wheels: the negative control, in which a run is to fail.
+    Unprotected,
+}
+
 /// Drives in the world of a seed.
 ///
 /// # Errors
 /// [`SimRigError`] when no world can be made of the seed.
-pub fn drive(seed: u64) -> Result<Outcome, SimRigError> {
-    drive_watched(seed, |_| {})
+pub fn drive(seed: u64, protection: Protection) -> Result<Outcome, SimRigError> {
+    drive_watched(seed, protection, |_| {})
 }
 
-/// Worlds that are drawn for a seed until one has a start and, for a drive that is to succeed, a way.
+/// Worlds that are drawn for a seed until one has a start and, for a benign plan, a free path.
 const MOST_DRAWS: u32 = 1000;
 
 /// Drives in the world of a seed; `watch` sees every tick.
 ///
 /// # Errors
 /// [`SimRigError`] when no world can be made of the seed.
-pub fn drive_watched(seed: u64, mut watch: impl FnMut(&SimRig)) -> Result<Outcome, SimRigError> {
-    let mut dice = Rng::new(seed, 1);
+pub fn drive_watched(
+    seed: u64,
+    protection: Protection,
+    mut watch: impl FnMut(&SimRig),
+) -> Result<Outcome, SimRigError> {
+    let mut rng = Rng::new(seed, 1);
     let command = COMMANDS
-        .get(dice.below(COMMANDS.len()))
+        .get(rng.below(COMMANDS.len()))
         .copied()
         .unwrap_or(Command::Wild);
     let names = ["tiago", "jackal", "turtlebot3_waffle", "neato"];
-    let name = names.get(dice.below(names.len())).copied().unwrap_or("tiago");
-    let mut model = robot(name)?;
-    let mut crooked = |share: f64| dice.between(-share, share);
-    model.drive.errors.wheel_radius = [crooked(0.01), crooked(0.01)];
-    model.drive.errors.wheel_separation = crooked(0.01);
+    let name = names.get(rng.below(names.len())).copied().unwrap_or("tiago");
+    let mut model = robot(name);
+    let mut error = |share: f64| rng.between(-share, share);
+    model.drive.errors.wheel_radius = [error(0.01), error(0.01)];
+    model.drive.errors.wheel_separation = error(0.01);
     model.drive.errors.slip = 0.002;
-    let latency = [0.0, 0.02, 0.05][dice.below(3)];
+    let latency = [0.0, 0.02, 0.05][rng.below(3)];
     for (_, lidar) in model.all_lidars_mut() {
         lidar.latency = latency;
     }
-    let movers = dice.chance(0.5);
+    let movers = rng.chance(0.5);
     let mover_speed = if movers { 0.95 * model.drive.top_speed() } else { 0.0 };
     for _ in 0..MOST_DRAWS {
-        let world = random(&mut dice, mover_speed)?;
+        let world = random_world(&mut rng, mover_speed)?;
         let empty = Simulation::new(&world, Vec::new(), seed)?;
-        let Some(start) = place(&mut dice, &empty, &model, 0.25) else {
+        let Some(start) = place(&mut rng, &empty, &model, 0.25) else {
             continue;
         };
-        if somebody_stands_behind(&empty, &model, start) {
+        if is_someone_in_blind_sector(&empty, &model, start) {
             continue;
         }
         let role = match command {
             Command::Benign | Command::ThroughWalls => LeaseRole::Mission,
             _ => LeaseRole::Operator,
         };
-        let mut ground = SimRig::new(&world, &model, start, seed, role)?;
-        ground.run(0.5);
+        let mut rig = SimRig::new(&world, &model, start, seed, role)?;
+        rig.run(0.5);
         let duration = match command {
             Command::Benign => {
-                // Out of the way of everything while the robot still stands there, too.
-                let Some(way) = benign_way(&mut dice, &world, &empty, &model, start) else {
+                // Clear of everything while the robot still stands at its start, too.
+                let Some(trajectory) = benign_trajectory(&mut rng, &world, &empty, &model, start) else {
                     continue;
                 };
-                let secs = way.last().map_or(0.0, |point| point.t);
-                ground.plan = Some(ground.plan(Vec::new(), way));
+                let secs = trajectory.last().map_or(0.0, |point| point.t);
+                rig.plan = Some(rig.plan(Vec::new(), trajectory));
                 1.2 * secs + 4.0
             }
             Command::ThroughWalls => {
-                let to = |dice: &mut Rng| Point2::new(dice.between(-HALF, HALF), dice.between(-HALF, HALF));
-                let waypoints = (0..4).map(|_| to(&mut dice)).collect();
-                ground.plan = Some(ground.plan(waypoints, Vec::new()));
+                let to = |rng: &mut Rng| Point2::new(rng.between(-HALF, HALF), rng.between(-HALF, HALF));
+                let waypoints = (0..4).map(|_| to(&mut rng)).collect();
+                rig.plan = Some(rig.plan(waypoints, Trajectory::default()));
                 DURATION
             }
             _ => DURATION,
         };
-        let mut tyrant = Adversary::new(command, &model.drive);
+        let mut adversary = Adversary::new(command, &model.drive);
         for tick in 0..(duration * 50.0) as usize {
-            let inbox = tyrant.command(&mut dice, &mut ground, tick);
-            let spoilt = tyrant.blind;
-            ground.tick(inbox, |readings| match spoilt {
+            let inbox = adversary.command(&mut rng, &mut rig, tick);
+            let sweeps = adversary.sweeps;
+            rig.tick(inbox, |readings| match sweeps {
                 0 => {}
                 1 => readings.sweeps.clear(),
                 _ => {
                     for sweep in &mut readings.sweeps {
-                        sweep.ranges.truncate(spoilt);
+                        sweep.ranges.truncate(sweeps);
                     }
                 }
             });
-            watch(&ground);
-            if command == Command::Benign && ground.finished() {
+            if protection == Protection::Unprotected
+                && let Some(twist) = adversary.twist()
+            {
+                rig.sim.drive(0, rig.model.drive.wheels(twist));
+            }
+            watch(&rig);
+            if command == Command::Benign && rig.finished() {
                 break;
             }
         }
-        let truth = ground.truth();
+        let truth = rig.truth();
         return Ok(Outcome {
             seed,
             robot: name.to_owned(),
@@ -188,32 +207,32 @@ pub fn drive_watched(seed: u64, mut watch: impl FnMut(&SimRig)) -> Result<Outcom
             contacts: truth.collisions,
             hardest: truth.hardest_contact,
             length: truth.length,
-            interventions: ground.interventions().map(str::to_owned).collect(),
-            finished: ground.finished(),
+            interventions: rig.interventions().map(str::to_owned).collect(),
+            finished: rig.finished(),
         });
     }
-    Err(SimRigError::NoWay(seed))
+    Err(SimRigError::NoPath(seed))
 }
 
-/// A pose where the robot has room.
-fn place(dice: &mut Rng, sim: &Simulation, model: &RobotModel, room: f64) -> Option<Pose2> {
+/// A pose with clearance for the robot.
+fn place(rng: &mut Rng, sim: &Simulation, model: &RobotModel, room: f64) -> Option<Pose2> {
     (0..200).find_map(|_| {
         let pose = Pose2::new(
-            dice.between(-HALF, HALF),
-            dice.between(-HALF, HALF),
-            dice.between(-3.1, 3.1),
+            rng.between(-HALF, HALF),
+            rng.between(-HALF, HALF),
+            rng.between(-3.1, 3.1),
         );
         (sim.clearance(&model.footprint, pose) > room).then_some(pose)
     })
 }
 
-/// Whether anything that moves begins close by in the lidar's blind sector.
-fn somebody_stands_behind(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
+/// Whether a mover begins close by in the lidar's blind sector.
+fn is_someone_in_blind_sector(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
     let views: Vec<_> = model
         .all_lidars()
         .map(|(_, lidar)| ((start * lidar.mount).inverse(), 0.5 * lidar.field_of_view))
         .collect();
-    let near = model.footprint.circumscribed_radius() + SWITCHED_ON_CLEAR * model.drive.top_speed();
+    let near = model.footprint.circumscribed_radius() + POWER_ON_CLEAR * model.drive.top_speed();
     sim.movers().any(|mover| {
         views.iter().all(|(laser_from_map, half)| {
             let local = laser_from_map.transform_point(mover);
@@ -223,35 +242,35 @@ fn somebody_stands_behind(sim: &Simulation, model: &RobotModel, start: Pose2) ->
     })
 }
 
-/// A turn on the spot and a straight way that keeps clear of everything.
-fn benign_way(
-    dice: &mut Rng,
+/// A turn on the spot and a straight path clear of everything.
+fn benign_trajectory(
+    rng: &mut Rng,
     world: &World,
     sim: &Simulation,
     model: &RobotModel,
     start: Pose2,
-) -> Option<Vec<TrajectoryPoint>> {
+) -> Option<Trajectory> {
     let reach = model.footprint.circumscribed_radius();
     (0..100).find_map(|_| {
-        let goal = place(dice, sim, model, BENIGN_CLEARANCE)?;
+        let goal = place(rng, sim, model, BENIGN_CLEARANCE)?;
         let to = goal.position() - start.position();
         let (length, yaw) = (to.norm(), to.y.atan2(to.x));
         let steps = (length / 0.02).ceil().max(1.0) as usize;
         let free = (0..=steps).all(|step| {
             let at = start.position() + to * (step as f64 / steps as f64);
             let pose = Pose2::new(at.x, at.y, yaw);
-            let berth = world
+            let is_clear = world
                 .movers()
                 .iter()
-                .all(|mover| mover.berth(at) > reach + BENIGN_BERTH);
-            berth && sim.clearance(&model.footprint, pose) > BENIGN_CLEARANCE
+                .all(|mover| mover.berth(at) > reach + MOVER_CLEARANCE);
+            is_clear && sim.clearance(&model.footprint, pose) > BENIGN_CLEARANCE
         });
         (free && length > 0.5).then(|| turn_and_go(&model.drive, start, yaw, length))
     })
 }
 
-/// Points 20 ms apart: turn on the spot, then straight on, each from rest to rest with nine tenths of what the robot can.
-fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<TrajectoryPoint> {
+/// Points 20 ms apart: a turn on the spot, then straight on, each from rest to rest at nine tenths of the limits.
+fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Trajectory {
     let turn = wrap_angle(yaw - start.yaw);
     let acceleration = 0.7 * drive.acceleration();
     let spin = Ramp::new(
@@ -268,48 +287,48 @@ fn turn_and_go(drive: &Drive, start: Pose2, yaw: f64, length: f64) -> Vec<Trajec
             break;
         }
         let (turned, w) = spin.at(t);
-        let (way, v) = roll.at(t - spin.duration);
+        let (distance, v) = roll.at(t - spin.duration);
         let heading = start.yaw + turn.signum() * turned;
         points.push(TrajectoryPoint {
             t,
-            x: start.x + way * yaw.cos(),
-            y: start.y + way * yaw.sin(),
+            x: start.x + distance * yaw.cos(),
+            y: start.y + distance * yaw.sin(),
             yaw: wrap_angle(heading),
             v,
             w: turn.signum() * w,
         });
     }
-    points
+    points.into()
 }
 
-/// From rest to rest over a way: speeds up, holds, slows down.
+/// Trapezoidal speed profile from rest to rest.
 struct Ramp {
-    way: f64,
+    length: f64,
     top: f64,
     rise: f64,
     duration: f64,
 }
 
 impl Ramp {
-    fn new(way: f64, top: f64, acceleration: f64) -> Self {
-        let top = top.min((way * acceleration).sqrt());
+    fn new(length: f64, top: f64, acceleration: f64) -> Self {
+        let top = top.min((length * acceleration).sqrt());
         let rise = top / acceleration;
-        let duration = if top > 0.0 { way / top + rise } else { 0.0 };
+        let duration = if top > 0.0 { length / top + rise } else { 0.0 };
         Self {
-            way,
+            length,
             top,
             rise,
             duration,
         }
     }
 
-    /// Way and speed at a time.
+    /// Distance and speed at a time.
     fn at(&self, t: f64) -> (f64, f64) {
         if t <= 0.0 || self.duration <= 0.0 {
             return (0.0, 0.0);
         }
         if t >= self.duration {
-            return (self.way, 0.0);
+            return (self.length, 0.0);
         }
         let acceleration = self.top / self.rise;
         if t < self.rise {
@@ -317,21 +336,21 @@ impl Ramp {
         }
         let left = self.duration - t;
         if left < self.rise {
-            return (self.way - 0.5 * acceleration * left * left, acceleration * left);
+            return (self.length - 0.5 * acceleration * left * left, acceleration * left);
         }
         (self.top * (t - 0.5 * self.rise), self.top)
     }
 }
 
-/// Who commands by hand.
+/// Sends teleop commands that are meant to do harm.
 struct Adversary {
     command: Command,
     top: Twist2,
     wanted: Twist2,
     until: usize,
     recorded: Vec<Teleop>,
-    /// 0: the lidar is heard; 1: it is silent; more: its sweeps have that many beams.
-    blind: usize,
+    /// 0: whole sweeps; 1: no sweeps; more: sweeps cut to that many beams.
+    sweeps: usize,
 }
 
 impl Adversary {
@@ -342,47 +361,54 @@ impl Adversary {
             wanted: Twist2::ZERO,
             until: 0,
             recorded: Vec::new(),
-            blind: 0,
+            sweeps: 0,
         }
     }
 
-    /// What goes to the robot in this tick.
-    fn command(&mut self, dice: &mut Rng, ground: &mut SimRig, tick: usize) -> Inbox {
+    /// The commanded twist, where it is a number; `None` for commands that are plans.
+    fn twist(&self) -> Option<Twist2> {
+        let is_plan = matches!(self.command, Command::Benign | Command::ThroughWalls);
+        let is_number = self.wanted.v.is_finite() && self.wanted.w.is_finite();
+        (!is_plan && is_number).then_some(self.wanted)
+    }
+
+    /// The messages of this tick.
+    fn command(&mut self, rng: &mut Rng, rig: &mut SimRig, tick: usize) -> Inbox {
         let mut inbox = Inbox::default();
         let fresh = tick >= self.until;
         if fresh {
-            self.until = tick + 10 + dice.below(90);
+            self.until = tick + 10 + rng.below(90);
         }
         let Twist2 { v, w } = self.top;
         match self.command {
             Command::Benign | Command::ThroughWalls => return inbox,
-            Command::AtTheNearest => self.wanted = at_the_nearest(ground, self.top),
+            Command::AtTheNearest => self.wanted = at_the_nearest(rig, self.top),
             Command::Backwards if fresh => {
-                let turn = if dice.chance(0.5) { 0.0 } else { dice.between(-1.0, 1.0) };
-                let ahead = if dice.chance(0.8) { -1.0 } else { 1.0 };
+                let turn = if rng.chance(0.5) { 0.0 } else { rng.between(-1.0, 1.0) };
+                let ahead = if rng.chance(0.8) { -1.0 } else { 1.0 };
                 self.wanted = Twist2::new(ahead * v, turn * w);
             }
             Command::Contradictory => {
                 self.wanted = Twist2::new(
-                    if dice.chance(0.5) { v } else { -v },
-                    if dice.chance(0.5) { w } else { -w },
+                    if rng.chance(0.5) { v } else { -v },
+                    if rng.chance(0.5) { w } else { -w },
                 );
             }
-            Command::Stale => self.wanted = at_the_nearest(ground, self.top),
+            Command::Stale => self.wanted = at_the_nearest(rig, self.top),
             Command::NotANumber if fresh => {
                 let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300, v];
-                let pick = |dice: &mut Rng| odd[dice.below(odd.len())];
-                self.wanted = Twist2::new(pick(dice), pick(dice));
+                let pick = |rng: &mut Rng| odd[rng.below(odd.len())];
+                self.wanted = Twist2::new(pick(rng), pick(rng));
             }
             Command::Blind => {
-                self.wanted = at_the_nearest(ground, self.top);
+                self.wanted = at_the_nearest(rig, self.top);
                 if fresh {
-                    self.blind = [0, 0, 1, 1, 2, 300][dice.below(6)];
+                    self.sweeps = [0, 0, 1, 1, 2, 300][rng.below(6)];
                 }
             }
             Command::Wild | Command::Replayed if fresh => {
-                let ahead = if dice.chance(0.75) { 1.0 } else { -1.0 };
-                let turn = if dice.chance(0.4) { 0.0 } else { dice.between(-1.0, 1.0) };
+                let ahead = if rng.chance(0.75) { 1.0 } else { -1.0 };
+                let turn = if rng.chance(0.4) { 0.0 } else { rng.between(-1.0, 1.0) };
                 self.wanted = Twist2::new(ahead * v, turn * w);
             }
             _ => {}
@@ -390,15 +416,15 @@ impl Adversary {
         if !tick.is_multiple_of(2) {
             return inbox;
         }
-        let Some(mut teleop) = ground.by_hand(self.wanted) else {
+        let Some(mut teleop) = rig.teleop(self.wanted) else {
             return inbox;
         };
         match self.command {
-            // A second and a half of commands, then silence, then stamps that grow old, by turns.
+            // By turns: commands for 1.5 s, silence, old stamps.
             Command::Stale => match tick / 75 % 3 {
                 0 => {}
                 1 => {
-                    ground.beating = false;
+                    rig.sends_heartbeats = false;
                     return inbox;
                 }
                 _ => teleop.echo = Stamp(teleop.echo.0.saturating_sub(1_000_000_000)),
@@ -415,7 +441,7 @@ impl Adversary {
             }
             Command::Contradictory => {
                 let mut foreign = teleop.clone();
-                foreign.epoch = dice.below(4) as u64;
+                foreign.epoch = rng.below(4) as u64;
                 foreign.twist = Twist2::new(-teleop.twist.v, teleop.twist.w);
                 inbox.teleops.push(foreign);
             }
@@ -426,14 +452,14 @@ impl Adversary {
     }
 }
 
-/// Full speed at the nearest thing, by the truth.
-fn at_the_nearest(ground: &SimRig, top: Twist2) -> Twist2 {
-    let here = ground.truth().map_from_base;
+/// Full speed at the nearest obstacle, by the true state.
+fn at_the_nearest(rig: &SimRig, top: Twist2) -> Twist2 {
+    let here = rig.truth().map_from_base;
     let disc = Footprint::Radius(1e-3);
-    let reach = ground.model.footprint.circumscribed_radius() + 0.05;
+    let reach = rig.model.footprint.circumscribed_radius() + 0.05;
     let probe = |turn: f64| {
         let at = here * Pose2::new(reach * turn.cos(), reach * turn.sin(), 0.0);
-        ground.sim.clearance_beside(0, &disc, at)
+        rig.sim.clearance_beside(0, &disc, at)
     };
     let bearing = (0..36)
         .map(|step| wrap_angle(f64::from(step) * 0.1745))

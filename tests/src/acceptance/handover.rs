@@ -1,5 +1,5 @@
-//! Does another orchestrator go on when the leader dies or freezes? Two of them with real processes, each with a store of its own; the leader is
-//! killed (`kill -9`) and started again, or held (`SIGSTOP`) and let go on, at random instants of missions.
+//! Handover. Does another mission take over when the leader dies or freezes? Two missions as real processes, each with a store of its own; the
+//! leader is killed (`kill -9`) and restarted, or paused (`SIGSTOP`) and resumed, at random instants of drives.
 
 use std::time::Duration;
 
@@ -7,38 +7,38 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use tokio::time::{Instant, sleep};
 use zenav_protocol::bus::{Bus, Latest, Subscription};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{MissionStatus, Plan};
 use zenav_protocol::topics;
 
-use super::invariants::{Client, Findings, Invariants};
+use super::invariants::{Client, Findings, Monitor};
 use crate::deployment::{CORRIDOR, Deployment, ROBOT};
 use crate::process::Process;
 
 /// Simulated seconds a second: the life of a lease is as long as on a real robot.
 const SPEED: f64 = 1.0;
-/// Longest time from both being ready until the leader is struck, s.
-const LONGEST_PEACE: f64 = 5.0;
+/// Longest time from both missions being ready until a fault, s.
+const LONGEST_QUIET: f64 = 5.0;
 /// Wall time in which another mission leads, s.
 pub const TAKEOVER: f64 = 2.0;
-/// Wall time in which a leader whose standby is held says that it works alone.
+/// Wall time in which a leader whose standby is paused publishes that it has none.
 const ALONE: Duration = Duration::from_secs(3);
 /// Wall time for two missions to be ready: one leads, the other has caught up.
 const READY: Duration = Duration::from_secs(30);
-/// For how long a leader that goes on is watched before the next blow.
+/// How long a resumed leader is watched before the next fault.
 const AFTERMATH: Duration = Duration::from_secs(3);
 
-/// What becomes of a leader.
+/// A fault that is injected into a pair of missions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// Killed, and started again once another leads.
-    Death,
-    /// LeaseSession for so many seconds of wall time.
-    Pause(f64),
-    /// Not it but its standby is held for so many seconds.
-    Alone(f64),
+    /// The leader is killed, and restarted once the other leads.
+    LeaderKilled,
+    /// The leader is paused for so many seconds of wall time.
+    LeaderPaused(f64),
+    /// The standby is paused for so many seconds of wall time.
+    StandbyPaused(f64),
 }
 
-/// Two orchestrators, by their holders' names.
+/// Two missions, by their holders' names.
 struct Pair<'d> {
     deployment: &'d Deployment,
     missions: Vec<(&'static str, Process)>,
@@ -57,10 +57,10 @@ impl<'d> Pair<'d> {
         let found = self.missions.iter_mut().find(|(name, _)| *name == holder);
         found
             .map(|(_, process)| process)
-            .ok_or_else(|| format!("{holder} leads, whom nobody started"))
+            .ok_or_else(|| format!("{holder} leads, which this run did not start"))
     }
 
-    /// The one that does not lead.
+    /// The standby.
     fn other(&mut self, holder: &str) -> Option<&mut Process> {
         let found = self.missions.iter_mut().find(|(name, _)| *name != holder);
         found.map(|(_, process)| process)
@@ -75,21 +75,21 @@ impl<'d> Pair<'d> {
     }
 }
 
-/// What is seen of who leads.
-struct Scene {
+/// What is observed of the pair, and the client that keeps it busy.
+struct Observed {
     bus: Bus,
-    witness: Invariants,
+    monitor: Monitor,
     client: Client,
     random: Pcg64Mcg,
     status: Latest<MissionStatus>,
     plans: Subscription<Plan>,
 }
 
-impl Scene {
+impl Observed {
     async fn step(&mut self) -> Result<(), String> {
-        self.witness.listen();
+        self.monitor.listen();
         self.client
-            .keep_going(&self.bus, &self.witness, &mut self.random)
+            .keep_going(&self.bus, &self.monitor.invariants, &mut self.random)
             .await?;
         sleep(Duration::from_millis(10)).await;
         Ok(())
@@ -119,22 +119,22 @@ impl Scene {
         Ok(None)
     }
 
-    /// That nothing was written under an epoch that is over.
+    /// No plan is written under an epoch that is over.
     fn no_plan_before(&mut self, epoch: u64) {
         while let Some(plan) = self.plans.try_next() {
             if plan.message.epoch < epoch {
-                let fault = format!("a plan of epoch {} was written in epoch {epoch}", plan.message.epoch);
-                self.witness.findings.faults.push(fault);
+                let violation = format!("a plan of epoch {} was written in epoch {epoch}", plan.message.epoch);
+                self.monitor.invariants.findings.violations.push(violation);
             }
         }
     }
 }
 
-/// Strikes the leader of two orchestrators again and again while goals come in; then lets them finish.
+/// Injects faults into two missions, one after the other, while goals come in; then lets them finish.
 ///
 /// # Errors
 /// When the parts cannot be started or joined.
-pub async fn run(binary: &str, blows: &[Fault], seed: u64) -> Result<Findings, String> {
+pub async fn run(binary: &str, faults: &[Fault], seed: u64) -> Result<Findings, String> {
     let deployment = Deployment::new(binary, CORRIDOR, SPEED);
     let _router = deployment.start_router();
     let _edge = deployment.start_edge();
@@ -145,77 +145,80 @@ pub async fn run(binary: &str, blows: &[Fault], seed: u64) -> Result<Findings, S
     let mut pair = Pair::start(&deployment);
     let bus = deployment.bus().await;
     let failed = |error: zenav_protocol::bus::BusError| error.to_string();
-    let mut scene = Scene {
-        witness: Invariants::new(&bus)?,
+    let mut observed = Observed {
+        monitor: Monitor::new(&bus).map_err(failed)?,
         client: Client::default(),
         random: Pcg64Mcg::seed_from_u64(seed),
         status: bus.latest(&topics::MISSION, &[ROBOT]).map_err(failed)?,
         plans: bus.subscribe(&topics::PLAN, &[ROBOT], 65536).map_err(failed)?,
         bus: bus.clone(),
     };
-    for blow in blows {
+    for fault in faults {
         let ready = |status: &MissionStatus| status.leads && !status.standbys.is_empty();
-        let Some(leader) = scene.until(READY, ready).await? else {
-            return Err(format!("before {blow:?}: no leader with a standby within {READY:?}"));
+        let Some(leader) = observed.until(READY, ready).await? else {
+            return Err(format!("before {fault:?}: no leader with a standby within {READY:?}"));
         };
-        let peace = scene.random.random_range(0.0..LONGEST_PEACE);
-        scene.run_for(Duration::from_secs_f64(peace)).await?;
-        if let Fault::Alone(secs) = blow {
+        let quiet = observed.random.random_range(0.0..LONGEST_QUIET);
+        observed.run_for(Duration::from_secs_f64(quiet)).await?;
+        if let Fault::StandbyPaused(secs) = fault {
             let Some(standby) = pair.other(&leader.holder) else {
                 continue;
             };
             standby.pause()?;
             let alone = |status: &MissionStatus| status.leads && status.standbys.is_empty();
-            if scene
+            if observed
                 .until(ALONE, alone)
                 .await?
                 .is_none_or(|status| status.holder != leader.holder)
             {
-                let fault = format!("{} does not go on alone within {ALONE:?}", leader.holder);
-                scene.witness.findings.faults.push(fault);
+                let violation = format!("{} does not go on alone within {ALONE:?}", leader.holder);
+                observed.monitor.invariants.findings.violations.push(violation);
             }
-            scene.run_for(Duration::from_secs_f64(*secs)).await?;
+            observed.run_for(Duration::from_secs_f64(*secs)).await?;
             standby.resume()?;
-            scene.witness.findings.pauses += 1;
+            observed.monitor.invariants.findings.pauses += 1;
             continue;
         }
-        let struck = pair.named(&leader.holder)?;
-        match blow {
-            Fault::Death => struck.kill(),
-            Fault::Pause(_) | Fault::Alone(_) => struck.pause()?,
+        let leading = pair.named(&leader.holder)?;
+        match fault {
+            Fault::LeaderKilled => leading.kill(),
+            Fault::LeaderPaused(_) | Fault::StandbyPaused(_) => leading.pause()?,
         }
         let since = Instant::now();
         let next = |status: &MissionStatus| status.leads && status.holder != leader.holder;
-        let Some(heir) = scene.until(READY, next).await? else {
+        let Some(successor) = observed.until(READY, next).await? else {
             return Err(format!(
-                "{blow:?} of {}: nobody else leads within {READY:?}",
+                "{fault:?} of {}: the other does not lead within {READY:?}",
                 leader.holder
             ));
         };
         let took = since.elapsed().as_secs_f64();
-        scene.witness.findings.takeovers.push(took);
+        observed.monitor.invariants.findings.takeovers.push(took);
         if took > TAKEOVER {
-            let fault = format!("{} took over from {} after {took:.2} s", heir.holder, leader.holder);
-            scene.witness.findings.faults.push(fault);
+            let violation = format!(
+                "{} took over from {} after {took:.2} s",
+                successor.holder, leader.holder
+            );
+            observed.monitor.invariants.findings.violations.push(violation);
         }
-        match blow {
-            Fault::Death => {
-                scene.witness.findings.kills += 1;
+        match fault {
+            Fault::LeaderKilled => {
+                observed.monitor.invariants.findings.kills += 1;
                 pair.restart(&leader.holder);
             }
-            Fault::Pause(secs) | Fault::Alone(secs) => {
-                scene.witness.findings.pauses += 1;
+            Fault::LeaderPaused(secs) | Fault::StandbyPaused(secs) => {
+                observed.monitor.invariants.findings.pauses += 1;
                 let rest = Duration::from_secs_f64(*secs).saturating_sub(since.elapsed());
-                scene.run_for(rest).await?;
-                while scene.plans.try_next().is_some() {}
+                observed.run_for(rest).await?;
+                while observed.plans.try_next().is_some() {}
                 pair.named(&leader.holder)?.resume()?;
-                scene.run_for(AFTERMATH).await?;
-                scene.no_plan_before(heir.epoch);
+                observed.run_for(AFTERMATH).await?;
+                observed.no_plan_before(successor.epoch);
             }
         }
     }
-    scene.client.rest().await?;
-    let findings = scene.witness.finish(&bus, &scene.client.acknowledged).await?;
+    observed.client.rest().await?;
+    let findings = observed.monitor.finish(&bus, &observed.client.acknowledged).await?;
     for (name, process) in &mut pair.missions {
         if !process.is_running() {
             return Err(format!("{name} has ended: {}", process.log()));

@@ -1,25 +1,44 @@
-//! Is any goal lost when the orchestrator is killed, whenever that is? `kill -9` at random instants of missions, with real processes.
+//! Kills of the mission. Is any goal lost when the mission is killed, whenever that is? `kill -9` at random instants of drives, with real
+//! processes.
 
+use std::path::Path;
 use std::time::Duration;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use tokio::time::{Instant, sleep};
 
-use super::invariants::{Client, Findings, Invariants};
-use crate::deployment::{CORRIDOR, Deployment};
+use super::invariants::{Client, Findings, Monitor};
+use crate::deployment::{CORRIDOR, Deployment, ROBOT};
 
 /// Simulated seconds a second.
 const SPEED: f64 = 4.0;
-/// Longest life of an orchestrator, s of wall time. A drive takes about three.
+/// Longest life of a mission, s of wall time. A drive takes about three.
 const LONGEST_LIFE: f64 = 2.5;
+/// A store that is to be tampered with is left alone after so many kills.
+const MOST_KILLS: usize = 100;
 
-/// Kills the orchestrator of a robot so many times, at instants drawn from the seed, while goals come in; then lets it finish.
+/// Kills the mission of a robot so many times, at instants drawn from the seed, while goals come in; then lets it finish.
 ///
 /// # Errors
 /// When the parts cannot be started or joined.
 pub async fn run(binary: &str, kills: usize, seed: u64) -> Result<Findings, String> {
+    run_tampered(binary, kills, seed, |_, _| true).await
+}
+
+/// The same, and after every kill `tamper` may change the mission's store, of which it gets the file and the goals that were acknowledged,
+/// until it returns true: the negative control of the invariants.
+///
+/// # Errors
+/// When the parts cannot be started or joined, or the store could not be tampered with.
+pub async fn run_tampered(
+    binary: &str,
+    kills: usize,
+    seed: u64,
+    mut tamper: impl FnMut(&Path, &[String]) -> bool,
+) -> Result<Findings, String> {
     let deployment = Deployment::new(binary, CORRIDOR, SPEED);
+    let store = deployment.folder().join("cloud").join(ROBOT).join("mission.redb");
     let _router = deployment.start_router();
     let _edge = deployment.start_edge();
     let _others = [
@@ -27,23 +46,29 @@ pub async fn run(binary: &str, kills: usize, seed: u64) -> Result<Findings, Stri
         deployment.start_service("planning"),
     ];
     let bus = deployment.bus().await;
-    let mut witness = Invariants::new(&bus)?;
+    let mut monitor = Monitor::new(&bus).map_err(|error| error.to_string())?;
     let mut client = Client::default();
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut mission = deployment.start_service("mission");
-    while witness.findings.kills < kills {
+    let (mut killed, mut tampered) = (0, false);
+    while killed < kills || !tampered {
+        if killed > kills + MOST_KILLS {
+            return Err("the store could not be tampered with".to_owned());
+        }
         let end = Instant::now() + Duration::from_secs_f64(random.random_range(0.0..LONGEST_LIFE));
         while Instant::now() < end {
-            witness.listen();
-            client.keep_going(&bus, &witness, &mut random).await?;
+            monitor.listen();
+            client.keep_going(&bus, &monitor.invariants, &mut random).await?;
             sleep(Duration::from_millis(20)).await;
         }
         mission.kill();
-        witness.findings.kills += 1;
+        killed += 1;
+        tampered = tampered || tamper(&store, &client.acknowledged);
         mission = deployment.start_service("mission");
     }
+    monitor.invariants.findings.kills = killed;
     client.rest().await?;
-    let findings = witness.finish(&bus, &client.acknowledged).await?;
+    let findings = monitor.finish(&bus, &client.acknowledged).await?;
     bus.close().await;
     Ok(findings)
 }

@@ -1,18 +1,18 @@
-//! Proving grounds: the robot's side in its simulated world, in lockstep and without a network, by the thousand; and processes that are
-//! killed by the hundred.
+//! Acceptance runs: the robot's side in simulated worlds by the thousand, in lockstep and without a network; and processes that are killed by
+//! the hundred.
 //!
-//! | module | answers |
+//! | module | holds |
 //! |---|---|
-//! | [`sim_rig`] | how do a world, a robot and its pilot step together? |
-//! | [`worlds`] | what does a random world look like? |
-//! | [`pose`] | is the estimate as good as its covariance says? |
-//! | [`tracking`] | how near to its path does each tracker keep the robot? |
-//! | [`footprint`] | what does the robot's side cost its machine? |
-//! | [`kills`] | is any goal lost when the orchestrator is killed? |
-//! | [`handover`] | does another orchestrator go on when the leader dies or freezes? |
-//! | [`fleet`] | how many robots' missions does one orchestrator run? |
-//! | [`invariants`] | what is true of goals and of the robot meanwhile? |
-//! | [`guard`] | does the robot ever drive into anything, whatever it is told? |
+//! | [`sim_rig`] | a simulated world, a robot and its pilot, stepped together |
+//! | [`worlds`] | random worlds, and the seeded random numbers that they are drawn with |
+//! | [`pose`] | consistency of the pose estimate (NEES, NIS) |
+//! | [`tracking`] | path error of every tracker |
+//! | [`footprint`] | size, processor time, memory and lateness of the robot's binary |
+//! | [`kills`] | missions killed at random instants |
+//! | [`handover`] | missions that take over from one that dies or freezes |
+//! | [`fleet`] | many robots' missions in one process |
+//! | [`invariants`] | what holds of goals and of the robot meanwhile |
+//! | [`guard`] | the collision monitor under adversarial commands |
 
 pub mod fleet;
 pub mod footprint;

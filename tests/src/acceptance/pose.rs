@@ -1,5 +1,5 @@
-//! Is the estimate as good as its covariance says? Many seeded drives, each with its own start error, gyro bias and crooked wheels,
-//! drawn from what the filter assumes; at every step the errors of all drives are averaged.
+//! Consistency of the pose estimate. Is the error as large as the covariance says? Many seeded drives, each with its own start error, gyro
+//! bias and wheel errors, drawn from the filter's own priors; at every step the errors of all drives are averaged.
 //!
 //! Consistency after Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4: the mean normalised estimation error squared (NEES) of `runs`
 //! drives with three states lies in the two-sided 95 % band of chi-square / runs, [2.54, 3.50] for 100; so does, with its own
@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_edge::estimator::{Estimator, Tally};
+use zenav_fixtures::robot;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::Correction;
@@ -18,44 +19,44 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
 
-use super::sim_rig::{SimRigError, robot};
+use super::sim_rig::SimRigError;
 use super::worlds::Rng;
 
-/// How well the start is known: m and rad.
+/// Standard deviation of the start pose: m and rad.
 const START: (f64, f64) = (0.05, 0.05);
-/// Crookedness of the wheels' radii, as a share: what the filter assumes.
+/// Standard deviation of the wheel radii, as a share: the filter's prior.
 const WHEELS: f64 = 0.01;
-/// The same of their separation.
+/// Standard deviation of the wheel separation, as a share: the filter's prior.
 const SEPARATION: f64 = 0.02;
-/// Bias of the gyro, rad/s: what the filter assumes.
+/// Standard deviation of the gyro bias, rad/s: the filter's prior.
 const GYRO_BIAS: f64 = 0.001;
-/// What a wheel slips, m for each square root of a metre: the robot knows it.
+/// Wheel slip, m for each square root of a metre; the robot file says so, too.
 const SLIP: f64 = 1e-3;
-/// Errors of corrections from off board: m and rad.
+/// Standard deviation of corrections from the cloud: m and rad.
 const CORRECTION: (f64, f64) = (0.03, 0.02);
 /// Steps between two corrections.
 const CORRECTED: usize = 25;
 
-/// How the sensors are.
+/// Latency and loss of the sensors.
 #[derive(Clone, Copy, Debug)]
 pub struct Conditions {
     /// Name in the table.
     pub name: &'static str,
-    /// GPS comes this late, s.
+    /// Latency of GPS, s.
     pub gps_latency: f64,
-    /// Gyro and compass come this late, s.
+    /// Latency of gyro and compass, s.
     pub imu_latency: f64,
     /// Share of GPS, gyro and compass readings that are lost.
     pub dropout: f64,
-    /// Corrections come this late, s, from and to: they overtake one another.
+    /// Least and greatest latency of corrections, s: they overtake one another.
     pub corrected: Option<(f64, f64)>,
-    /// GPS is lost altogether between these seconds of every minute.
+    /// No GPS between these seconds of every minute.
     pub gps_lost: Option<(f64, f64)>,
-    /// Gyro and compass are.
+    /// No gyro and compass between these seconds of every minute.
     pub imu_lost: Option<(f64, f64)>,
 }
 
-const INTIME: Conditions = Conditions {
+const ON_TIME: Conditions = Conditions {
     name: "all sensors",
     gps_latency: 0.0,
     imu_latency: 0.0,
@@ -65,13 +66,13 @@ const INTIME: Conditions = Conditions {
     imu_lost: None,
 };
 
-/// What is looked at.
+/// The conditions that are tried.
 pub const CONDITIONS: [Conditions; 5] = [
-    INTIME,
+    ON_TIME,
     Conditions {
         name: "GPS 0.5 s late",
         gps_latency: 0.5,
-        ..INTIME
+        ..ON_TIME
     },
     Conditions {
         name: "late and missing",
@@ -79,17 +80,17 @@ pub const CONDITIONS: [Conditions; 5] = [
         imu_latency: 0.06,
         dropout: 0.2,
         corrected: Some((0.2, 1.5)),
-        ..INTIME
+        ..ON_TIME
     },
     Conditions {
         name: "GPS lost for 30 s",
         gps_lost: Some((15.0, 45.0)),
-        ..INTIME
+        ..ON_TIME
     },
     Conditions {
         name: "IMU lost for 30 s",
         imu_lost: Some((15.0, 45.0)),
-        ..INTIME
+        ..ON_TIME
     },
 ];
 
@@ -106,7 +107,7 @@ pub struct Sums {
     pub worst: f64,
     /// The largest position error that the covariance allowed for when it was largest: three standard deviations, m.
     pub allowed: f64,
-    /// What became of the inputs.
+    /// How the filter took its inputs.
     pub tally: Tally,
     /// Time that each step of the filter took, s.
     pub took: Vec<f64>,
@@ -119,15 +120,15 @@ struct OffBoard {
 }
 
 impl OffBoard {
-    fn measure(&mut self, now: Stamp, truth: Pose2, (least, most): (f64, f64), dice: &mut Rng) {
+    fn measure(&mut self, now: Stamp, truth: Pose2, (least, most): (f64, f64), rng: &mut Rng) {
         let (position, yaw) = CORRECTION;
         let correction = Correction {
             stamp: now,
             boot_id: String::new(),
             map_from_base: Pose2::new(
-                truth.x + position * dice.gauss(),
-                truth.y + position * dice.gauss(),
-                truth.yaw + yaw * dice.gauss(),
+                truth.x + position * rng.gauss(),
+                truth.y + position * rng.gauss(),
+                truth.yaw + yaw * rng.gauss(),
             ),
             covariance: Matrix3::from_diagonal(&Vector3::new(position * position, position * position, yaw * yaw))
                 .as_slice()
@@ -135,7 +136,7 @@ impl OffBoard {
                 .unwrap_or_default(),
         };
         self.waiting
-            .push_back((now.plus_secs(dice.between(least, most)), correction));
+            .push_back((now.plus_secs(rng.between(least, most)), correction));
     }
 
     fn arrived(&mut self, now: Stamp) -> Vec<Correction> {
@@ -159,13 +160,13 @@ pub fn drive(
     secs: f64,
     clock: &dyn Fn() -> Duration,
 ) -> Result<(), SimRigError> {
-    let mut dice = Rng::new(seed, 3);
-    let mut believed: RobotModel = robot("tiago")?;
+    let mut rng = Rng::new(seed, 3);
+    let mut believed: RobotModel = robot("tiago");
     believed.drive.errors.slip = SLIP;
     let mut model = believed.clone();
-    model.drive.errors.wheel_radius = [0.0; 2].map(|_| WHEELS * dice.gauss());
-    model.drive.errors.wheel_separation = SEPARATION * dice.gauss();
-    model.imu.gyro_bias = GYRO_BIAS * dice.gauss();
+    model.drive.errors.wheel_radius = [0.0; 2].map(|_| WHEELS * rng.gauss());
+    model.drive.errors.wheel_separation = SEPARATION * rng.gauss();
+    model.imu.gyro_bias = GYRO_BIAS * rng.gauss();
     (model.imu.latency, model.imu.dropout) = (conditions.imu_latency, conditions.dropout);
     if let Some(gps) = &mut model.gps {
         (gps.latency, gps.dropout) = (conditions.gps_latency, conditions.dropout);
@@ -179,16 +180,16 @@ pub fn drive(
     };
     let mut sim = Simulation::new(&world, vec![spec], seed)?;
     let guess = Pose2::new(
-        start.x + START.0 * dice.gauss(),
-        start.y + START.0 * dice.gauss(),
-        start.yaw + START.1 * dice.gauss(),
+        start.x + START.0 * rng.gauss(),
+        start.y + START.0 * rng.gauss(),
+        start.yaw + START.1 * rng.gauss(),
     );
     let mut estimator = Estimator::new(&believed, guess, START.0, START.1);
     let mut off_board = OffBoard::default();
     let mut wheels = [0.0; 2];
     for tick in 0..(secs * 50.0) as usize {
         if tick % 100 == 0 {
-            let (v, w) = (dice.between(0.0, 0.5), dice.between(-0.6, 0.6));
+            let (v, w) = (rng.between(0.0, 0.5), rng.between(-0.6, 0.6));
             wheels = model.drive.wheels(Twist2::new(v, w));
         }
         sim.drive(0, wheels);
@@ -204,7 +205,7 @@ pub fn drive(
         }
         let truth = sim.truth(0).map_from_base;
         if let Some(late) = conditions.corrected.filter(|_| tick % CORRECTED == 0) {
-            off_board.measure(readings.stamp, truth, late, &mut dice);
+            off_board.measure(readings.stamp, truth, late, &mut rng);
         }
         let corrections = off_board.arrived(readings.stamp);
         let before = clock();
@@ -228,7 +229,7 @@ pub fn drive(
 /// [`SimRigError`] for a robot or world that cannot be.
 pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, SimRigError> {
     const LATE: f64 = 1.95;
-    let model: RobotModel = robot("tiago")?;
+    let model: RobotModel = robot("tiago");
     let world = World::shipped("empty")?;
     let start = world.start();
     let id = Id::robot("robot")?;
@@ -241,12 +242,12 @@ pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, SimRigError> {
     let mut estimator = Estimator::new(&model, start, START.0, START.1);
     sim.drive(0, [2.0, 2.5]);
     let mut took = Vec::new();
-    let mut dice = Rng::new(1, 3);
+    let mut rng = Rng::new(1, 3);
     let mut off_board = OffBoard::default();
     for _ in 0..500 {
         sim.step();
         let readings = sim.readings(0);
-        off_board.measure(readings.stamp, sim.truth(0).map_from_base, (LATE, LATE), &mut dice);
+        off_board.measure(readings.stamp, sim.truth(0).map_from_base, (LATE, LATE), &mut rng);
         let corrections = off_board.arrived(readings.stamp);
         let before = clock();
         estimator.step(&readings, &corrections);

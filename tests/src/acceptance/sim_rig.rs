@@ -1,71 +1,60 @@
-//! How do a world, a robot and its pilot step together? In lockstep, with a small mission or operator that keeps its lease.
+//! Simulated rig. How do a world, a robot and its pilot step together? In lockstep, with a small mission or operator that holds the lease.
 
 use std::time::Duration;
 
-use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Question, Ticket};
+use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::{Id, InvalidId};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, EdgeState, EventKind, GuardZone, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, MapRef, Plan,
+    PlanStatistics, PoseEstimate, Revision, Teleop, Trajectory,
+};
 use zenav_protocol::readings::Readings;
-use zenav_protocol::robot::{RobotError, RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, SimError, Simulation, Truth, World, WorldError};
 
-/// Why a proving ground cannot be laid out.
+/// Why a rig cannot be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum SimRigError {
     /// The world.
     #[error(transparent)]
     World(#[from] WorldError),
-    /// The robot.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
     /// The robot's name.
     #[error(transparent)]
     Id(#[from] InvalidId),
     /// Both together.
     #[error(transparent)]
     Sim(#[from] SimError),
-    /// There is no such robot.
-    #[error("no shipped robot `{0}`")]
-    NoRobot(String),
-    /// No way through the world was found.
-    #[error("no way was found in the world of seed {0}")]
-    NoWay(u64),
+    /// The world has no start pose, or no free path.
+    #[error("no start or no free path in the worlds of seed {0}")]
+    NoPath(u64),
 }
 
-/// A shipped robot.
-///
-/// # Errors
-/// [`SimRigError`] for an unknown name.
-pub fn robot(name: &str) -> Result<RobotModel, SimRigError> {
-    let text = shipped(name).ok_or_else(|| SimRigError::NoRobot(name.to_owned()))?;
-    Ok(RobotModel::from_toml(text, name)?)
-}
-
-/// A robot in a world, and who commands it.
+/// A robot in a simulated world, and the holder of its lease.
 pub struct SimRig {
-    /// The robot's side.
+    /// The robot's control core.
     pub pilot: Pilot,
-    /// Its world.
+    /// The simulated world.
     pub sim: Simulation,
-    /// What the robot believes of itself.
+    /// The model that the pilot was given.
     pub model: RobotModel,
-    /// The newest state.
+    /// The newest published state.
     pub state: Option<EdgeState>,
-    /// The newest estimate.
+    /// The newest published pose.
     pub pose: Option<PoseEstimate>,
-    /// Everything that happened.
+    /// All events so far.
     pub events: Vec<EventKind>,
-    /// Whether the holder of the lease renews it.
-    pub beating: bool,
-    /// The plan that the mission renews every second.
+    /// Whether the holder of the lease sends heartbeats.
+    pub sends_heartbeats: bool,
+    /// The plan, which is renewed every second.
     pub plan: Option<Plan>,
     counter: u64,
     ticks: u64,
 }
 
 impl SimRig {
-    /// The robot at `start`, which it knows; `role` holds the lease, under epoch 1.
+    /// A robot at `start`, which its pilot knows; `role` holds the lease with epoch 1.
     ///
     /// # Errors
     /// [`SimRigError`] when the robot cannot stand there.
@@ -84,36 +73,36 @@ impl SimRig {
         };
         let sim = Simulation::new(world, vec![spec], seed)?;
         let config = EdgeConfig::new(id, model.clone(), start);
-        let mut ground = Self {
+        let mut rig = Self {
             pilot: Pilot::new(config, "boot".to_owned(), Persisted::default()),
             sim,
             model: model.clone(),
             state: None,
             pose: None,
             events: Vec::new(),
-            beating: true,
+            sends_heartbeats: true,
             plan: None,
             counter: 0,
             ticks: 0,
         };
         let request = LeaseRequest::new("holder".to_owned(), role, LeaseAction::Acquire, "1".to_owned());
-        ground.tick(
+        rig.tick(
             Inbox {
-                questions: vec![(Ticket(1), Question::Lease(request))],
+                requests: vec![(Ticket(1), EdgeRequest::Lease(request))],
                 ..Inbox::default()
             },
             |_| {},
         );
-        Ok(ground)
+        Ok(rig)
     }
 
-    /// One tick of the world, then of the pilot. `spoil` may change what the sensors say.
-    pub fn tick(&mut self, mut inbox: Inbox, spoil: impl FnOnce(&mut Readings)) {
+    /// One tick of the world, then of the pilot. `corrupt` may change the readings in between.
+    pub fn tick(&mut self, mut inbox: Inbox, corrupt: impl FnOnce(&mut Readings)) {
         self.sim.step();
         self.ticks += 1;
         let mut readings = self.sim.readings(0);
-        spoil(&mut readings);
-        if self.beating && self.ticks.is_multiple_of(5) {
+        corrupt(&mut readings);
+        if self.sends_heartbeats && self.ticks.is_multiple_of(5) {
             self.counter += 1;
             inbox.heartbeats.push(Heartbeat {
                 holder: "holder".to_owned(),
@@ -147,15 +136,15 @@ impl SimRig {
         }
     }
 
-    /// What nobody on the robot knows for sure.
+    /// The true state of the robot.
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.sim.truth(0)
     }
 
-    /// A twist by hand that echoes the newest pose, one a tick.
+    /// A teleop command that echoes the newest pose.
     #[must_use]
-    pub fn by_hand(&self, twist: Twist2) -> Option<Teleop> {
+    pub fn teleop(&self, twist: Twist2) -> Option<Teleop> {
         let pose = self.pose.as_ref()?;
         Some(Teleop {
             epoch: 1,
@@ -164,9 +153,9 @@ impl SimRig {
         })
     }
 
-    /// A plan from here and now: motion number one.
+    /// A plan that starts here and now.
     #[must_use]
-    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Vec<TrajectoryPoint>) -> Plan {
+    pub fn plan(&self, waypoints: Vec<nalgebra::Point2<f64>>, trajectory: Trajectory) -> Plan {
         Plan {
             goal_id: "goal".to_owned(),
             epoch: 1,
@@ -189,7 +178,7 @@ impl SimRig {
         }
     }
 
-    /// Whether the end of a plan was reached.
+    /// Whether a plan was driven to its end.
     #[must_use]
     pub fn finished(&self) -> bool {
         self.events
@@ -197,7 +186,7 @@ impl SimRig {
             .any(|event| matches!(event, EventKind::PlanFinished { .. }))
     }
 
-    /// Reasons of the guard's interventions.
+    /// Reasons of the collision monitor's interventions.
     pub fn interventions(&self) -> impl Iterator<Item = &str> {
         self.events.iter().filter_map(|event| match event {
             EventKind::Guard { zone, reason } if *zone != GuardZone::Clear => Some(reason.as_str()),

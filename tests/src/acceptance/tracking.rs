@@ -1,12 +1,15 @@
-//! How near to its path does each tracker keep the robot? Random ways through a map, planned and smoothed as missions do, each
-//! driven at full speed by every law, in the simulator with its real sensors; the error is the truth's.
+//! Path error of the trackers. How near does each tracker keep the robot to the reference that it was given? Random paths through a map,
+//! planned and smoothed as missions do, each driven at full speed by every law, with simulated sensors; the error is by the true pose.
+//!
+//! The wheel law and the heading-first law are given corner points: their error is the distance from the straight legs between them. The others
+//! are given the smoothed trajectory.
 
 use nalgebra::Point2;
 use zenav_edge::Inbox;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, TrajectoryPoint};
+use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
 use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
 use zenav_sim::World;
 use zenav_smoothing::shortcut::shortcut;
@@ -18,9 +21,9 @@ use super::worlds::Rng;
 
 /// Side of a cell of a world's map, m.
 const RESOLUTION: f64 = 0.05;
-/// Largest errors of a pose that is measured off board, m and rad.
-const MEASURED: (f64, f64) = (0.02, 0.01);
-/// Ways are at least this long, m.
+/// Largest errors of a correction from the cloud, m and rad.
+const CORRECTION: (f64, f64) = (0.02, 0.01);
+/// Least distance from start to goal, m.
 const LEAST_LENGTH: f64 = 2.0;
 
 /// Every law, by its name in the robot's file.
@@ -32,33 +35,33 @@ pub const LAWS: [(&str, TrackerKind); 5] = [
     ("heading_first", TrackerKind::HeadingFirst),
 ];
 
-/// A way to be driven.
+/// A path to be driven, and its trajectory.
 #[derive(Clone, Debug)]
-pub struct Way {
-    /// Where the robot stands.
+pub struct PlannedPath {
+    /// Start pose.
     pub start: Pose2,
     /// Corner points.
     pub corners: Vec<Point2<f64>>,
-    /// The smoothed way with its time law.
-    pub trajectory: Vec<TrajectoryPoint>,
-    /// Energy that it will draw by the robot's model, J.
+    /// The smoothed trajectory.
+    pub trajectory: Trajectory,
+    /// Energy forecast by the robot's model, J.
     pub forecast_j: f64,
 }
 
-/// How a way was driven.
+/// What a drive along a path found.
 #[derive(Clone, Debug)]
 pub struct Drive {
-    /// Distance of the true base from the path, each tick, m.
+    /// Distance of the true base from the law's own reference, each tick, m.
     pub errors: Vec<f64>,
-    /// Time until the robot rested at the end, s; `None` when it did not within twice the plan's.
+    /// Time until the robot was at rest at the end, s; `None` when that took more than twice the planned time.
     pub secs: Option<f64>,
-    /// Way driven, m.
+    /// Distance driven, m.
     pub length: f64,
     /// Energy drawn, J.
     pub drawn_j: f64,
     /// Contacts.
     pub contacts: u32,
-    /// Times that the guard stepped in.
+    /// Interventions of the collision monitor.
     pub interventions: usize,
 }
 
@@ -94,14 +97,20 @@ pub fn true_map(world: &World) -> OccupancyGrid {
     map
 }
 
-/// `count` random ways that were smoothed; the same ones for every profile.
+/// `count` random paths that were smoothed; the same ones for every profile.
 #[must_use]
-pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, profile: DrivingProfile) -> Vec<Way> {
+pub fn planned_paths(
+    map: &OccupancyGrid,
+    model: &RobotModel,
+    seed: u64,
+    count: usize,
+    profile: DrivingProfile,
+) -> Vec<PlannedPath> {
     let space = ConfigurationSpace::new(map, &model.footprint, UnknownPolicy::default(), 0.0);
     let Ok(mut searcher) = Searcher::new(space.free()) else {
         return Vec::new();
     };
-    let mut dice = Rng::new(seed, 2);
+    let mut rng = Rng::new(seed, 2);
     let (low, high) = (space.spec().origin, space.spec().upper());
     let room = model.footprint.circumscribed_radius() + 0.1;
     let options = PlanOptions {
@@ -113,7 +122,7 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, pr
         if found.len() == count {
             break;
         }
-        let mut place = || Point2::new(dice.between(low.x, high.x), dice.between(low.y, high.y));
+        let mut place = || Point2::new(rng.between(low.x, high.x), rng.between(low.y, high.y));
         let (from, to) = (place(), place());
         if space.clearance(from) < room || space.clearance(to) < room || (to - from).norm() < LEAST_LENGTH {
             continue;
@@ -145,7 +154,7 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, pr
         };
         let smoothed = smooth(&space, &query, model, &settings, &mut || 0.0);
         if smoothed.is_smooth() {
-            found.push(Way {
+            found.push(PlannedPath {
                 start,
                 corners,
                 trajectory: smoothed.trajectory(0.02),
@@ -156,83 +165,98 @@ pub fn ways(map: &OccupancyGrid, model: &RobotModel, seed: u64, count: usize, pr
     found
 }
 
-/// What the robot knows of its pose on the way.
+/// What the robot knows of its pose during a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Localised {
-    /// What its own sensors tell.
-    Alone,
-    /// And once a second, from off board, where it was.
-    OffBoard,
+    /// Its own sensors.
+    OnBoard,
+    /// Its own sensors, and a correction from the cloud every second.
+    Corrected,
 }
 
-/// Drives a way by a law.
+/// Drives a path by a law.
 ///
 /// # Errors
-/// [`SimRigError`] when the robot cannot stand at the way's start.
+/// [`SimRigError`] when the start is occupied.
 pub fn drive(
     world: &World,
     model: &RobotModel,
     law: TrackerKind,
-    way: &Way,
+    planned: &PlannedPath,
     localised: Localised,
     seed: u64,
 ) -> Result<Drive, SimRigError> {
     let mut model = model.clone();
     model.controller.tracker = law;
-    let mut ground = SimRig::new(world, &model, way.start, seed, LeaseRole::Mission)?;
-    ground.run(1.0);
-    ground.plan = Some(ground.plan(way.corners.clone(), way.trajectory.clone()));
-    let (begun, drawn) = (ground.sim.now(), ground.truth().drawn_j);
-    let planned = way.trajectory.last().map_or(0.0, |point| point.t);
+    let mut rig = SimRig::new(world, &model, planned.start, seed, LeaseRole::Mission)?;
+    rig.run(1.0);
+    rig.plan = Some(rig.plan(planned.corners.clone(), planned.trajectory.clone()));
+    let (begun, drawn) = (rig.sim.now(), rig.truth().drawn_j);
+    let secs_planned = planned.trajectory.last().map_or(0.0, |point| point.t);
+    let reference = planned.reference(law);
     let mut errors = Vec::new();
     let mut secs = None;
-    let (mut dice, mut ticks) = (Rng::new(seed, 3), 0_u64);
-    while ground.sim.now().secs_since(begun) < 2.0 * planned + 5.0 {
+    let (mut rng, mut ticks) = (Rng::new(seed, 3), 0_u64);
+    while rig.sim.now().secs_since(begun) < 2.0 * secs_planned + 5.0 {
         let mut inbox = Inbox::default();
         ticks += 1;
-        if localised == Localised::OffBoard && ticks.is_multiple_of(50) {
-            inbox.corrections.push(correction(&ground, &mut dice));
+        if localised == Localised::Corrected && ticks.is_multiple_of(50) {
+            inbox.corrections.push(correction(&rig, &mut rng));
         }
-        ground.tick(inbox, |_| {});
-        errors.push(off_path(&way.trajectory, ground.truth().map_from_base.position()));
-        if ground.finished() {
-            secs = Some(ground.sim.now().secs_since(begun));
+        rig.tick(inbox, |_| {});
+        errors.push(off_path(&reference, rig.truth().map_from_base.position()));
+        if rig.finished() {
+            secs = Some(rig.sim.now().secs_since(begun));
             break;
         }
     }
-    let truth = ground.truth();
+    let truth = rig.truth();
     Ok(Drive {
         errors,
         secs,
         length: truth.length,
         drawn_j: truth.drawn_j - drawn,
         contacts: truth.collisions,
-        interventions: ground.interventions().count(),
+        interventions: rig.interventions().count(),
     })
 }
 
 /// Where the robot is, give or take.
-fn correction(ground: &SimRig, dice: &mut Rng) -> Correction {
-    let truth = ground.truth().map_from_base;
-    let mut about = |value: f64, error: f64| value + dice.between(-error, error);
+fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
+    let truth = rig.truth().map_from_base;
+    let mut about = |value: f64, error: f64| value + rng.between(-error, error);
     let variance = |error: f64| error * error / 3.0;
-    let (xy, yaw) = (variance(MEASURED.0), variance(MEASURED.1));
+    let (xy, yaw) = (variance(CORRECTION.0), variance(CORRECTION.1));
     Correction {
-        stamp: ground.sim.now(),
+        stamp: rig.sim.now(),
         boot_id: "boot".to_owned(),
         map_from_base: Pose2::new(
-            about(truth.x, MEASURED.0),
-            about(truth.y, MEASURED.0),
-            about(truth.yaw, MEASURED.1),
+            about(truth.x, CORRECTION.0),
+            about(truth.y, CORRECTION.0),
+            about(truth.yaw, CORRECTION.1),
         ),
         covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
     }
 }
 
-/// Distance of a place from a path, m.
-fn off_path(path: &[TrajectoryPoint], place: Point2<f64>) -> f64 {
+impl PlannedPath {
+    /// The points between which a law is to drive straight on.
+    fn reference(&self, law: TrackerKind) -> Vec<Point2<f64>> {
+        match law {
+            TrackerKind::WheelLaw | TrackerKind::HeadingFirst => std::iter::once(self.start.position())
+                .chain(self.corners.iter().copied())
+                .collect(),
+            TrackerKind::TimeLaw | TrackerKind::PurePursuit | TrackerKind::Pid => {
+                self.trajectory.iter().map(|point| point.pose().position()).collect()
+            }
+        }
+    }
+}
+
+/// Distance of a point from a path, m.
+fn off_path(path: &[Point2<f64>], place: Point2<f64>) -> f64 {
     let legs = path.windows(2).filter_map(|leg| match leg {
-        [from, to] => Some((from.pose().position(), to.pose().position())),
+        [from, to] => Some((*from, *to)),
         _ => None,
     });
     let distances = legs.map(|(from, to)| {
@@ -248,7 +272,7 @@ fn off_path(path: &[TrajectoryPoint], place: Point2<f64>) -> f64 {
     distances.fold(f64::INFINITY, f64::min)
 }
 
-/// The value that a share of all does not exceed.
+/// The value that this share of all values does not exceed.
 #[must_use]
 pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! What does a random world look like? A walled square with legs, posts, boxes and partitions, and movers among them.
+//! Random worlds. What may surround a robot? A walled square with table legs, posts, boxes and partitions, and movers among them.
 
 use std::fmt::Write as _;
 
@@ -11,18 +11,18 @@ use zenav_sim::World;
 
 use super::sim_rig::SimRigError;
 
-/// Half the side of the square, m.
+/// Half the side of the world, m.
 pub const HALF: f64 = 4.0;
-/// Paths that are drawn for a mover; where none is free it walks at random.
+/// Paths drawn for a mover; where none is free it walks at random.
 const PATHS: u32 = 50;
-/// Spacing of what is looked at on a path, m.
+/// Spacing of collision checks along a path, m.
 const STEP: f64 = 0.05;
 
-/// Draws from ranges.
+/// Seeded random numbers.
 pub struct Rng(Pcg64Mcg);
 
 impl Rng {
-    /// The dice of a seed and what they are for.
+    /// The generator of a seed; `purpose` makes streams of one seed independent.
     #[must_use]
     pub fn new(seed: u64, purpose: u64) -> Self {
         let spread = u128::from(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15_f39c_c060_5ced_c835);
@@ -34,39 +34,39 @@ impl Rng {
         Self(rng)
     }
 
-    /// A number between two.
+    /// Uniform between two bounds.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.random::<f64>()
     }
 
-    /// A whole number below `count`.
+    /// Uniform whole number below `count`.
     pub fn below(&mut self, count: usize) -> usize {
         ((self.0.random::<f64>() * count as f64) as usize).min(count.saturating_sub(1))
     }
 
-    /// A standard normal number (Box and Muller).
+    /// Standard normal (Box and Muller).
     pub fn gauss(&mut self) -> f64 {
         let (radius, turn) = (self.0.random::<f64>().max(1e-300), self.0.random::<f64>());
         (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * turn).cos()
     }
 
-    /// True with a chance.
+    /// True with this probability.
     pub fn chance(&mut self, share: f64) -> bool {
         self.0.random::<f64>() < share
     }
 }
 
-/// A random world. Movers go at up to `mover_speed` (m/s); zero for a world that stands still.
+/// A random world. Movers go at up to `mover_speed` (m/s); zero for a static world.
 ///
 /// # Errors
-/// [`SimRigError::World`] when the generator wrote what a world file may not say.
-pub fn random(dice: &mut Rng, mover_speed: f64) -> Result<World, SimRigError> {
+/// [`SimRigError::World`] when the generated file is not a valid world.
+pub fn random_world(rng: &mut Rng, mover_speed: f64) -> Result<World, SimRigError> {
     let side = 2.0 * HALF;
     let mut text = format!(
         "name = \"random\"\nsize = [{side}, {side}]\norigin = [{}, {}]\n",
         -HALF, -HALF
     );
-    let at = |dice: &mut Rng| dice.between(-HALF, HALF);
+    let at = |rng: &mut Rng| rng.between(-HALF, HALF);
     for (from, to) in [
         ((-1, -1), (1, -1)),
         ((1, -1), (1, 1)),
@@ -81,28 +81,28 @@ pub fn random(dice: &mut Rng, mover_speed: f64) -> Result<World, SimRigError> {
             place(to)
         );
     }
-    for _ in 0..4 + dice.below(14) {
-        let (x, y) = (at(dice), at(dice));
-        let _ = match dice.below(4) {
+    for _ in 0..4 + rng.below(14) {
+        let (x, y) = (at(rng), at(rng));
+        let _ = match rng.below(4) {
             0 => write!(
                 text,
                 "[[circle]]\nx = {x}\ny = {y}\nradius = {}\n",
-                dice.between(0.015, 0.04)
+                rng.between(0.015, 0.04)
             ),
             1 => write!(
                 text,
                 "[[circle]]\nx = {x}\ny = {y}\nradius = {}\n",
-                dice.between(0.05, 0.5)
+                rng.between(0.05, 0.5)
             ),
             2 => write!(
                 text,
                 "[[wall]]\nfrom = [{x}, {y}]\nto = [{}, {}]\nthickness = {}\n",
-                x + dice.between(0.2, 1.5),
-                y + dice.between(-1.5, 1.5),
-                dice.between(0.02, 0.15)
+                x + rng.between(0.2, 1.5),
+                y + rng.between(-1.5, 1.5),
+                rng.between(0.02, 0.15)
             ),
             _ => {
-                let (half, breadth, turn) = (dice.between(0.05, 0.8), dice.between(0.05, 0.5), dice.between(0.0, 3.1));
+                let (half, breadth, turn) = (rng.between(0.05, 0.8), rng.between(0.05, 0.5), rng.between(0.0, 3.1));
                 let (sin, cos) = f64::sin_cos(turn);
                 let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(a, b)| {
                     let (u, v) = (a * half, b * breadth);
@@ -113,18 +113,16 @@ pub fn random(dice: &mut Rng, mover_speed: f64) -> Result<World, SimRigError> {
         };
     }
     if mover_speed > 0.0 {
-        let standing = world(&text)?;
-        for _ in 0..1 + dice.below(4) {
-            let speed = mover_speed * dice.between(0.1, 1.0);
-            let radius = dice.between(0.08, 0.35);
+        let walls = world(&text)?;
+        for _ in 0..1 + rng.below(4) {
+            let speed = mover_speed * rng.between(0.1, 1.0);
+            let radius = rng.between(0.08, 0.35);
             let _ = write!(text, "[[mover]]\nradius = {radius}\nspeed = {speed}\n");
             let path = (0..PATHS).find_map(|_| {
-                let corners: Vec<_> = (0..2 + dice.below(3))
-                    .map(|_| Point2::new(at(dice), at(dice)))
-                    .collect();
-                is_free(&standing, radius, &corners).then_some(corners)
+                let corners: Vec<_> = (0..2 + rng.below(3)).map(|_| Point2::new(at(rng), at(rng))).collect();
+                is_free(&walls, radius, &corners).then_some(corners)
             });
-            let _ = match path.filter(|_| dice.chance(0.7)) {
+            let _ = match path.filter(|_| rng.chance(0.7)) {
                 Some(corners) => {
                     let corners: Vec<_> = corners.iter().map(|at| format!("[{}, {}]", at.x, at.y)).collect();
                     writeln!(text, "path = [{}]", corners.join(", "))
@@ -132,8 +130,8 @@ pub fn random(dice: &mut Rng, mover_speed: f64) -> Result<World, SimRigError> {
                 None => write!(
                     text,
                     "start = [{}, {}]\nwalk = [[{}, {}], [{HALF}, {HALF}]]\n",
-                    at(dice),
-                    at(dice),
+                    at(rng),
+                    at(rng),
                     -HALF,
                     -HALF
                 ),
@@ -149,14 +147,14 @@ fn world(text: &str) -> Result<World, SimRigError> {
     })?)
 }
 
-/// Whether a disc can go round a path: nothing goes through walls.
-fn is_free(standing: &World, radius: f64, corners: &[Point2<f64>]) -> bool {
+/// Whether a disc is free all along a closed path.
+fn is_free(walls: &World, radius: f64, corners: &[Point2<f64>]) -> bool {
     let legs = corners.iter().zip(corners.iter().cycle().skip(1));
     legs.into_iter().all(|(from, to)| {
         let steps = ((to - from).norm() / STEP).ceil().max(1.0);
         (0..=steps as u32).all(|step| {
             let at = from + (to - from) * (f64::from(step) / steps);
-            standing.clearance(&Footprint::Radius(radius), Pose2::new(at.x, at.y, 0.0)) > 0.0
+            walls.clearance(&Footprint::Radius(radius), Pose2::new(at.x, at.y, 0.0)) > 0.0
         })
     })
 }

@@ -47,6 +47,7 @@ fn every_mistake_of_a_node_is_told_with_its_place_and_what_was_expected() {
             "<Sleep msec=\"{}\"/>",
             "bad.xml:3:8: `{}` names no blackboard entry: expected {name}, of letters, digits and _",
         ),
+        #[cfg(feature = "nav2")]
         (
             "<RoundRobin wrap_around=\"maybe\"><T/></RoundRobin>",
             "bad.xml:3:13: port `wrap_around` is `maybe`: expected true or false",
@@ -59,6 +60,7 @@ fn every_mistake_of_a_node_is_told_with_its_place_and_what_was_expected() {
             "<Sequence/>",
             "bad.xml:3:1: `Sequence` has 0 children: expected at least 1",
         ),
+        #[cfg(feature = "nav2")]
         (
             "<RecoveryNode><T/></RecoveryNode>",
             "bad.xml:3:1: `RecoveryNode` has 1 children: expected exactly 2",
@@ -104,6 +106,7 @@ fn every_mistake_of_a_node_is_told_with_its_place_and_what_was_expected() {
             "<LoopInt queue=\"1;x;3\"><T/></LoopInt>",
             "bad.xml:3:10: port `queue` is `1;x;3`: expected integers separated by ;",
         ),
+        #[cfg(feature = "nav2")]
         (
             "<RateController hz=\"-3\"><T/></RateController>",
             "bad.xml:3:17: port `hz` is `-3`: expected a number above 0",
@@ -308,6 +311,7 @@ fn so_many_errors_are_told_and_the_rest_counted() {
     assert!(errors.to_string().ends_with("… and 493 more"));
 }
 
+#[cfg(feature = "nav2")]
 #[test]
 fn ports_that_exclude_one_another_cannot_share_an_entry() {
     use crate::simulate;
@@ -334,6 +338,7 @@ fn ports_that_exclude_one_another_cannot_share_an_entry() {
     }
 }
 
+#[cfg(feature = "nav2")]
 #[test]
 fn literals_of_poses_and_lists_are_checked_and_names_are_told() {
     use crate::simulate;

@@ -60,6 +60,7 @@ fn retry_yields_so_that_a_reactive_parent_asks_again() {
     plays(body, "S", "watch a watch a");
 }
 
+#[cfg(feature = "nav2")]
 #[test]
 fn repeat_repeats_success_and_keeps_count_when_skipped() {
     plays(

@@ -3,26 +3,26 @@
 use std::time::Duration;
 
 use crate::{
-    Category, DuplicateNode, Gate, Leaf, LeafIo, NodeSpec, Pass, PortError, PortType, Registry, Status, Tree, Value,
-    build,
+    Category, Decorator, DuplicateNode, Enter, Leaf, LeafIo, NodeSpec, PortError, PortType, Registry, Status, Tree,
+    Value, build,
 };
 
 /// How far the robot has come, m.
-type Path = f64;
+type Metres = f64;
 
 /// Ticks its child on activation and after every metre.
 struct EveryMetre;
 
-impl Gate<Path> for EveryMetre {
-    fn enter(&mut self, io: &mut LeafIo<'_>, way: &mut Path, child: Status) -> Pass {
+impl Decorator<Metres> for EveryMetre {
+    fn enter(&mut self, io: &mut LeafIo<'_>, way: &mut Metres, child: Status) -> Enter {
         let due = io.recall::<f64>().is_none_or(|last| *way - last >= 1.0);
         if due || child == Status::Running {
-            Pass::Tick
+            Enter::TickChild
         } else {
-            Pass::Answer(Status::Running)
+            Enter::Answer(Status::Running)
         }
     }
-    fn leave(&mut self, io: &mut LeafIo<'_>, way: &mut Path, child: Status) -> Status {
+    fn leave(&mut self, io: &mut LeafIo<'_>, way: &mut Metres, child: Status) -> Status {
         if child == Status::Success {
             io.remember(way).unwrap();
         }
@@ -30,7 +30,7 @@ impl Gate<Path> for EveryMetre {
     }
 }
 
-fn make(registry: &Registry<Path>, body: &str) -> Tree<Path> {
+fn make(registry: &Registry<Metres>, body: &str) -> Tree<Metres> {
     let text = format!("<root><BehaviorTree ID=\"M\">{body}</BehaviorTree></root>");
     build("m.xml", text.as_bytes(), registry, None, &mut |_, _| Err("none".into())).unwrap()
 }
@@ -41,9 +41,9 @@ fn a_decorator_from_outside_decides_when_its_child_is_ticked() {
     registry
         .decorator(NodeSpec::decorator("EveryMetre", ""), |_| Box::new(EveryMetre))
         .unwrap();
-    let body = "<PipelineSequence><EveryMetre><AlwaysSuccess name=\"plan\"/></EveryMetre><KeepRunningUntilFailure><AlwaysSuccess/></KeepRunningUntilFailure></PipelineSequence>";
+    let body = "<ReactiveSequence><EveryMetre><AlwaysSuccess name=\"plan\"/></EveryMetre><KeepRunningUntilFailure><AlwaysSuccess/></KeepRunningUntilFailure></ReactiveSequence>";
     let mut tree = make(&registry, body);
-    let planned = |tree: &Tree<Path>| tree.iter().find(|node| node.name == "plan").unwrap().starts;
+    let planned = |tree: &Tree<Metres>| tree.iter().find(|node| node.name == "plan").unwrap().starts;
     for (way, plans) in [(0.0, 1), (0.5, 1), (1.0, 2), (1.9, 2), (2.1, 3)] {
         tree.tick(Duration::ZERO, &mut way.clone()).unwrap();
         assert_eq!(planned(&tree), plans, "{way}");
@@ -57,14 +57,14 @@ fn a_decorator_from_outside_decides_when_its_child_is_ticked() {
 
 struct Abort;
 
-impl Leaf<Path> for Abort {
-    fn start(&mut self, _: &mut LeafIo<'_>, _: &mut Path) -> Status {
+impl Leaf<Metres> for Abort {
+    fn start(&mut self, _: &mut LeafIo<'_>, _: &mut Metres) -> Status {
         Status::Running
     }
-    fn tick(&mut self, io: &mut LeafIo<'_>, _: &mut Path) -> Status {
+    fn tick(&mut self, io: &mut LeafIo<'_>, _: &mut Metres) -> Status {
         io.abort("the map is gone")
     }
-    fn halt(&mut self, _: &mut LeafIo<'_>, way: &mut Path) {
+    fn halt(&mut self, _: &mut LeafIo<'_>, way: &mut Metres) {
         *way += 1.0;
     }
 }
@@ -85,7 +85,7 @@ fn a_leaf_can_end_the_whole_tree_and_is_not_halted_for_it() {
 
 #[test]
 fn ports_are_read_and_written_by_type() {
-    let mut registry = Registry::<Path>::new();
+    let mut registry = Registry::<Metres>::new();
     let spec = NodeSpec::action("Ports", "")
         .input("literal", PortType::Double, "")
         .input_or("given", PortType::Int, "7", "")
@@ -120,7 +120,7 @@ fn ports_are_read_and_written_by_type() {
 
 #[test]
 fn an_id_is_registered_once_and_a_declaration_gives_way() {
-    let mut registry = Registry::<Path>::new();
+    let mut registry = Registry::<Metres>::new();
     registry.declare(NodeSpec::action("Grab", "declared"));
     registry
         .function(NodeSpec::action("Grab", "done"), |_, _| Status::Success)
@@ -137,5 +137,5 @@ fn an_id_is_registered_once_and_a_declaration_gives_way() {
 #[test]
 fn a_tree_moves_between_threads() {
     fn sent<T: Send>() {}
-    sent::<Tree<Path>>();
+    sent::<Tree<Metres>>();
 }

@@ -8,8 +8,11 @@ mod controls;
 mod decorators;
 mod extensions;
 mod guards;
+#[cfg(feature = "nav2")]
 mod nav2;
-mod nav2_gates;
+#[cfg(feature = "nav2")]
+mod nav2_robot;
+#[cfg(feature = "nav2")]
 mod navigation;
 mod properties;
 mod rig;

@@ -22,10 +22,13 @@ fn tree() -> impl Strategy<Value = String> {
             "Parallel",
             "ParallelAll",
             "ParallelAny",
+            #[cfg(feature = "nav2")]
             "PipelineSequence",
+            #[cfg(feature = "nav2")]
             "RoundRobin",
         ]);
         let fixed = prop::sample::select(vec![
+            #[cfg(feature = "nav2")]
             ("RecoveryNode", 2),
             ("IfThenElse", 3),
             ("WhileDoElse", 3),
@@ -38,8 +41,10 @@ fn tree() -> impl Strategy<Value = String> {
             "Repeat num_cycles=\"3\"",
             "Timeout msec=\"25\"",
             "Delay delay_msec=\"15\"",
+            #[cfg(feature = "nav2")]
             "RateController hz=\"40\"",
             "RunOnce",
+            #[cfg(feature = "nav2")]
             "SingleTrigger",
             "KeepRunningUntilFailure",
         ]);

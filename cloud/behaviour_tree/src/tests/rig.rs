@@ -47,6 +47,9 @@ impl Leaf<World> for Planned {
 }
 
 pub(super) fn registry() -> Registry<World> {
+    #[cfg(feature = "nav2")]
+    let mut registry = crate::nav2::controls();
+    #[cfg(not(feature = "nav2"))]
     let mut registry = Registry::new();
     let planned = NodeSpec::action("T", "answers by a plan").input_or("plan", PortType::Text, "S", "answers");
     registry.leaf(planned, |_| Box::new(Planned)).unwrap();

@@ -69,9 +69,11 @@ fn cursors_out_of_range_are_errors_not_panics() {
     for body in [
         r#"<IfThenElse><T name="a"/><T name="b"/></IfThenElse>"#,
         r#"<Switch2 variable="1" case_1="1" case_2="2"><T name="a"/><T name="b"/><T name="c"/></Switch2>"#,
+        #[cfg(feature = "nav2")]
         r#"<RoundRobin><T name="a"/></RoundRobin>"#,
         r#"<Sequence><T name="a"/></Sequence>"#,
         r#"<SequenceWithMemory><T name="a"/></SequenceWithMemory>"#,
+        #[cfg(feature = "nav2")]
         r#"<RecoveryNode><T name="a"/><T name="b"/></RecoveryNode>"#,
         r#"<TryCatch><T name="a"/><T name="b"/></TryCatch>"#,
         r#"<Parallel><T name="a"/><T name="b"/></Parallel>"#,

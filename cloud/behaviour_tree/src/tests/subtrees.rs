@@ -1,7 +1,7 @@
 //! Trees inside trees, and what they see of the blackboard.
 
 use super::rig::Rig;
-use crate::{Status, Value};
+use crate::Value;
 
 /// `main` in the main tree, `sub` in the tree Sub.
 fn rig(main: &str, sub: &str) -> Rig {
@@ -109,6 +109,7 @@ fn the_model_of_a_subtree_gives_defaults_to_what_is_not_remapped() {
 }
 
 /// Groot2's own notes, both forms of a node, models of nodes that are known anyway.
+#[cfg(feature = "nav2")]
 #[test]
 fn a_file_as_groot2_writes_it_is_read() {
     let text = r#"<?xml version="1.0" encoding="UTF-8"?>
@@ -142,6 +143,6 @@ fn a_file_as_groot2_writes_it_is_read() {
     for ms in [0, 20] {
         answers.push(tree.tick(std::time::Duration::from_millis(ms), &mut world).unwrap());
     }
-    assert_eq!(answers, [Status::Running, Status::Success]);
+    assert_eq!(answers, [crate::Status::Running, crate::Status::Success]);
     assert_eq!(tree.blackboard().get("done").and_then(Value::as_bool), Some(true));
 }

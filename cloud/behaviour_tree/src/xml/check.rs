@@ -8,9 +8,7 @@ use super::document::{Attribute, Element, ElementId, Forest};
 use super::error::{Collector, shortened};
 use super::nearest::hint;
 use super::unfold::{Size, unfold};
-use crate::builtins;
-use crate::literals;
-use crate::ports::{Direction, PortSpec, PortType};
+use crate::ports::{Direction, LiteralRules, PortSpec, PortType};
 use crate::registry::{Category, NodeSpec, Registry};
 use crate::script;
 use crate::value::parse_bool;
@@ -69,7 +67,7 @@ pub(super) fn specification<'f, C>(
         }
         (Some(Category::SubTree), Some(id)) => {
             if forest.trees.contains_key(&id.value) {
-                return Ok(Cow::Owned(builtins::subtree(&id.value)));
+                return Ok(Cow::Owned(NodeSpec::subtree(&id.value)));
             }
             if !told {
                 return Err(Default::default());
@@ -170,7 +168,7 @@ fn nodes<C>(body: &[ElementId], forest: &Forest, registry: &Registry<C>, errors:
         size.depth = size.depth.max(depth);
         match specification(element, forest, registry, !errors.is_full()) {
             Ok(spec) => {
-                node(element, &spec, forest, errors);
+                node(element, &spec, forest, registry.literal_rules(), errors);
                 if spec.category == Category::SubTree {
                     size.subtrees.push((spec.id.clone(), element.at, depth));
                 }
@@ -217,7 +215,7 @@ pub(super) fn main_tree(forest: &Forest, wanted: Option<&str>, errors: &mut Coll
     }
 }
 
-fn node(element: &Element, spec: &NodeSpec, forest: &Forest, errors: &mut Collector) {
+fn node(element: &Element, spec: &NodeSpec, forest: &Forest, literals: Option<LiteralRules>, errors: &mut Collector) {
     let explicit = Category::from_tag(&element.tag).is_some();
     for attribute in &element.attributes {
         match attribute.name.as_str() {
@@ -225,7 +223,7 @@ fn node(element: &Element, spec: &NodeSpec, forest: &Forest, errors: &mut Collec
             "ID" if explicit => {}
             name if name.starts_with('_') => special(attribute, spec, errors),
             name => match spec.find_port(name) {
-                Some(port) => port_value(attribute, port, errors),
+                Some(port) => port_value(attribute, port, literals, errors),
                 None if spec.open => key_name(attribute, errors),
                 None if errors.is_full() => errors.add(attribute.at, "", ""),
                 None => {
@@ -338,7 +336,7 @@ fn is_key(key: &str) -> bool {
     !key.is_empty() && key.len() <= 256 && !key.contains(['{', '}', '@', '"', '\'', '<', '>'])
 }
 
-fn port_value(attribute: &Attribute, port: &PortSpec, errors: &mut Collector) {
+fn port_value(attribute: &Attribute, port: &PortSpec, literals: Option<LiteralRules>, errors: &mut Collector) {
     let value = attribute.value.as_str();
     if port.kind == PortType::Script {
         if let Err(wrong) = script::parse(value) {
@@ -361,27 +359,31 @@ fn port_value(attribute: &Attribute, port: &PortSpec, errors: &mut Collector) {
                 port.kind.expected(),
             );
         }
-    } else if port.direction == Direction::Output {
+        return;
+    }
+    if port.direction == Direction::Output {
         errors.add(
             attribute.at,
             format!("output port `{}` is the literal `{}`", port.name, shortened(value, 60)),
             "a blackboard entry, as in {key}",
         );
-    } else if port.kind.parse(value).is_none() {
-        let form = match &port.kind {
-            PortType::Data(name) => literals::form(name).map(|form| format!(": {form}")),
-            _ => None,
-        };
+        return;
+    }
+    let data = match &port.kind {
+        PortType::Data(kind) => literals.map(|rules| (rules, kind)),
+        _ => None,
+    };
+    if port.kind.parse(value).is_none() || data.is_some_and(|(rules, kind)| !(rules.fits)(kind, value)) {
+        let form = data.and_then(|(rules, kind)| (rules.form)(kind));
+        let form = form.map(|form| format!(": {form}")).unwrap_or_default();
         errors.add(
             attribute.at,
             format!("port `{}` is `{}`", port.name, shortened(value, 60)),
-            port.kind.expected() + &form.unwrap_or_default(),
+            port.kind.expected() + &form,
         );
-    } else if let PortType::Data(name) = &port.kind
-        && let Some(place) = literals::named(name, value)
-    {
-        let place = shortened(place, 60);
-        let message = format!("port `{}`: `{place}` is taken for the name of a place", port.name);
+    } else if let Some(name) = data.and_then(|(rules, kind)| (rules.name)(kind, value)) {
+        let name = shortened(name, 60);
+        let message = format!("port `{}`: `{name}` is taken for the name of a place", port.name);
         errors.warn(attribute.at, &message);
     }
 }

@@ -8,14 +8,15 @@ use super::check::{pointer, specification};
 use super::document::{Attribute, Element, ElementId, Forest};
 use super::error::{Collector, Place};
 use crate::blackboard::{Blackboard, ScopeId, Slot};
-use crate::builtins::{self, Ports};
-use crate::node::{Guards, Info, Kind, Memory, Node, NodeId, NodeState};
+use crate::node::{Guards, Info, Memory, Node, NodeId, NodeState, Role};
+use crate::nodes::{Always, Ports, SubTree};
 use crate::ports::{BoundPort, PortType, Source};
-use crate::registry::{Category, Known, LeafSite, Make, NodeSpec, Registry};
+use crate::registry::{Category, LeafSite, Make, NodeSpec, Registry};
 use crate::script::{self, Program};
+use crate::status::Status;
 use crate::tick::Body;
 use crate::tree::Tree;
-use crate::value::parse_bool;
+use crate::value::{ValueType, parse_bool};
 
 /// Unfolds the tree `main`. The file has been checked: its depth and size are bounded. What nothing implements is an
 /// error, or, where the tree is only `looked_at`, worth a warning. Errors that have been told are passed over.
@@ -81,7 +82,7 @@ struct Builder<'f, C> {
     board: Blackboard,
     /// What the first port that uses an entry says it holds.
     kinds: BTreeMap<u32, (PortType, Place)>,
-    nodes: Vec<Node>,
+    nodes: Vec<Node<C>>,
     infos: Vec<Info>,
     children: Vec<NodeId>,
     bodies: Vec<Body<C>>,
@@ -106,9 +107,9 @@ impl<C> Builder<'_, C> {
             scope,
         };
         let guards = site.guards();
-        let (kind, ports) = site.kind(node, name);
+        let (role, ports) = site.role(node, name);
         self.nodes.push(Node {
-            kind,
+            role,
             guards,
             first_child: 0,
             child_count: 0,
@@ -223,20 +224,16 @@ struct Site<'s, 'f, C> {
 }
 
 impl<C> Site<'_, '_, C> {
-    fn kind(&mut self, node: NodeId, name: &str) -> (Kind, Box<[BoundPort]>) {
+    fn role(&mut self, node: NodeId, name: &str) -> (Role<C>, Box<[BoundPort]>) {
         if self.spec.category == Category::SubTree {
-            return (Kind::SubTree, Box::default());
+            return (Role::Builtin(Box::new(SubTree)), Box::default());
         }
         let registry = self.builder.registry;
         let spec = self.spec;
-        let make = match registry.find(&spec.id) {
-            Some(Known::Builtin(_)) => {
-                let kind = builtins::kind(&spec.id, self).unwrap_or(Kind::AlwaysFailure);
-                return (kind, Box::default());
-            }
-            Some(Known::Registered(_, make)) => Some(make),
-            None => None,
-        };
+        let make = registry.make(&spec.id);
+        if let Some(Make::Builtin(make)) = make {
+            return (Role::Builtin(make(self)), Box::default());
+        }
         let ports = self.bound_ports();
         let body = self.builder.bodies.len() as u32;
         let site = LeafSite {
@@ -248,15 +245,15 @@ impl<C> Site<'_, '_, C> {
         match (make, registry.inventor()) {
             (Some(Make::Leaf(make)), _) => {
                 self.builder.bodies.push(Body::Leaf(make(site)));
-                (Kind::Leaf(body), ports)
+                (Role::Leaf(body), ports)
             }
-            (Some(Make::Gate(make)), _) => {
-                self.builder.bodies.push(Body::Gate(make(site)));
-                (Kind::Gate(body), ports)
+            (Some(Make::Decorator(make)), _) => {
+                self.builder.bodies.push(Body::Decorator(make(site)));
+                (Role::Decorator(body), ports)
             }
             (_, Some(invent)) if spec.category.is_leaf() => {
                 self.builder.bodies.push(Body::Leaf(invent(site)));
-                (Kind::Leaf(body), ports)
+                (Role::Leaf(body), ports)
             }
             _ => {
                 let message = format!("nothing here implements `{}`", spec.id);
@@ -267,7 +264,7 @@ impl<C> Site<'_, '_, C> {
                         .warn(at, &format!("{message}: a mission would refuse it")),
                     false => builder.errors.add(at, message, "a node that this program can run"),
                 }
-                (Kind::AlwaysFailure, ports)
+                (Role::Builtin(Box::new(Always(Status::Failure))), ports)
             }
         }
     }
@@ -366,12 +363,24 @@ impl<C> Ports for Site<'_, '_, C> {
         }
     }
 
+    fn sources(&mut self, prefix: &str) -> Vec<Source> {
+        let spec = self.spec;
+        let ports = spec.ports.iter().filter(|port| port.name.starts_with(prefix));
+        ports.map(|port| self.source(&port.name)).collect()
+    }
+
+    fn value_type(&self, port: &str) -> ValueType {
+        let port = self.spec.find_port(port);
+        port.and_then(|port| port.kind.value_type()).unwrap_or(ValueType::Text)
+    }
+
     fn slot(&mut self, port: &str) -> Slot {
         let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
         let key = pointer(&text, port).unwrap_or(text.trim());
         self.builder.board.resolve(self.scope, key)
     }
 
+    #[cfg(feature = "nav2")]
     fn root_slot(&mut self, port: &str) -> Slot {
         let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
         let key = pointer(&text, port).unwrap_or(text.trim());

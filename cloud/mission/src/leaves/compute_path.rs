@@ -77,7 +77,7 @@ fn driven(route: &Route) -> Vec<Point2<f64>> {
     if trajectory.is_empty() {
         return route.path.clone();
     }
-    let points: Vec<Point2<f64>> = trajectory.iter().map(|point| Point2::new(point.x, point.y)).collect();
+    let points: Vec<Point2<f64>> = trajectory.iter().map(|point| point.position()).collect();
     path::simplified(&points, EXACT)
 }
 

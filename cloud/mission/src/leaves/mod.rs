@@ -43,17 +43,15 @@ mod smooth_path;
 mod tracking;
 
 use super::context::Context;
-use zenav_behaviour_tree::{
-    DuplicateNode, Leaf, LeafIo, LeafSite, Measure, NodeSpec, PortType, Registry, Status, Travel, Value,
-    nav2_condition, nav2_decorator, nav2_nodes,
-};
+use zenav_behaviour_tree::nav2::{self, Measure, Travel};
+use zenav_behaviour_tree::{DuplicateNode, Leaf, LeafIo, LeafSite, NodeSpec, PortType, Registry, Status, Value};
 
 pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
 /// The nodes that a mission's trees may use.
 #[must_use]
 pub fn registry() -> Registry<Context> {
-    let mut registry = Registry::new();
+    let mut registry = nav2::registry();
     if let Err(duplicate) = fill(&mut registry) {
         // Ids are constants: this is a slip of the table below, which a test catches.
         tracing::error!(%duplicate, "two leaves of one name");
@@ -63,9 +61,9 @@ pub fn registry() -> Registry<Context> {
 
 fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     use PortType::{Double, Text, Unsigned};
-    let nav2 = nav2_nodes();
+    let declared: Vec<NodeSpec> = registry.declared().cloned().collect();
     let known = |id: &str, doc: &str| {
-        let spec = nav2.iter().find(|spec| spec.id == id).cloned();
+        let spec = declared.iter().find(|spec| spec.id == id).cloned();
         NodeSpec {
             doc: doc.to_owned(),
             ..spec.unwrap_or_else(|| NodeSpec::action(id, ""))
@@ -145,59 +143,52 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         |_| Box::<behaviours::Behaviour>::default(),
     )?;
     registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
-    for spec in nav2_nodes() {
-        if registry.spec(&spec.id).is_some() {
-            continue;
-        }
-        if let Some(make) = nav2_decorator(&spec.id) {
-            registry.decorator(spec, move |_| make())?;
-        } else if spec.category.is_leaf() {
-            registry.leaf(spec, nav2_leaf)?;
-        } else {
-            registry.declare(spec);
-        }
+    let rest: Vec<NodeSpec> = registry
+        .declared()
+        .filter(|spec| spec.category.is_leaf())
+        .cloned()
+        .collect();
+    for spec in rest {
+        registry.leaf(spec, nav2_leaf)?;
     }
     Ok(())
 }
 
 /// The leaf that does what one of Nav2's nodes stands for.
 fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
-    fn at_once<T: SyncLeaf + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
-        Box::new(Prompt(leaf))
-    }
-    if let Some(condition) = nav2_condition(site.id) {
-        return condition;
+    fn sync<T: SyncLeaf + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
+        Box::new(Sync(leaf))
     }
     if let Some(choice) = selectors::Choice::of_selector(site.id) {
-        return at_once(selectors::Selector(choice));
+        return sync(selectors::Selector(choice));
     }
     if let Some(id) = services::canceled_by(site.id) {
-        return at_once(services::Cancel(id));
+        return sync(services::Cancel(id));
     }
     match site.id {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
         "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
         // Its name until Nav2's Kilted.
-        "ValidatePath" | "IsPathValid" => at_once(path_leaves::ValidatePath),
-        "IsGoalNearby" => at_once(path_leaves::IsGoalNearby::default()),
-        "TruncatePath" => at_once(path_leaves::TruncatePath),
-        "TruncatePathLocal" => at_once(path_leaves::TruncatePathLocal::default()),
-        "GetPoseFromPath" => at_once(path_leaves::GetPoseFromPath),
-        "ConcatenatePaths" => at_once(path_leaves::ConcatenatePaths),
-        "IsWithinPathTrackingBounds" => at_once(path_leaves::IsWithinPathTrackingBounds),
-        "RemovePassedGoals" => at_once(goal_leaves::RemovePassedGoals),
-        "RemoveInCollisionGoals" => at_once(goal_leaves::RemoveInCollisionGoals),
-        "AppendGoalPoseToGoals" => at_once(goal_leaves::AppendGoalPoseToGoals),
-        "GetNextFewGoals" => at_once(goal_leaves::GetNextFewGoals),
-        "GetCurrentPose" => at_once(goal_leaves::GetCurrentPose),
-        "ArePosesNear" => at_once(goal_leaves::ArePosesNear),
-        "CheckPoseOccupancy" => at_once(goal_leaves::CheckPoseOccupancy),
-        "DistanceTraveled" => at_once(conditions::DistanceTraveled::default()),
-        "IsStuck" => at_once(conditions::IsStuck),
-        "TransformAvailable" => at_once(conditions::TransformAvailable),
+        "ValidatePath" | "IsPathValid" => sync(path_leaves::ValidatePath),
+        "IsGoalNearby" => sync(path_leaves::IsGoalNearby::default()),
+        "TruncatePath" => sync(path_leaves::TruncatePath),
+        "TruncatePathLocal" => sync(path_leaves::TruncatePathLocal::default()),
+        "GetPoseFromPath" => sync(path_leaves::GetPoseFromPath),
+        "ConcatenatePaths" => sync(path_leaves::ConcatenatePaths),
+        "IsWithinPathTrackingBounds" => sync(path_leaves::IsWithinPathTrackingBounds),
+        "RemovePassedGoals" => sync(goal_leaves::RemovePassedGoals),
+        "RemoveInCollisionGoals" => sync(goal_leaves::RemoveInCollisionGoals),
+        "AppendGoalPoseToGoals" => sync(goal_leaves::AppendGoalPoseToGoals),
+        "GetNextFewGoals" => sync(goal_leaves::GetNextFewGoals),
+        "GetCurrentPose" => sync(goal_leaves::GetCurrentPose),
+        "ArePosesNear" => sync(goal_leaves::ArePosesNear),
+        "CheckPoseOccupancy" => sync(goal_leaves::CheckPoseOccupancy),
+        "DistanceTraveled" => sync(conditions::DistanceTraveled::default()),
+        "IsStuck" => sync(conditions::IsStuck),
+        "TransformAvailable" => sync(conditions::TransformAvailable),
         "CheckStopStatus" => Box::<conditions::CheckStopStatus>::default(),
-        "ToggleCollisionMonitor" => at_once(services::ToggleCollisionMonitor),
+        "ToggleCollisionMonitor" => sync(services::ToggleCollisionMonitor),
         "ClearEntireCostmap" | "ClearCostmapExceptRegion" | "ClearCostmapAroundRobot" | "ClearCostmapAroundPose" => {
             Box::<services::ClearCostmap>::default()
         }
@@ -205,16 +196,16 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     }
 }
 
-/// A leaf that answers at once, or says why it cannot: that is a failure.
+/// A synchronous leaf (BehaviorTree.CPP's `SyncActionNode`): it finishes in the tick that starts it. An error is a failure.
 trait SyncLeaf: Send {
-    /// The answer.
+    /// Its status, or why it fails.
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String>;
 }
 
-/// Makes a leaf of what answers at once.
-struct Prompt<T>(T);
+/// A [`SyncLeaf`] as a leaf.
+struct Sync<T>(T);
 
-impl<T: SyncLeaf> Leaf<Context> for Prompt<T> {
+impl<T: SyncLeaf> Leaf<Context> for Sync<T> {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match self.0.answer(io, ctx) {
             Ok(status) => status,
@@ -280,6 +271,6 @@ mod tests {
 
     #[test]
     fn every_leaf_has_a_name_of_its_own() {
-        fill(&mut Registry::new()).unwrap();
+        fill(&mut nav2::registry()).unwrap();
     }
 }

@@ -12,7 +12,8 @@ use super::{SyncLeaf, fail, step};
 use crate::context::Context;
 use crate::motion::{Recheck, recheck};
 use crate::route::RouteData;
-use zenav_behaviour_tree::{LeafIo, Status, Value, beside_path};
+use zenav_behaviour_tree::nav2::off_path;
+use zenav_behaviour_tree::{LeafIo, Status, Value};
 
 /// Spacing of the places of a path that are looked at one by one, m.
 const SPACING: f64 = 0.05;
@@ -231,12 +232,9 @@ impl SyncLeaf for ValidatePath {
         }
         if let Some(route) = route {
             let trajectory = &route.course.trajectory;
-            let from = trajectory
-                .iter()
-                .min_by(|a, b| a.pose().distance(&pose).total_cmp(&b.pose().distance(&pose)))
-                .map_or(0.0, |point| point.t);
+            let from = trajectory.nearest_ahead(0.0, pose.position(), f64::INFINITY).t;
             if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from) {
-                let at = crate::route::sample(trajectory, from + ahead);
+                let at = trajectory.sample(from + ahead);
                 collisions.push([at.x, at.y]);
             }
         }
@@ -257,7 +255,7 @@ pub struct IsWithinPathTrackingBounds;
 
 impl SyncLeaf for IsWithinPathTrackingBounds {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        let Some(error) = beside_path(io)? else {
+        let Some(error) = off_path(io)? else {
             return Ok(Status::Success);
         };
         Ok(fail(io, ctx, None, format!("{error:.2} m beside the path")))

@@ -12,7 +12,8 @@ use zenav_protocol::robot::RobotModel;
 use super::path;
 use crate::context::Context;
 use crate::route::RouteData;
-use zenav_behaviour_tree::{LeafIo, Pose, Status, Value, nav2_list, pose, pose_of_json};
+use zenav_behaviour_tree::nav2::{Pose, nav2_list, pose, pose_of_json};
+use zenav_behaviour_tree::{LeafIo, Status, Value};
 use zenav_space::ConfigurationSpace;
 
 /// Named goals.

@@ -115,11 +115,7 @@ impl Leaf<Context> for SmoothPath {
             let why = format!("the path cannot be driven: {}", reply.statistics.status);
             return fail(io, ctx, Some(error_code::FAILED_TO_SMOOTH_PATH), why);
         };
-        let points: Vec<Point2<f64>> = reply
-            .trajectory
-            .iter()
-            .map(|point| Point2::new(point.x, point.y))
-            .collect();
+        let points: Vec<Point2<f64>> = reply.trajectory.iter().map(|point| point.position()).collect();
         let points = path::simplified(&points, EXACT);
         let smooth = RouteData {
             route: 0,

@@ -25,7 +25,6 @@ use room::Room;
 use zenav_smoothing::PERIOD;
 use zenav_smoothing::unsmoothed;
 
-pub use begin::sample;
 pub use request::RouteRequest;
 
 /// Nav2's codes of why there is no path.
@@ -292,7 +291,7 @@ impl Search {
                     return self.ask_plan(ctx);
                 };
                 if self.legs.is_only_a_way() {
-                    return self.found(begin, path, reply.map, Vec::new(), statistics);
+                    return self.found(begin, path, reply.map, Trajectory::default(), statistics);
                 }
                 let Some(model) = ctx.robot.model().cloned() else {
                     return Searching::Wait("waits for the robot's description");
@@ -363,7 +362,7 @@ impl Search {
         let (map, trajectory, statistics) = match answer {
             // Where there is no way, none can be driven: the goal itself is the one waypoint.
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && smoothing.length < AT_GOAL => {
-                (reply.map, Vec::new(), smoothing.planned)
+                (reply.map, Trajectory::default(), smoothing.planned)
             }
             Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && self.legs.drop_given() => {
                 tracing::info!(
@@ -453,7 +452,7 @@ impl Search {
         begin: Begin,
         path: Vec<Point2<f64>>,
         map: MapRef,
-        trajectory: Vec<TrajectoryPoint>,
+        trajectory: Trajectory,
         statistics: PlanStatistics,
     ) -> Searching {
         let course = ActivePlan {

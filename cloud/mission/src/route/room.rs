@@ -21,7 +21,7 @@ pub(super) struct Room {
 
 impl Room {
     pub fn new(planner: &str) -> Self {
-        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_away());
+        let narrows = planner.parse().is_ok_and(|planner: Planner| !planner.keeps_clear());
         Self {
             index: if narrows { SHARES.len() - 1 } else { 0 },
             narrows,
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_planner_that_keeps_away_begins_with_the_smallest_disc_and_others_with_the_largest() {
+    fn a_planner_that_keeps_clear_begins_with_the_smallest_disc_and_others_with_the_largest() {
         let wider = discs("astar", &body());
         let is = |radius: f64, expected: f64| (radius - expected).abs() < 1e-12;
         assert!(wider.len() == 3 && wider.is_sorted());

@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::MissionRequest;
 
 use super::rig::Rig;
-use crate::io::{Ask, Request};
+use crate::io::Ask;
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <Spin spin_dist="1.0"/><BackUp backup_dist="0.3" backup_speed="0.05"/><DriveOnHeading dist_to_travel="0.4" speed="0.2"/>
@@ -18,7 +19,7 @@ fn begin() -> Rig {
         tree: Some(TREE.into()),
         ..GoalRequest::default()
     };
-    rig.answer(Request::Goal(Box::new(goal))).unwrap();
+    rig.answer(MissionRequest::Goal(goal)).unwrap();
     rig
 }
 

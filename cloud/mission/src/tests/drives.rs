@@ -2,9 +2,10 @@
 
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::MissionRequest;
 
 use super::rig::{DT, Rig, to};
-use crate::io::{Ask, Request};
+use crate::io::Ask;
 
 #[test]
 fn a_goal_is_driven_to_and_ends_succeeded() {
@@ -93,7 +94,7 @@ fn cancel_ends_it_canceled_and_the_robot_soon_stands() {
     rig.run(4.0);
     let motion = rig.plans.last().unwrap().1.trajectory_id;
     let before = rig.plans.len();
-    rig.answer(Request::Cancel(CancelRequest {
+    rig.answer(MissionRequest::Cancel(CancelRequest {
         id: Some("a".into()),
         request_id: Some("c1".into()),
     }))
@@ -265,7 +266,7 @@ fn a_pause_holds_the_robot_and_a_resume_goes_on() {
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
     let pause = |resume| {
-        Request::Pause(PauseRequest {
+        MissionRequest::Pause(PauseRequest {
             id: None,
             resume,
             request_id: None,

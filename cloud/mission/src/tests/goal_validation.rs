@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::rig::{Rig, to};
-use crate::io::{Request, Response};
 use zenav_space::Zones;
 
 #[test]
@@ -198,7 +198,7 @@ fn a_busy_mission_queues_preempts_or_refuses_as_asked() {
 fn a_repeated_cancel_gets_its_first_answer_and_an_unknown_goal_is_not_found() {
     let mut rig = Rig::new();
     let cancel = |id: Option<&str>, request: &str| {
-        Request::Cancel(CancelRequest {
+        MissionRequest::Cancel(CancelRequest {
             id: id.map(str::to_owned),
             request_id: Some(request.to_owned()),
         })
@@ -210,7 +210,7 @@ fn a_repeated_cancel_gets_its_first_answer_and_an_unknown_goal_is_not_found() {
     ));
     rig.submit(to(4.0, 0.0, "a")).unwrap();
     let first = rig.answer(cancel(None, "r1")).unwrap();
-    assert!(matches!(&first, Response::Goal(reply) if reply.id == "a" && reply.state == GoalPhase::Canceled));
+    assert!(matches!(&first, MissionReply::Cancel(reply) if reply.id == "a" && reply.state == GoalPhase::Canceled));
     rig.submit(to(4.0, 0.0, "b")).unwrap();
     rig.kill();
     rig.start();
@@ -230,11 +230,11 @@ fn lists_tell_every_goal_and_info_tells_the_schema() {
         ..GoalRequest::default()
     })
     .unwrap();
-    match rig.answer(Request::Goals(GoalsRequest::default())).unwrap() {
-        Response::Goals(reply) => assert_eq!(reply.goals.len(), 2),
+    match rig.answer(MissionRequest::Goals(GoalsRequest::default())).unwrap() {
+        MissionReply::Goals(reply) => assert_eq!(reply.goals.len(), 2),
         other => panic!("{other:?}"),
     }
     assert!(
-        matches!(rig.answer(Request::Info(InfoRequest {})).unwrap(), Response::Info(info) if info.component == "mission")
+        matches!(rig.answer(MissionRequest::Info(InfoRequest {})).unwrap(), MissionReply::Info(info) if info.component == "mission")
     );
 }

@@ -2,10 +2,11 @@
 
 use nalgebra::Point2;
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::MissionRequest;
 
 use super::rig::Rig;
 use crate::context::Context;
-use crate::io::{Ask, Request};
+use crate::io::Ask;
 use crate::trees::registry;
 use zenav_behaviour_tree::{Category, Limits, Registry, check, simulate};
 
@@ -343,7 +344,7 @@ fn a_pause_of_the_goal_reaches_a_tree_that_has_a_node_for_it() {
             resume,
             request_id: None,
         };
-        rig.answer(Request::Pause(request)).unwrap();
+        rig.answer(MissionRequest::Pause(request)).unwrap();
     };
     let runs = |rig: &Rig, name: &str| {
         let nodes = &rig.status.as_ref().unwrap().nodes;

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::MissionRequest;
 
 use super::rig::Rig;
-use crate::io::Request;
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <RemoteAction name="Grab" server="kitchen/gripper" item="{item}" weight="{weight}" force="2.5"/>
@@ -107,7 +107,7 @@ fn a_canceled_goal_stops_it() {
         id: None,
         request_id: None,
     };
-    rig.answer(Request::Cancel(cancel)).unwrap();
+    rig.answer(MissionRequest::Cancel(cancel)).unwrap();
     rig.run(1.0);
     let gripper = gripper.borrow();
     assert_eq!(gripper.canceled, gripper.asked.keys().cloned().collect::<Vec<_>>());

@@ -12,10 +12,10 @@ use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
 use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
-use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Request, Response, Ticket};
+use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 use crate::records::{Record, Restored, StoredGoal};
-use crate::route::sample;
 use crate::{Mission, MissionConfig};
 use zenav_smoothing::PERIOD;
 use zenav_smoothing::unsmoothed;
@@ -174,7 +174,7 @@ impl Edge {
                 }
             } else {
                 self.time += DT;
-                let point = sample(&plan.trajectory, self.time);
+                let point = plan.trajectory.sample(self.time);
                 (self.pose, self.velocity) = (point.pose(), point.twist());
                 if plan.trajectory.last().is_none_or(|last| self.time >= last.t) {
                     self.finished = true;
@@ -284,7 +284,7 @@ pub struct Rig {
     map_told: u64,
     pub incarnation: u64,
     pub plans: Vec<(Stamp, Plan)>,
-    pub replies: BTreeMap<u64, Result<Response, Refusal>>,
+    pub replies: BTreeMap<u64, Result<MissionReply, Refusal>>,
     pub asked: Vec<Ask>,
     pub published: Vec<GoalState>,
     pub status: Option<MissionStatus>,
@@ -299,7 +299,7 @@ pub struct Rig {
     /// Time from an ask to its answer, s.
     pub latency: f64,
     waiting: Vec<(Stamp, Ticket, Result<Answer, NoAnswer>)>,
-    requests: Vec<(Client, Request)>,
+    requests: Vec<(Client, MissionRequest)>,
     next_client: u64,
     /// Does the remote actions on the key `kitchen/gripper`.
     pub remote: Option<RemoteServer>,
@@ -419,14 +419,14 @@ impl Rig {
         self.map.map.revision += 1;
     }
 
-    pub fn ask(&mut self, request: Request) -> u64 {
+    pub fn ask(&mut self, request: MissionRequest) -> u64 {
         self.next_client += 1;
         self.requests.push((Client(self.next_client), request));
         self.next_client
     }
 
     /// Asks and runs until the answer.
-    pub fn answer(&mut self, request: Request) -> Result<Response, Refusal> {
+    pub fn answer(&mut self, request: MissionRequest) -> Result<MissionReply, Refusal> {
         let client = self.ask(request);
         for _ in 0..10 {
             self.step();
@@ -438,8 +438,8 @@ impl Rig {
     }
 
     pub fn submit(&mut self, request: GoalRequest) -> Result<GoalReply, Refusal> {
-        match self.answer(Request::Goal(Box::new(request)))? {
-            Response::Goal(reply) => Ok(reply),
+        match self.answer(MissionRequest::Goal(request))? {
+            MissionReply::Goal(reply) => Ok(reply),
             other => panic!("{other:?}"),
         }
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use zenav_protocol::messages::*;
+use zenav_protocol::topics::MissionRequest;
 
 use super::rig::{Rig, to};
 
@@ -45,14 +46,13 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
-    rig.answer(super::super::Request::Pause(PauseRequest::default()))
-        .unwrap();
+    rig.answer(MissionRequest::Pause(PauseRequest::default())).unwrap();
     rig.kill();
     rig.start();
     let before = rig.plans.len();
     rig.run(10.0);
     assert_eq!((rig.state("a"), rig.plans.len()), (GoalPhase::Paused, before));
-    rig.answer(super::super::Request::Pause(PauseRequest {
+    rig.answer(MissionRequest::Pause(PauseRequest {
         resume: true,
         ..PauseRequest::default()
     }))
@@ -71,7 +71,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_and_ends_none_twice() {
         let mut acknowledged: BTreeMap<String, GoalRequest> = BTreeMap::new();
         let goals = [to(2.0, 0.0, "a"), to(2.0, 1.0, "b"), to(1.0, 0.0, "c")];
         for goal in &goals {
-            let client = rig.ask(super::super::Request::Goal(Box::new(goal.clone())));
+            let client = rig.ask(MissionRequest::Goal(goal.clone()));
             rig.run(0.1);
             if matches!(rig.replies.get(&client), Some(Ok(_))) {
                 acknowledged.insert(goal.id.clone().unwrap(), goal.clone());

@@ -1,87 +1,31 @@
-//! Does an answer still stand when the map has changed or the robot has moved on, and if not, what of it can be kept?
-//!
-//! With each answer a bound is kept that no way costs less than. At first it is what the way costs. It holds while the map changes, but
-//! for cells that became cheaper or free: a way over such a cell `c` costs at least the octile distance from the start to `c` and on to
-//! the goal, and the bound falls to the least of these. A cell with no neighbour that the search had reached does not even count: a way
-//! to it leaves the cells expanded by one that was left open because no way over it was cheaper. And from a cell `s'` no way costs less
-//! than the bound without what it costs to go from the start to `s'`, which along the way is just the part that was left behind.
-//!
-//! So an old way, or the rest of it, is as good as one that is searched for as long as it costs no more than the bound; to find this out
-//! takes a comparison of two bitmaps and a walk along the way. Where the way is cut, a piece around the cut is searched for; the result
-//! is taken when the bound proves it at most 2 % too expensive. All else is searched for from the beginning.
-//!
-//! Ways over the grid have such costs. Those of the other planners stand while nothing is in their way and no cell became free from
-//! which the way could have been shorter.
-//!
-//! The bounds are those of the estimates of Hart, Nilsson and Raphael, 1968; that a local repair is enough in most cases is the idea
-//! of Stentz, "The Focussed D* Algorithm for Real-Time Replanning", IJCAI 1995.
+//! Replanning. Does an answer still stand when the map has changed or the robot has moved on?
 
+mod disc;
 mod span;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
-
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Cell, GridSpec};
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::PlanOrigin;
+use zenav_space::ConfigurationSpace;
 
-use self::span::Span;
-use super::astar::{NotFound, costs_along};
+use self::disc::DiscReplanner;
+use super::astar::NotFound;
 use super::budget::Budget;
-use super::grid_graph::{GridPath, TooManyCells, UNREACHED, octile};
-use super::node_table::Written;
-use super::path::Path;
-use super::plan::{End, Planned, answer, between, comfort};
-use super::planner::{PlanOptions, Planner};
-use super::searcher::{Searched, Searcher};
-use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
+use super::ends::End;
+use super::grid_graph::TooManyCells;
+use super::plan::{FootprintSearch, Planned, answer};
+use super::planner::PlanOptions;
+use super::searcher::Searched;
 
-/// Answers that are kept.
-const KEPT: usize = 16;
-/// A way may be more expensive than the bound by this part of the bound.
-const SLACK: u32 = 50;
-/// Cells before and after a cut that are searched anew with it.
-const AROUND: usize = 12;
-/// Expansions that a piece may take: about a millisecond's.
-const PIECE: u64 = 20_000;
-/// How far a robot may be beside the way, cells.
-const BESIDE: u32 = 3;
-
-/// Answers for one robot on one map as it changes.
+/// Answers for one robot on one map as it changes: [`plan`](super::plan()), and what was found before is kept where it still stands.
 #[derive(Clone, Debug)]
 pub struct Replanner {
-    /// Searches for what is not known.
-    pub searcher: Searcher,
     spec: GridSpec,
-    free: BitGrid,
-    obstacles: BitGrid,
-    kept: VecDeque<Kept>,
-}
-
-/// An answer.
-#[derive(Clone, Debug)]
-struct Kept {
-    options: PlanOptions,
-    /// In cells.
-    goal: Point2<f64>,
-    known: Known,
-}
-
-#[derive(Clone, Debug)]
-enum Known {
-    /// By a search over the grid.
-    Grid {
-        /// The way, cell by cell; the start alone where there is none.
-        cells: Vec<Cell>,
-        /// No way from the first of them to the goal costs less; [`UNREACHED`] where there is none.
-        bound: u32,
-        /// Where the search had been; `None` where that was not noted.
-        reached: Option<Written>,
-    },
-    /// By another planner.
-    Free { way: Path },
+    /// One for each disc that was searched for, the latest first.
+    discs: Vec<(FootprintSearch, DiscReplanner)>,
 }
 
 impl Replanner {
@@ -90,22 +34,14 @@ impl Replanner {
     /// # Errors
     /// [`TooManyCells`].
     pub fn new(space: &ConfigurationSpace) -> Result<Self, TooManyCells> {
+        let inscribed = DiscReplanner::new(space)?;
         Ok(Self {
-            searcher: Searcher::new(space.free())?,
             spec: *space.spec(),
-            free: space.free().clone(),
-            obstacles: space.obstacles().clone(),
-            kept: VecDeque::new(),
+            discs: vec![(FootprintSearch::Inscribed, inscribed)],
         })
     }
 
-    /// The grid that it plans on.
-    #[must_use]
-    pub fn spec(&self) -> &GridSpec {
-        &self.spec
-    }
-
-    /// As [`super::plan()`], on a later state of the space: the same footprint, policy and margin.
+    /// As [`plan`](super::plan()), on a later state of the space: the same footprint, policy and margin.
     ///
     /// # Errors
     /// [`TooManyCells`], where the map has grown.
@@ -117,252 +53,36 @@ impl Replanner {
         options: &PlanOptions,
         budget: Budget<'_>,
     ) -> Result<Planned, TooManyCells> {
-        self.follow(space)?;
-        Ok(answer(space, start, goal, options, budget, |first, last| {
-            self.find(space, first, last, options, budget)
-        }))
-    }
-
-    /// Takes over the space's present state: words that have changed, and what that means for the answers.
-    fn follow(&mut self, space: &ConfigurationSpace) -> Result<(), TooManyCells> {
         if *space.spec() != self.spec {
-            let sampling = self.searcher.sampling;
             *self = Self::new(space)?;
-            self.searcher.sampling = sampling;
-            return Ok(());
         }
-        let mut changed = Vec::new();
-        for y in 0..self.spec.height {
-            let is_new = self.free.row(y) != space.free().row(y) || self.obstacles.row(y) != space.obstacles().row(y);
-            for word in (0..self.free.stride()).filter(|_| is_new) {
-                let [before, after] = [&self.free, space.free()].map(|bits| bits.row(y)[word]);
-                let [stood, stand] = [&self.obstacles, space.obstacles()].map(|bits| bits.row(y)[word]);
-                if before != after {
-                    changed.push((y, word));
-                }
-                self.ease(space, y, word, after & !before, stood & !stand);
-            }
-            if is_new {
-                self.free.row_mut(y).copy_from_slice(space.free().row(y));
-                self.obstacles.row_mut(y).copy_from_slice(space.obstacles().row(y));
-            }
-        }
-        self.searcher.update(space.free(), &changed);
-        Ok(())
-    }
-
-    /// Brings the answers' bounds down by what became free and what is no obstacle any more in one word of a row.
-    fn ease(&mut self, space: &ConfigurationSpace, y: u32, word: usize, freed: u64, gone: u64) {
-        if freed | gone == 0 {
-            return;
-        }
-        let span = |bits: u64, margin: u32| {
-            let first = word as u32 * 64;
-            (bits != 0).then(|| Span {
-                columns: [first + bits.trailing_zeros(), first + 63 - bits.leading_zeros()],
-                row: y,
-                margin,
-            })
+        let mut find = |by: FootprintSearch, disc: &ConfigurationSpace, first: End, last: End| {
+            self.disc(by, disc)
+                .map(|replanner| replanner.find(disc, first, last, options, budget))
+                // All discs have the map's own number of cells, which is not too large.
+                .unwrap_or((Searched::failed(NotFound::OutOfMap), PlanOrigin::Searched))
         };
-        // As far as costs reach from obstacles.
-        let reach = space.field().reach_cells();
-        let pitch = self.searcher.lattice().pitch();
-        self.kept.retain_mut(|kept| {
-            let gone = if kept.options.planner.keeps_away() { gone } else { 0 };
-            let mut spans = [span(freed, 0), span(gone, reach)].into_iter().flatten();
-            match &mut kept.known {
-                Known::Grid { cells, bound, reached } => {
-                    for span in spans {
-                        if reached.as_ref().is_none_or(|reached| span.touches(reached, pitch)) {
-                            if *bound == UNREACHED {
-                                // There was no way, and now there may be one.
-                                return false;
-                            }
-                            *bound = span
-                                .distance(cells[0])
-                                .saturating_add(span.distance(Cell::new(kept.goal.x as u32, kept.goal.y as u32)))
-                                .min(*bound);
-                        }
-                    }
-                    true
-                }
-                Known::Free { way } => {
-                    let start = way.corners.first().copied();
-                    spans
-                        .all(|span| start.is_none_or(|start| span.length(start) + span.length(kept.goal) >= way.length))
-                }
-            }
-        });
+        Ok(answer(space, start, goal, options, budget, &mut find))
     }
 
-    /// The way between two cells, and where it is from.
-    fn find(
-        &mut self,
-        space: &ConfigurationSpace,
-        first: End,
-        last: End,
-        options: &PlanOptions,
-        budget: Budget<'_>,
-    ) -> (Searched, PlanOrigin) {
-        let goal = last.of(space, options);
-        let known = self
-            .kept
-            .iter()
-            .position(|kept| kept.options == *options && kept.goal == goal);
-        let mut expansions = 0;
-        if let Some(mut kept) = known.and_then(|at| self.kept.remove(at)) {
-            let stands = match &mut kept.known {
-                Known::Grid { cells, bound, .. } => {
-                    self.grid_way(space, first.cell, options, budget, (cells, bound), &mut expansions)
-                }
-                Known::Free { way } => rest(space, way, first.of(space, options)).map(|rest| {
-                    *way = rest.clone();
-                    (Ok(rest), PlanOrigin::Reused)
-                }),
-            };
-            if let Some((result, origin)) = stands {
-                self.kept.push_front(kept);
-                return (Searched { result, expansions }, origin);
-            }
-        }
-        let mut searched = between(space, &mut self.searcher, first, last, options, budget);
-        searched.expansions += expansions;
-        if let Some(known) = self.known(space, first.cell, options, &searched.result) {
-            self.kept.push_front(Kept {
-                options: *options,
-                goal,
-                known,
-            });
-            self.kept.truncate(KEPT);
-        }
-        (searched, PlanOrigin::Searched)
-    }
-
-    /// What is to be kept of a search's result.
-    fn known(
-        &self,
-        space: &ConfigurationSpace,
-        first: Cell,
-        options: &PlanOptions,
-        result: &Result<Path, NotFound>,
-    ) -> Option<Known> {
-        let reached = (options.planner == Planner::AStar).then(|| self.searcher.reached());
-        let is_grid = matches!(options.planner, Planner::AStar | Planner::Jps);
-        match result {
-            Ok(way) if is_grid => {
-                let cells = cells_along(way);
-                let costs = costs_along(self.searcher.lattice(), &comfort(space, options), &cells)?;
-                let bound = *costs.last()?;
-                Some(Known::Grid { cells, bound, reached })
-            }
-            Ok(way) => Some(Known::Free { way: way.clone() }),
-            Err(NotFound::NoPath) if is_grid => Some(Known::Grid {
-                cells: vec![first],
-                bound: UNREACHED,
-                reached,
-            }),
-            Err(_) => None,
-        }
-    }
-
-    /// The way that is known, or what is left of it, or that with a new piece, from `first` on; `None` where it is not good enough.
-    fn grid_way(
-        &mut self,
-        space: &ConfigurationSpace,
-        first: Cell,
-        options: &PlanOptions,
-        budget: Budget<'_>,
-        (cells, bound): (&mut Vec<Cell>, &mut u32),
-        expansions: &mut u64,
-    ) -> Option<(Result<Path, NotFound>, PlanOrigin)> {
-        if *bound == UNREACHED {
-            return (cells[0] == first).then_some((Err(NotFound::NoPath), PlanOrigin::Reused));
-        }
-        let costs = comfort(space, options);
-        let mut piece = |searcher: &mut Searcher, from: Cell, to: Cell| {
-            let budget = Budget {
-                max_expansions: budget.max_expansions.min(PIECE),
-                ..budget
-            };
-            let searched = searcher.search_with(&costs, from, to, budget);
-            *expansions += searched.expansions;
-            searched.result.ok().map(|way| cells_along(&way))
+    /// What is known for a disc, brought up to the present state of its space.
+    fn disc(&mut self, by: FootprintSearch, space: &ConfigurationSpace) -> Result<&mut DiscReplanner, TooManyCells> {
+        let known = self.discs.iter().position(|(known, _)| *known == by);
+        let mut disc = match known.map(|at| self.discs.remove(at)) {
+            Some(disc) => disc,
+            None => (by, DiscReplanner::new(space)?),
         };
-        // To where the robot is now.
-        let beside = |cell: &Cell| cell.x.abs_diff(first.x).max(cell.y.abs_diff(first.y));
-        let (at, away) = (0..)
-            .zip(cells.iter().map(beside))
-            .min_by_key(|(at, away)| (*away, usize::MAX - at))?;
-        let mut is_mended = false;
-        if away > BESIDE {
-            return None;
-        }
-        if away > 0 {
-            let on = (at + AROUND).min(cells.len() - 1);
-            let mut joined = piece(&mut self.searcher, first, cells[on])?;
-            let back = costs_along(self.searcher.lattice(), &costs, &joined)?;
-            let left = costs_along(self.searcher.lattice(), &costs, &cells[..=on])?;
-            *bound = bound.saturating_sub(left[on]).saturating_sub(*back.last()?);
-            *bound = octile(first, *cells.last()?).max(*bound);
-            joined.extend_from_slice(&cells[on + 1..]);
-            *cells = joined;
-            is_mended = true;
-        } else if at > 0 {
-            let left = costs_along(self.searcher.lattice(), &costs, &cells[..=at])?;
-            *bound = bound.saturating_sub(left[at]);
-            cells.drain(..at);
-        }
-        // Around what is in the way now.
-        if let Some([from, to]) = cut(&self.searcher, cells) {
-            let [from, to] = [from.saturating_sub(AROUND), (to + AROUND).min(cells.len() - 1)];
-            let new = piece(&mut self.searcher, cells[from], cells[to])?;
-            cells.splice(from..=to, new);
-            is_mended = true;
-        }
-        let total = *costs_along(self.searcher.lattice(), &costs, cells)?.last()?;
-        let origin = match total.saturating_sub(*bound) {
-            0 if !is_mended => PlanOrigin::Reused,
-            more if more <= *bound / SLACK => PlanOrigin::Repaired,
-            _ => return None,
-        };
-        Some((Ok(GridPath::through(cells).into()), origin))
+        disc.1.follow(space)?;
+        self.discs.insert(0, disc);
+        Ok(&mut self.discs[0].1)
     }
-}
 
-/// Places of the last cell before and of the first after what cannot be gone any more.
-fn cut(searcher: &Searcher, cells: &[Cell]) -> Option<[usize; 2]> {
-    let is_cut = |at: &usize| costs_along(searcher.lattice(), &super::astar::Uniform, &cells[*at..=at + 1]).is_none();
-    let first = (0..cells.len() - 1).find(is_cut)?;
-    let last = (0..cells.len() - 1).rev().find(is_cut)?;
-    Some([first, last + 1])
-}
-
-/// The way from a point on or close to it to its end, where nothing is in the way.
-fn rest(space: &ConfigurationSpace, way: &Path, from: Point2<f64>) -> Option<Path> {
-    let near = |leg: &[Point2<f64>]| {
-        let (along, to) = (leg[1] - leg[0], from - leg[0]);
-        let share = (to.dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        (to - along * share).norm() <= 1.0
-    };
-    let leg = way.corners.windows(2).rposition(near)?;
-    let mut corners = vec![from];
-    corners.extend_from_slice(&way.corners[leg + 1..]);
-    let is_clear = corners.windows(2).all(|leg| space.sees(leg[0], leg[1]));
-    is_clear.then(|| Path::through(corners))
-}
-
-/// Every cell of a way over the grid.
-fn cells_along(way: &Path) -> Vec<Cell> {
-    let corners: Vec<Cell> = way.corners.iter().map(|p| Cell::new(p.x as u32, p.y as u32)).collect();
-    let mut cells: Vec<Cell> = corners.first().copied().into_iter().collect();
-    for leg in corners.windows(2) {
-        let toward = |from: u32, to: u32| (i64::from(to) - i64::from(from)).signum() as i32;
-        let (x, y) = (toward(leg[0].x, leg[1].x), toward(leg[0].y, leg[1].y));
-        let mut at = leg[0];
-        for _ in 0..leg[0].x.abs_diff(leg[1].x).max(leg[0].y.abs_diff(leg[1].y)) {
-            at = Cell::new(at.x.wrapping_add_signed(x), at.y.wrapping_add_signed(y));
-            cells.push(at);
-        }
+    /// Edges of the trees that the last search by a sampling planner grew, m, map frame, at most `limit` of them.
+    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+        let edges = self.discs.first().map(|(_, disc)| disc.searcher.tree(limit));
+        edges
+            .into_iter()
+            .flatten()
+            .map(|edge| edge.map(|end| self.spec.from_cells(end)))
     }
-    cells
 }

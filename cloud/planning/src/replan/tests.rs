@@ -7,8 +7,15 @@ use zenav_protocol::grid::{Grid, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::PlanOutcome;
 use zenav_protocol::robot::Footprint;
 
+use super::disc::{Known, SLACK, cells_along};
 use super::*;
-use zenav_space::UnknownPolicy;
+use crate::Searcher;
+use crate::astar::costs_along;
+use crate::path::Path;
+use crate::plan::{between, clearance_cost};
+use crate::planner::Planner;
+use zenav_protocol::grid::Cell;
+use zenav_space::{LineOfSight as _, UnknownPolicy};
 
 const SIDE: u32 = 90;
 
@@ -40,7 +47,7 @@ fn space(grid: &OccupancyGrid) -> ConfigurationSpace {
 
 fn options() -> [PlanOptions; 4] {
     let far = PlanOptions {
-        comfort: 2.5,
+        clearance: 2.5,
         ..PlanOptions::default()
     };
     [
@@ -53,7 +60,7 @@ fn options() -> [PlanOptions; 4] {
 
 fn cost(space: &ConfigurationSpace, options: &PlanOptions, way: &Path) -> u32 {
     let searcher = Searcher::new(space.free()).unwrap();
-    let costs = costs_along(searcher.lattice(), &comfort(space, options), &cells_along(way));
+    let costs = costs_along(searcher.lattice(), &clearance_cost(space, options), &cells_along(way));
     *costs.unwrap().last().unwrap()
 }
 
@@ -73,7 +80,7 @@ proptest! {
         // Now and then no way at all leads past it, until a door opens in it.
         (0..SIDE).filter(|_| fence).for_each(|y| set(&mut grid, 45, y, false));
         let goal = Cell::new(SIDE - 3, SIDE - 4);
-        let mut replanner = Replanner::new(&space(&grid)).unwrap();
+        let mut replanner = DiscReplanner::new(&space(&grid)).unwrap();
         let mut starts = [Cell::new(2, 3); 4];
         for (changes, moved, aside, door) in steps {
             if let Some((y, is_open)) = door.filter(|_| fence) {
@@ -163,6 +170,8 @@ fn the_rest_of_the_way_stands_when_the_robot_has_moved_on() {
     for options in options() {
         let (grid, mut replanner) = (walled(), Replanner::new(&space(&walled())).unwrap());
         let Ok(way) = replanner
+            .disc(FootprintSearch::Inscribed, &space(&grid))
+            .unwrap()
             .find(
                 &space(&grid),
                 end(Cell::new(10, 45)),
@@ -198,7 +207,7 @@ fn a_cut_is_mended_and_a_closed_door_is_found_out() {
     let mut grid = walled();
     let mut replanner = Replanner::new(&space(&grid)).unwrap();
     let whole = asked(&mut replanner, &grid, 10.5, &options);
-    let found = replanner.kept[0].clone();
+    let found = replanner.discs[0].1.kept[0].clone();
     let Known::Grid { cells, .. } = &found.known else {
         panic!()
     };

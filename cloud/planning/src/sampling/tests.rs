@@ -166,7 +166,7 @@ proptest! {
                 Err(NotFound::StartBlocked) => prop_assert!(!space.admits(query.start)),
                 Err(NotFound::GoalBlocked) => prop_assert!(!space.admits(query.goal)),
                 Err(NotFound::NoPath | NotFound::TimedOut) => {}
-                Err(NotFound::OutOfMap) => prop_assert!(false),
+                Err(NotFound::OutOfMap | NotFound::TooLong) => prop_assert!(false),
             }
         }
     }

@@ -111,8 +111,8 @@ mod tests {
     use super::super::UNRESTRICTED;
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::messages::TrajectoryPoint;
     use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
     const PERIOD: f64 = 0.05;
 
@@ -122,7 +122,7 @@ mod tests {
         velocity: Twist2,
         goal_yaw: Option<f64>,
         model: &RobotModel,
-    ) -> Vec<TrajectoryPoint> {
+    ) -> Trajectory {
         safe_motion(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).trajectory(PERIOD)
     }
 

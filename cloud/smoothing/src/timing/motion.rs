@@ -1,8 +1,9 @@
 //! Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a way.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{SolverFigures, TrajectoryPoint};
+use zenav_protocol::messages::SolverFigures;
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use super::jerk::{self, JerkError};
 use super::law::{Progress, TimeLaw};
@@ -27,15 +28,11 @@ pub struct State {
 
 impl State {
     fn new(t: f64, pose: Pose2, twist: Twist2, a: f64, alpha: f64) -> Self {
-        let point = TrajectoryPoint {
-            t,
-            x: pose.x,
-            y: pose.y,
-            yaw: pose.yaw,
-            v: twist.v,
-            w: twist.w,
-        };
-        Self { point, a, alpha }
+        Self {
+            point: TrajectoryPoint::new(t, pose, twist),
+            a,
+            alpha,
+        }
     }
 }
 
@@ -284,7 +281,7 @@ impl Motion {
 
     /// As [`Self::states`], as it goes over the wire.
     #[must_use]
-    pub fn trajectory(&self, period: f64) -> Vec<TrajectoryPoint> {
+    pub fn trajectory(&self, period: f64) -> Trajectory {
         self.states(period).into_iter().map(|state| state.point).collect()
     }
 }

@@ -1,20 +1,21 @@
-//! Does a scenario succeed with any seed? Each run is a process of its own.
+//! Demonstrations. Does a scenario succeed with any seed? Each run is a process of its own.
 
 use std::collections::BTreeMap;
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
+use zenav_fixtures::Row;
 
 use crate::{Verdict, zenav};
 
-/// Largest true distance from a goal that counts as reached, m; where nothing corrects odometry, it drifts.
+/// Largest true distance from a goal that counts as reached, m; odometry drifts where nothing corrects it.
 fn max_error(scenario: &str) -> f64 {
     if scenario == "online" { 0.25 } else { 0.15 }
 }
-/// Least distance to anything, m.
+/// Least true clearance, m.
 const MIN_CLEARANCE: f64 = 0.02;
 
-/// Runs a scenario with so many seeds.
+/// Runs a scenario with this many seeds.
 pub fn demo(scenario: &str, seeds: u64, more: &[String]) -> Verdict {
     let mut failed = Vec::new();
     let mut worst: BTreeMap<&str, f64> = BTreeMap::new();
@@ -72,8 +73,16 @@ pub fn demo(scenario: &str, seeds: u64, more: &[String]) -> Verdict {
         }
     }
     for (name, value) in worst {
-        println!("{name}: {value:.3}");
+        let (what, unit) = name.split_once(", ").unwrap_or((name, ""));
+        Row::new(format!("{scenario}: {what}"), value, unit).print();
     }
+    let succeeded = seeds - failed.len() as u64;
+    Row::new(
+        format!("{scenario}: seeds that succeed, of {seeds}"),
+        succeeded as f64,
+        "",
+    )
+    .print();
     println!(
         "{} of {seeds} seeds passed{}",
         seeds - failed.len() as u64,

@@ -3,18 +3,18 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use zenav_tests::acceptance::guard as guarded;
-use zenav_tests::acceptance::guard::GENTLE;
+use zenav_fixtures::Row;
+use zenav_tests::acceptance::guard::{GENTLE, Protection, drive, drive_watched};
 
 use crate::Verdict;
 
-/// Drives in one of the guard's random worlds, and prints every tick of it as it truly was.
+/// Drives in one of the random worlds, and prints the true state at every tick.
 pub fn replay(seed: u64) -> Verdict {
-    let (mut tick, mut told) = (0, 0);
-    let outcome = guarded::drive_watched(seed, |ground| {
-        let truth = ground.truth();
+    let (mut tick, mut printed) = (0, 0);
+    let outcome = drive_watched(seed, Protection::Monitored, |rig| {
+        let truth = rig.truth();
         let (pose, twist) = (truth.map_from_base, truth.twist);
-        let movers: Vec<_> = ground
+        let movers: Vec<_> = rig
             .sim
             .movers()
             .map(|mover| {
@@ -23,7 +23,7 @@ pub fn replay(seed: u64) -> Verdict {
             })
             .collect();
         println!(
-            "{tick:4} at {:.3} {:.3} {:.3}, {:.3} m/s {:.3} rad/s, clearance {:.4}, hardest {:.4}, movers off {} {:?}",
+            "{tick:4} at {:.3} {:.3} {:.3}, {:.3} m/s {:.3} rad/s, clearance {:.4}, hardest {:.4}, movers at {} {:?}",
             pose.x,
             pose.y,
             pose.yaw,
@@ -32,10 +32,10 @@ pub fn replay(seed: u64) -> Verdict {
             truth.clearance,
             truth.hardest_contact,
             movers.join(" "),
-            ground.events.iter().skip(told).collect::<Vec<_>>()
+            rig.events.iter().skip(printed).collect::<Vec<_>>()
         );
         tick += 1;
-        told = ground.events.len();
+        printed = rig.events.len();
     });
     let outcome = outcome?;
     println!("{outcome:?}");
@@ -53,14 +53,14 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
             if seed >= first + worlds {
                 return done;
             }
-            done.push((seed, guarded::drive(seed)));
+            done.push((seed, drive(seed, Protection::Monitored)));
         }
     };
     let mut results: Vec<_> = std::thread::scope(|scope| {
-        let hands: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
-        hands
+        let threads: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
+        threads
             .into_iter()
-            .filter_map(|hand| hand.join().ok())
+            .filter_map(|thread| thread.join().ok())
             .flatten()
             .collect()
     });
@@ -84,7 +84,7 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
     }
     println!(
         "{:15} {:>7} {:>9} {:>10} {:>9} {:>13} {:>9} {:>12}",
-        "command", "worlds", "of movers", "contacts", "hard ones", "hardest, m/s", "way, m", "interventions"
+        "command", "worlds", "of movers", "contacts", "hard ones", "hardest, m/s", "driven, m", "interventions"
     );
     let mut by_command: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for outcome in &outcomes {
@@ -106,6 +106,10 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
                 .sum::<usize>(),
         );
     }
-    println!("{} of {worlds} worlds passed", worlds - failed.min(worlds));
+    let passed = worlds - failed.min(worlds);
+    println!("{passed} of {worlds} worlds passed");
+    Row::new(format!("worlds that pass, of {worlds}"), passed as f64, "").print();
+    let hardest = outcomes.iter().map(|outcome| outcome.hardest).fold(0.0, f64::max);
+    Row::new("hardest contact", hardest, "m/s").print();
     Ok(failed == 0)
 }

@@ -1,4 +1,4 @@
-//! The long runs that the test suite leaves out.
+//! Acceptance runs: the long ones, which the test suite leaves out.
 //!
 //! `cargo build --release -p zenav-tests --bins && target/release/acceptance kitchen 20 --speed 4`
 
@@ -8,7 +8,7 @@ mod demo;
 mod drives;
 mod footprint;
 mod guard;
-mod orchestrators;
+mod missions;
 mod pose;
 
 use std::path::PathBuf;
@@ -26,23 +26,23 @@ enum Run {
     Kitchen(Seeds),
     /// Missions in a house that nobody has mapped
     Online(Seeds),
-    /// Every tracker on the same ways
+    /// Path error of every tracker on the same paths
     Track {
         /// More maps to drive in
         maps: Vec<String>,
     },
-    /// The fastest drives beside the most economical ones
+    /// Energy of the fastest drives beside the most economical ones
     Economy {
         /// More maps to drive in
         maps: Vec<String>,
     },
-    /// Pose estimates beside the truth
+    /// Consistency of the pose estimate: NEES and NIS
     Pose {
         runs: u64,
         #[arg(default_value_t = 1)]
         first_seed: u64,
     },
-    /// Random worlds with movers and bad commands
+    /// The collision monitor in random worlds with movers and adversarial commands
     Guard {
         worlds: u64,
         #[arg(default_value_t = 1)]
@@ -50,13 +50,13 @@ enum Run {
     },
     /// One of these worlds, tick by tick
     Replay { seed: u64 },
-    /// An orchestrator that is killed again and again
+    /// A mission that is killed again and again
     Kills {
         kills: usize,
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// Two orchestrators, the leader of which is killed, then held for 20 s, and its standby for 5 s, so many times
+    /// Two missions: the leader is killed, then paused for 20 s and its standby for 5 s, so many times
     Handover {
         deaths: usize,
         #[arg(default_value_t = 0)]
@@ -64,13 +64,13 @@ enum Run {
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// One orchestrator with many robots, on one core
+    /// Missions of many robots in one process on one core
     Fleet {
         robots: usize,
         #[arg(default_value_t = 60.0)]
         secs: f64,
     },
-    /// Size, processor time, memory and punctuality of the robot's own binary
+    /// Size, processor time, memory and loop jitter of the robot's own binary
     Footprint {
         #[arg(default_value_t = 60)]
         secs: u64,
@@ -94,9 +94,9 @@ fn main() -> ExitCode {
         Run::Pose { runs, first_seed } => pose::pose(runs, first_seed),
         Run::Guard { worlds, first_seed } => guard::guard(worlds, first_seed),
         Run::Replay { seed } => guard::replay(seed),
-        Run::Kills { kills, seed } => orchestrators::kills(kills, seed),
-        Run::Handover { deaths, pauses, seed } => orchestrators::handover(deaths, pauses, seed),
-        Run::Fleet { robots, secs } => orchestrators::fleet(robots, secs),
+        Run::Kills { kills, seed } => missions::kills(kills, seed),
+        Run::Handover { deaths, pauses, seed } => missions::handover(deaths, pauses, seed),
+        Run::Fleet { robots, secs } => missions::fleet(robots, secs),
         Run::Footprint { secs } => footprint::footprint(secs),
     };
     match verdict {

@@ -1,0 +1,223 @@
+//! Which of Nav2's conditions need nothing but the blackboard and the time? Whether a goal has changed, whether an error
+//! code is among those that a recovery can mend, whether time is over (nav2_behavior_tree 1.5); and, for a robot that is
+//! only played, whether it keeps to its path and whether poses are near each other.
+
+use serde::Deserialize;
+
+use super::decorators::number;
+use super::literals;
+use crate::leaf::{Leaf, LeafIo};
+use crate::ports::parse_ints;
+use crate::status::Status;
+use crate::value::Value;
+
+/// What makes a condition.
+pub type MakeCondition<C> = fn() -> Box<dyn Leaf<C>>;
+
+/// What makes the condition of that id, if the blackboard and the time decide it.
+pub fn condition<C>(id: &str) -> Option<MakeCondition<C>> {
+    Some(match id {
+        "GoalUpdated" => || Box::new(GoalUpdated { for_life: false }),
+        "GlobalUpdatedGoal" => || Box::new(GoalUpdated { for_life: true }),
+        "TimeExpired" => || Box::<TimeExpired>::default(),
+        "PathExpiringTimer" => || Box::<PathExpiringTimer>::default(),
+        "InitialPoseReceived" => || Box::new(InitialPoseReceived),
+        // Unknown, patience exceeded, no progress, no valid control.
+        "WouldAControllerRecoveryHelp" => || Box::new(CodeIsAmong(&[100, 104, 105, 106])),
+        // Unknown, time-out, no valid path; to one pose and through many.
+        "WouldAPlannerRecoveryHelp" => || Box::new(CodeIsAmong(&[200, 207, 208, 300, 307, 308])),
+        // Unknown, time-out, smoothed path in collision, failed to smooth.
+        "WouldASmootherRecoveryHelp" => || Box::new(CodeIsAmong(&[500, 502, 503, 504])),
+        // Unknown, time-out, no valid route.
+        "WouldARouteRecoveryHelp" => || Box::new(CodeIsAmong(&[400, 404, 405])),
+        "AreErrorCodesPresent" => || Box::new(CodeIsAmong(&[])),
+        _ => return None,
+    })
+}
+
+/// The condition of that id, if the blackboard decides it for a robot that stands at the origin.
+pub(super) fn scripted_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
+    Some(match id {
+        "IsWithinPathTrackingBounds" => Box::new(WithinBounds),
+        "ArePosesNear" => Box::new(PosesNear),
+        other => return condition(other).map(|make| make()),
+    })
+}
+
+/// The goal and the goals, from the ports or, as Nav2 does, from entries of these names.
+pub(super) fn goals(io: &LeafIo<'_>) -> [Option<Value>; 2] {
+    ["goal", "goals"].map(|name| io.value(name).ok().or_else(|| io.entry(name)).cloned())
+}
+
+/// `Success` if goal or goals differ from those remembered, which they then replace.
+///
+/// GoalUpdated remembers from its activation on: its first tick after its parent has reset it is
+/// `Failure`. GlobalUpdatedGoal remembers for life: its very first tick is `Success`.
+struct GoalUpdated {
+    for_life: bool,
+}
+
+impl<C> Leaf<C> for GoalUpdated {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        let goals = goals(io);
+        let seen: Option<[Option<Value>; 2]> = io.recall();
+        let first = if self.for_life {
+            seen.is_none()
+        } else {
+            !io.previous().is_active()
+        };
+        if !first && seen.as_ref() == Some(&goals) {
+            return Status::Failure;
+        }
+        if let Err(wrong) = io.remember(&goals) {
+            return io.fail(wrong.to_string());
+        }
+        if first && !self.for_life {
+            Status::Failure
+        } else {
+            Status::Success
+        }
+    }
+}
+
+/// `Success` if `error_code` is among `error_codes_to_check`, or among these.
+struct CodeIsAmong(&'static [i64]);
+
+impl<C> Leaf<C> for CodeIsAmong {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        let Ok(Some(code)) = io.get_optional::<i64>("error_code") else {
+            return Status::Failure;
+        };
+        let among = match io.value("error_codes_to_check").ok().and_then(parse_ints) {
+            Some(codes) => codes.contains(&code),
+            None => self.0.contains(&code),
+        };
+        if among { Status::Success } else { Status::Failure }
+    }
+}
+
+/// `Success` if the port `initial_pose_received` says so.
+struct InitialPoseReceived;
+
+impl<C> Leaf<C> for InitialPoseReceived {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        match io.get("initial_pose_received") {
+            Ok(true) => Status::Success,
+            _ => Status::Failure,
+        }
+    }
+}
+
+/// `Failure` until `seconds` have passed since its activation, then `Success` once, and again after as long.
+#[derive(Default)]
+struct TimeExpired {
+    since: Option<f64>,
+}
+
+impl<C> Leaf<C> for TimeExpired {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        let seconds = match number(io, "seconds", 1.0) {
+            Ok(seconds) => seconds,
+            Err(wrong) => return io.fail(wrong),
+        };
+        let now = io.now().as_secs_f64();
+        let since = self.since.filter(|_| io.previous().is_active());
+        let expired = since.is_some_and(|since| now - since >= seconds);
+        if expired || since.is_none() {
+            self.since = Some(now);
+        }
+        if expired { Status::Success } else { Status::Failure }
+    }
+}
+
+/// `Failure` until `seconds` have passed since `path` was written last; then `Success` once, and again after as long.
+#[derive(Default)]
+struct PathExpiringTimer {
+    began: Option<(u64, f64)>,
+}
+
+impl<C> Leaf<C> for PathExpiringTimer {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        let seconds = match number(io, "seconds", 1.0) {
+            Ok(seconds) => seconds,
+            Err(wrong) => return io.fail(wrong),
+        };
+        let (sequence, now) = (io.sequence("path"), io.now().as_secs_f64());
+        let same = self.began.filter(|(known, _)| *known == sequence);
+        if same.is_some_and(|(_, began)| now - began < seconds) {
+            return Status::Failure;
+        }
+        self.began = Some((sequence, now));
+        if same.is_some() {
+            Status::Success
+        } else {
+            Status::Failure
+        }
+    }
+}
+
+/// What IsWithinPathTrackingBounds reads of Nav2's TrackingFeedback.
+#[derive(Deserialize)]
+struct Feedback {
+    /// m; positive left of the path.
+    position_tracking_error: f64,
+    /// rad.
+    heading_tracking_error: f64,
+}
+
+/// How far beside its path the tracking feedback says that the robot is, m, if that is out of the bounds on the ports of
+/// IsWithinPathTrackingBounds. Without feedback nothing is out of bounds.
+///
+/// # Errors
+/// A port, or the feedback, is of another type.
+pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
+    if io.value("tracking_feedback").is_err() {
+        return Ok(None);
+    }
+    let feedback: Feedback = io.get_data("tracking_feedback").map_err(|wrong| wrong.to_string())?;
+    let (left, right) = (number(io, "max_error_left", 0.5)?, number(io, "max_error_right", 0.5)?);
+    let heading = number(io, "max_error_heading", std::f64::consts::PI)?;
+    let error = feedback.position_tracking_error;
+    let aside = if error >= 0.0 { error <= left } else { -error <= right };
+    let within = aside && feedback.heading_tracking_error.abs() <= heading;
+    Ok(if within { None } else { Some(error) })
+}
+
+/// `Success` while the tracking feedback lies within bounds, or there is none.
+struct WithinBounds;
+
+impl<C> Leaf<C> for WithinBounds {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        match off_path(io) {
+            Ok(None) => Status::Success,
+            Ok(Some(error)) => io.fail(format!("{error:.2} m beside the path")),
+            Err(wrong) => io.fail(wrong),
+        }
+    }
+}
+
+/// `Success` if `ref_pose` (without one, the origin) and `target_pose` are within `tolerance`, m.
+struct PosesNear;
+
+impl<C> Leaf<C> for PosesNear {
+    fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
+        let pose = |port| {
+            io.value(port)
+                .ok()
+                .and_then(literals::pose_of)
+                .map(|pose| [pose.x, pose.y])
+        };
+        let reference = match io.is_set("ref_pose") {
+            true => pose("ref_pose"),
+            false => Some([0.0, 0.0]),
+        };
+        let (Some(one), Some(two)) = (reference, pose("target_pose")) else {
+            return io.fail("there are no two poses to compare");
+        };
+        match number(io, "tolerance", 0.5) {
+            Ok(tolerance) if (one[0] - two[0]).hypot(one[1] - two[1]) <= tolerance => Status::Success,
+            Ok(_) => Status::Failure,
+            Err(wrong) => io.fail(wrong),
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! Which of Nav2's decorators follow a robot or its goals? They tick their child when the robot has
+//! come far enough, in a rhythm that goes with its speed, when its goal has changed, or when its
+//! path has become much longer (nav2_behavior_tree 1.5).
+//!
+//! What they need of a context is [`Travel`]; a simulation has a robot that stands still.
+
+use super::conditions::goals;
+use crate::leaf::{Decorator, Enter, LeafIo};
+use crate::node::nanos;
+use crate::status::Status;
+use crate::value::Value;
+
+/// What is known of the robot that a tree drives. Map frame.
+pub trait Travel {
+    /// Where it is, m; `None` while nobody knows.
+    fn position(&self) -> Option<[f64; 2]>;
+    /// How fast it is, m/s, whatever its direction.
+    fn speed(&self) -> f64;
+    /// A path as it stands on the blackboard; `None` for what is no path, or an empty one.
+    fn measure(&self, path: &Value) -> Option<Measure>;
+}
+
+/// What is to be known of a path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measure {
+    /// Where it leads, m.
+    pub end: [f64; 2],
+    /// Its length, m.
+    pub length: f64,
+    /// Its length from where the robot is, m.
+    pub left: f64,
+}
+
+/// What makes a decorator.
+pub type MakeDecorator<C> = fn() -> Box<dyn Decorator<C>>;
+
+/// What makes the decorator of that id, if it is one of these.
+pub fn decorator<C: Travel>(id: &str) -> Option<MakeDecorator<C>> {
+    Some(match id {
+        "DistanceController" => || Box::new(DistanceController),
+        "SpeedController" => || Box::new(SpeedController::default()),
+        "GoalUpdatedController" => || Box::new(GoalUpdatedController),
+        "GoalUpdater" => || Box::new(GoalUpdater),
+        "PathLongerOnApproach" => || Box::new(PathLongerOnApproach::default()),
+        _ => return None,
+    })
+}
+
+/// A number on a port, or what a node without it goes by.
+pub(super) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
+    match io.get_optional::<f64>(port) {
+        Ok(value) => Ok(value.unwrap_or(otherwise)),
+        Err(wrong) => Err(wrong.to_string()),
+    }
+}
+
+/// Ticks the child on activation, while it runs, and when the robot is `distance` (m, straight)
+/// from where the child last succeeded; otherwise `Running`. Without a position: `Failure`.
+struct DistanceController;
+
+impl<C: Travel> Decorator<C> for DistanceController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter {
+        let Some(here) = ctx.position() else {
+            return Enter::Answer(io.fail("nobody knows where the robot is"));
+        };
+        let distance = match number(io, "distance", 1.0) {
+            Ok(distance) => distance,
+            Err(wrong) => return Enter::Answer(io.fail(wrong)),
+        };
+        let from: Option<[f64; 2]> = io.recall();
+        let first = !io.previous().is_active();
+        if first {
+            // A pair of numbers has a stored form.
+            let _ = io.remember(&here);
+        }
+        let come = from.is_some_and(|from| (here[0] - from[0]).hypot(here[1] - from[1]) >= distance);
+        if first || child == Status::Running || come {
+            Enter::TickChild
+        } else {
+            Enter::Answer(Status::Running)
+        }
+    }
+
+    fn leave(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Status {
+        if let (Status::Success, Some(here)) = (child, ctx.position()) {
+            let _ = io.remember(&here);
+        }
+        child
+    }
+}
+
+/// Ticks the child on activation, while it runs, and once a period: `max_rate` at first and after
+/// a new goal, then the rate that the speed stands for at the end of each period.
+#[derive(Default)]
+struct SpeedController {
+    goals: [Option<Value>; 2],
+    rhythm: Option<Rhythm>,
+}
+
+struct Rhythm {
+    since: u64,
+    period: f64,
+}
+
+impl<C: Travel> Decorator<C> for SpeedController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter {
+        let ports = [
+            ("min_rate", 0.1),
+            ("max_rate", 1.0),
+            ("min_speed", 0.0),
+            ("max_speed", 0.5),
+        ];
+        let mut numbers = [0.0; 4];
+        for (slot, (port, otherwise)) in numbers.iter_mut().zip(ports) {
+            match number(io, port, otherwise) {
+                Ok(value) => *slot = value,
+                Err(wrong) => return Enter::Answer(io.fail(wrong)),
+            }
+        }
+        let [min_rate, max_rate, min_speed, max_speed] = numbers;
+        if !(min_rate > 0.0 && max_rate >= min_rate && min_speed >= 0.0 && max_speed > min_speed) {
+            return Enter::Answer(io.abort("expected 0 < min_rate <= max_rate and 0 <= min_speed < max_speed"));
+        }
+        let now = nanos(io.now());
+        let goals = goals(io);
+        if !io.previous().is_active() || goals != self.goals {
+            (self.goals, self.rhythm) = (goals, None);
+        }
+        let first = self.rhythm.is_none();
+        let rhythm = self.rhythm.get_or_insert(Rhythm {
+            since: now,
+            period: 1.0 / max_rate,
+        });
+        let over = now.saturating_sub(rhythm.since) as f64 * 1e-9 >= rhythm.period;
+        if over {
+            let share = (ctx.speed() - min_speed) / (max_speed - min_speed);
+            let rate = (min_rate + share * (max_rate - min_rate)).clamp(min_rate, max_rate);
+            *rhythm = Rhythm {
+                since: now,
+                period: 1.0 / rate,
+            };
+        }
+        if first || over || child == Status::Running {
+            Enter::TickChild
+        } else {
+            Enter::Answer(Status::Running)
+        }
+    }
+}
+
+/// Ticks the child on activation, when a goal has changed, and while it runs; otherwise `Running`.
+struct GoalUpdatedController;
+
+impl<C> Decorator<C> for GoalUpdatedController {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, child: Status) -> Enter {
+        let goals = goals(io);
+        let seen: Option<[Option<Value>; 2]> = io.recall();
+        let changed = !io.previous().is_active() || seen.as_ref() != Some(&goals);
+        if changed && io.remember(&goals).is_err() {
+            return Enter::Answer(io.fail("goal cannot be kept"));
+        }
+        if changed || child == Status::Running {
+            Enter::TickChild
+        } else {
+            Enter::Answer(Status::Running)
+        }
+    }
+}
+
+/// Puts the newest of a goal and its update on the output and ticks the child. Nav2 hears updates
+/// on the topics `goal_update` and `goals_update`; here they are entries of these names on the
+/// root blackboard, JSON with a `stamp`. An update that is older than its input, or has no stamp,
+/// is not taken.
+struct GoalUpdater;
+
+/// When a goal was given, where it says so.
+fn stamp(goal: &Value) -> Option<f64> {
+    match goal {
+        Value::Data(data) => data.get("stamp")?.as_f64(),
+        Value::Text(text) => {
+            let text = text.trim_start();
+            let json = text.strip_prefix("json:").unwrap_or(text);
+            serde_json::from_str::<serde_json::Value>(json)
+                .ok()?
+                .get("stamp")?
+                .as_f64()
+        }
+        _ => None,
+    }
+}
+
+impl<C> Decorator<C> for GoalUpdater {
+    fn enter(&mut self, io: &mut LeafIo<'_>, _: &mut C, _: Status) -> Enter {
+        for (input, output, update) in [
+            ("input_goal", "output_goal", "@goal_update"),
+            ("input_goals", "output_goals", "@goals_update"),
+        ] {
+            let given = io.value(input).ok().cloned();
+            let newer = io.entry(update).cloned().filter(|update| {
+                let before = given.as_ref().and_then(stamp).unwrap_or(0.0);
+                stamp(update).is_some_and(|stamp| stamp >= before)
+            });
+            // Goals have many forms of the same, and an equal write is no news.
+            let chosen = newer.or(given);
+            if let Some(chosen) = chosen
+                && let Err(wrong) = io.set(output, chosen)
+            {
+                return Enter::Answer(io.fail(wrong.to_string()));
+            }
+        }
+        Enter::TickChild
+    }
+}
+
+/// Ticks the child while the path to the same goal is newly `length_factor` times as long as the
+/// one before, and the robot was within `prox_len` (m of path) of the goal; otherwise `Success`.
+#[derive(Default)]
+struct PathLongerOnApproach {
+    old: Option<Value>,
+}
+
+impl PathLongerOnApproach {
+    fn is_longer<C: Travel>(&self, io: &LeafIo<'_>, ctx: &C, new: &Value) -> Result<bool, String> {
+        let Some(old) = self.old.as_ref().filter(|old| *old != new) else {
+            return Ok(false);
+        };
+        let (Some(was), Some(is)) = (ctx.measure(old), ctx.measure(new)) else {
+            return Ok(false);
+        };
+        let near = was.left < number(io, "prox_len", 3.0)?;
+        let longer = is.length >= number(io, "length_factor", 2.0)? * was.left;
+        Ok(was.end == is.end && near && longer)
+    }
+}
+
+impl<C: Travel> Decorator<C> for PathLongerOnApproach {
+    fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, _: Status) -> Enter {
+        let new = io.value("path").ok().cloned();
+        let longer = match &new {
+            Some(new) => self.is_longer(io, ctx, new),
+            None => Ok(false),
+        };
+        match longer {
+            Ok(true) => Enter::TickChild,
+            Ok(false) => {
+                self.old = new;
+                Enter::Answer(Status::Success)
+            }
+            Err(wrong) => Enter::Answer(io.fail(wrong)),
+        }
+    }
+
+    fn leave(&mut self, io: &mut LeafIo<'_>, _: &mut C, child: Status) -> Status {
+        if child.is_completed() {
+            self.old = io.value("path").ok().cloned();
+        }
+        child
+    }
+}

@@ -1,0 +1,190 @@
+//! Nav2's nodes (nav2_behavior_tree 1.5). What does a tree of Nav2's need besides BehaviorTree.CPP's nodes?
+//!
+//! | module | answers |
+//! |---|---|
+//! | `controls`, `pause` | controls and decorators that need no robot |
+//! | `decorators` | decorators that follow a robot or its goals, over [`Travel`] |
+//! | `conditions` | conditions that the blackboard and the time decide |
+//! | `specs` | every other node of Nav2's, declared with its ports |
+//! | `literals` | how poses, lists of them and paths are written in a tree |
+//! | `scripted` | the same against scripted leaves ([`crate::simulate`]) |
+//!
+//! Known Nav2 bugs are reproduced by default; a port selects the corrected behaviour (`last_may_succeed` of RoundRobin).
+
+mod conditions;
+mod controls;
+mod decorators;
+mod literals;
+mod pause;
+mod scripted;
+mod specs;
+
+use crate::nodes::{PauseEntries, Row, control, row};
+use crate::ports::PortType::{Bool, Int, Positive, Text, Unsigned};
+use crate::registry::{NodeSpec, Registry};
+
+pub use conditions::{MakeCondition, condition, off_path};
+pub use decorators::{MakeDecorator, Measure, Travel, decorator};
+pub use literals::{Pose, nav2_list, pose, pose_of_json};
+pub(crate) use scripted::{registry as scripted_registry, scripted_condition, succeed};
+pub use specs::specs;
+
+use controls::{
+    NonblockingSequence, PersistentSequence, PipelineSequence, RateController, RecoveryNode, RoundRobin, SingleTrigger,
+};
+use pause::PauseResume;
+
+/// BehaviorTree.CPP's nodes, and Nav2's controls and decorators that need no robot; literals as Nav2 writes them.
+///
+/// ```
+/// use zenav_behaviour_tree::{Status, build, nav2};
+///
+/// let registry = nav2::controls::<()>();
+/// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+///     <RecoveryNode number_of_retries="2"><AlwaysFailure/><AlwaysSuccess/></RecoveryNode>
+/// </BehaviorTree></root>"#;
+/// let mut tree = build("retry.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into())).unwrap();
+/// assert_eq!(tree.tick(std::time::Duration::ZERO, &mut ()).unwrap(), Status::Failure);
+/// assert_eq!(tree.report()[1].starts, 3, "once, and twice after a recovery");
+/// ```
+pub fn controls<C>() -> Registry<C> {
+    let mut registry = Registry::new();
+    registry.add_builtins(rows());
+    registry.literals(literals::RULES);
+    registry
+}
+
+/// All of Nav2's nodes for trees that drive the robot of a context: [`controls`], the decorators, and the conditions that
+/// the blackboard decides. The rest is declared: a leaf registered under the same id implements it.
+pub fn registry<C: Travel + 'static>() -> Registry<C> {
+    let mut registry = controls();
+    for spec in specs() {
+        let added = if let Some(make) = decorator(&spec.id) {
+            registry.decorator(spec, move |_| make())
+        } else if let Some(make) = condition(&spec.id) {
+            registry.leaf(spec, move |_| make())
+        } else {
+            registry.declare(spec);
+            Ok(())
+        };
+        debug_assert!(added.is_ok(), "{added:?}");
+    }
+    registry
+}
+
+/// Nav2's controls and decorators that need no robot.
+fn rows<C>() -> Vec<Row<C>> {
+    vec![
+        row(
+            control(
+                "PipelineSequence",
+                "A Sequence that ticks earlier children again while later ones run.",
+            ),
+            |_| Box::new(PipelineSequence),
+        ),
+        row(
+            NodeSpec::control(
+                "RecoveryNode",
+                "Child 1; when it fails, child 2 and child 1 again.",
+                2,
+                2,
+            )
+            .input_or("number_of_retries", Unsigned, "1", "how often child 2 may recover"),
+            |ports| {
+                Box::new(RecoveryNode {
+                    number_of_retries: ports.source("number_of_retries"),
+                })
+            },
+        ),
+        row(
+            control("RoundRobin", "One child per activation, in turn.")
+                .input_or("wrap_around", Bool, "false", "start over after the last child")
+                .input_or(
+                    "last_may_succeed",
+                    Bool,
+                    "false",
+                    "without wrap_around, let success of the last child count (Nav2 makes it a failure)",
+                ),
+            |ports| {
+                Box::new(RoundRobin {
+                    wrap_around: ports.source("wrap_around"),
+                    last_may_succeed: ports.source("last_may_succeed"),
+                })
+            },
+        ),
+        row(
+            control(
+                "NonblockingSequence",
+                "A Sequence that ticks every child in every tick.",
+            ),
+            |_| Box::new(NonblockingSequence),
+        ),
+        row(
+            control("PersistentSequence", "A Sequence whose index is a blackboard entry.").inout(
+                "current_child_idx",
+                Int,
+                "index of the current child",
+            ),
+            |ports| {
+                Box::new(PersistentSequence {
+                    current_child_idx: ports.source("current_child_idx"),
+                })
+            },
+        ),
+        row(
+            NodeSpec::control(
+                "PauseResumeController",
+                "Child 1 while not paused, 2 while paused; 3 on pausing, 4 on resuming.",
+                1,
+                4,
+            )
+            .input_or(
+                "pause_service_name",
+                Text,
+                "pause",
+                "entry of the root blackboard: a write to it asks to pause",
+            )
+            .input_or(
+                "resume_service_name",
+                Text,
+                "resume",
+                "entry of the root blackboard: a write to it asks to resume",
+            ),
+            |ports| {
+                Box::new(PauseResume(PauseEntries {
+                    pause: ports.root_slot("pause_service_name"),
+                    resume: ports.root_slot("resume_service_name"),
+                }))
+            },
+        ),
+        row(
+            NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or(
+                "hz",
+                Positive,
+                "10.0",
+                "rate, 1/s",
+            ),
+            |ports| Box::new(RateController { hz: ports.source("hz") }),
+        ),
+        row(
+            NodeSpec::decorator("SingleTrigger", "Runs the child once per activation."),
+            |_| Box::new(SingleTrigger),
+        ),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_default_is_a_value_of_its_port() {
+        for (spec, _) in rows::<()>() {
+            for port in &spec.ports {
+                if let Some(default) = &port.default {
+                    assert!(port.kind.parse(default).is_some(), "{} {}", spec.id, port.name);
+                }
+            }
+        }
+    }
+}

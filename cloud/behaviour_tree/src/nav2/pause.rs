@@ -1,0 +1,70 @@
+//! A tree that can be held and let go on from outside: Nav2's `PauseResumeController`
+//! (nav2_behavior_tree 1.5).
+//!
+//! Nav2 offers two services; here a request is a write to the entry of that name on the root
+//! blackboard, whatever is written. `cursor` is the child whose turn it is: 0 resumed, 1 paused,
+//! 2 on pausing, 3 on going on. `mark` and `count` are the requests seen, to pause and to go on.
+
+use crate::node::NodeId;
+use crate::nodes::{Builtin, PauseEntries};
+use crate::status::Status;
+use crate::tick::{Answer, Run};
+
+/// Children by their place.
+const RESUMED: u32 = 0;
+const PAUSED: u32 = 1;
+const ON_PAUSE: u32 = 2;
+const ON_RESUME: u32 = 3;
+
+/// Ticks the child of the present state. A request resets every child and goes through the
+/// child for the change, if there is one; a state without a child is `Running`. `Success` of
+/// the resumed child is the answer, `Failure` of any child too; other successes go on.
+pub(crate) struct PauseResume(pub(crate) PauseEntries);
+
+impl<C> Builtin<C> for PauseResume {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
+        let requests = [run.board.sequence(self.0.pause), run.board.sequence(self.0.resume)];
+        let state = &mut run.states[id as usize];
+        let seen = [state.mark, u64::from(state.count)];
+        (state.mark, state.count) = (requests[0], requests[1] as u32);
+        if before != Status::Running {
+            // What was asked before the activation is no request to it.
+            state.cursor = RESUMED;
+        } else if requests[0] != seen[0] && state.cursor != PAUSED && state.cursor != ON_PAUSE {
+            switch_to(run, id, ON_PAUSE);
+        } else if requests[1] as u32 != seen[1] as u32 && matches!(state.cursor, PAUSED | ON_PAUSE) {
+            switch_to(run, id, ON_RESUME);
+        }
+        let at = run.states[id as usize].cursor;
+        let status = match run.kids(id).get(at as usize) {
+            Some(child) => run.exec_and_reset(*child)?,
+            // Nothing is to be done in this state.
+            None => Status::Success,
+        };
+        match (status, at) {
+            (Status::Running, _) => Ok(Status::Running),
+            (Status::Failure, _) | (_, RESUMED) => {
+                run.reset_children(id);
+                Ok(status)
+            }
+            (_, change) => {
+                if change == ON_PAUSE {
+                    switch_to(run, id, PAUSED);
+                } else if change == ON_RESUME {
+                    switch_to(run, id, RESUMED);
+                }
+                Ok(Status::Running)
+            }
+        }
+    }
+
+    fn pause_entries(&self) -> Option<PauseEntries> {
+        Some(self.0)
+    }
+}
+
+fn switch_to<C>(run: &mut Run<'_, C>, id: NodeId, child: u32) {
+    run.reset_children(id);
+    run.states[id as usize].cursor = child;
+    run.changes += 1;
+}

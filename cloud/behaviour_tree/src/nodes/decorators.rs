@@ -1,0 +1,170 @@
+//! Nodes around one child that change its answer or repeat it: BehaviorTree.CPP's `Inverter`,
+//! `ForceSuccess`, `ForceFailure`, `RetryUntilSuccessful`, `Repeat`, `KeepRunningUntilFailure`,
+//! `RunOnce`, `Precondition`.
+//!
+//! A child that has completed is reset at once. `count` holds attempts or cycles.
+
+use super::Builtin;
+use crate::node::{NodeId, NodeState, bump};
+use crate::ports::Source;
+use crate::script::Program;
+use crate::status::Status;
+use crate::tick::{Answer, Run};
+
+/// `Success` for `Failure` and the other way round; `Running` and `Skipped` pass.
+pub(crate) struct Inverter;
+
+impl<C> Builtin<C> for Inverter {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        Ok(match run.only_child(id)? {
+            Status::Success => Status::Failure,
+            Status::Failure => Status::Success,
+            other => other,
+        })
+    }
+}
+
+/// Replaces the answer of a completed child; `Running` and `Skipped` pass.
+pub(crate) struct Force(pub(crate) Status);
+
+impl<C> Builtin<C> for Force {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        let status = run.only_child(id)?;
+        Ok(if status.is_completed() { self.0 } else { status })
+    }
+}
+
+/// Tries again on `Failure`, at most `num_attempts` times in all (-1: for ever); exhausted:
+/// `Failure`. The port is read again before every attempt. `Skipped` passes and keeps count.
+pub(crate) struct Retry(pub(crate) Source);
+
+impl<C> Builtin<C> for Retry {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        again(run, id, "num_attempts", &self.0, Status::Failure)
+    }
+
+    fn on_reset(&self, state: &mut NodeState) {
+        state.count = 0;
+    }
+}
+
+/// Repeats on `Success`, `num_cycles` times (-1: for ever), then `Success`. `Failure` ends it.
+/// `Skipped` passes and keeps count.
+pub(crate) struct Repeat(pub(crate) Source);
+
+impl<C> Builtin<C> for Repeat {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        again(run, id, "num_cycles", &self.0, Status::Success)
+    }
+
+    fn on_reset(&self, state: &mut NodeState) {
+        state.count = 0;
+    }
+}
+
+/// Ticks the child again while it answers `again`. After a child that completed in its first
+/// tick it yields `Running` and asks to be woken, so that it stays interruptible.
+fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again: Status) -> Answer {
+    let child = run.child(id, 0)?;
+    loop {
+        let most: i64 = run.read(id, port, limit)?;
+        let spent = i64::from(run.states[id as usize].count);
+        if most >= 0 && spent >= most {
+            run.states[id as usize].count = 0;
+            return Ok(again);
+        }
+        let fresh = run.states[child as usize].status == Status::Idle;
+        let status = run.exec_and_reset(child)?;
+        if status == Status::Running || status == Status::Skipped {
+            return Ok(status);
+        }
+        let state = &mut run.states[id as usize];
+        if status != again {
+            state.count = 0;
+            return Ok(status);
+        }
+        bump(&mut state.count);
+        run.changes += 1;
+        if fresh && (most < 0 || spent + 1 < most) {
+            run.wake = true;
+            return Ok(Status::Running);
+        }
+    }
+}
+
+/// `Failure` of the child is the answer; everything else is `Running`.
+pub(crate) struct KeepRunningUntilFailure;
+
+impl<C> Builtin<C> for KeepRunningUntilFailure {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        Ok(match run.only_child(id)? {
+            Status::Failure => Status::Failure,
+            _ => Status::Running,
+        })
+    }
+}
+
+/// Runs the child to its end once in the life of the tree; afterwards `Skipped`, or with
+/// `then_skip=false` the same answer again. `flag` is the latch, `mark` 1 for `Success`.
+pub(crate) struct RunOnce {
+    pub(crate) then_skip: Source,
+}
+
+impl<C> Builtin<C> for RunOnce {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        if run.states[id as usize].flag {
+            let skip: bool = run.read(id, "then_skip", &self.then_skip)?;
+            let succeeded = run.states[id as usize].mark == 1;
+            return Ok(match (skip, succeeded) {
+                (true, _) => Status::Skipped,
+                (false, true) => Status::Success,
+                (false, false) => Status::Failure,
+            });
+        }
+        let status = run.only_child(id)?;
+        if status.is_completed() {
+            let state = &mut run.states[id as usize];
+            state.flag = true;
+            state.mark = u64::from(status == Status::Success);
+        }
+        Ok(status)
+    }
+
+    fn after_halt(&self, state: &mut NodeState) {
+        let flag = state.flag;
+        state.clear();
+        state.flag = flag;
+    }
+}
+
+/// Ticks the child if the script holds, else answers `else`. Once the child runs, the script
+/// is not asked again until it has completed (as in the source; the manual says otherwise).
+/// `flag`: the child runs.
+pub(crate) struct Precondition {
+    pub(crate) condition: Program,
+    pub(crate) otherwise: Source,
+}
+
+impl<C> Builtin<C> for Precondition {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        if !run.states[id as usize].flag && !run.holds(id, &self.condition)? {
+            let answer: String = run.read(id, "else", &self.otherwise)?;
+            return match Status::from_name(&answer) {
+                Some(status) => Ok(status),
+                None => Err(run.fault(id, format!("port `else` holds `{answer}`: expected a status"))),
+            };
+        }
+        let status = run.only_child(id)?;
+        run.states[id as usize].flag = status == Status::Running;
+        Ok(status)
+    }
+}
+
+/// Another tree: the status of its root passes.
+pub(crate) struct SubTree;
+
+impl<C> Builtin<C> for SubTree {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        run.only_child(id)
+    }
+}

@@ -1,0 +1,403 @@
+//! Built-in nodes. Which nodes need no registration, and what makes each of them?
+//!
+//! One row a node, specification and constructor together; what a node does stands in the file of its family, in the
+//! documentation of its type. Names, ports and defaults are BehaviorTree.CPP's 4.10; Nav2's stand in `nav2`.
+//!
+//! **A new control or decorator**: a type that is [`Builtin`] in its family's file, and a row here.
+
+mod branches;
+mod decorators;
+mod leaves;
+mod loops;
+mod parallel;
+mod reactive;
+mod sequences;
+mod timing;
+mod updates;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::blackboard::Slot;
+use crate::node::{NodeId, NodeState};
+use crate::ports::{PortType, Source};
+use crate::registry::NodeSpec;
+use crate::script::Program;
+use crate::status::Status;
+use crate::tick::{Answer, Run};
+use crate::value::ValueType;
+
+pub(crate) use decorators::SubTree;
+pub(crate) use leaves::Always;
+
+use PortType::{Any, Bool, Double, Int, Key, Script, Text, Unsigned};
+
+/// A node of the engine's own. It is fixed when the tree is built; what it is doing stands in its [`NodeState`], whose
+/// counters mean what the type's documentation says.
+pub(crate) trait Builtin<C>: Send {
+    /// One tick. `before` is its status as its parent has left it: anything but `Running` makes this an activation.
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer;
+
+    /// Called when it is halted while `Running`, before its children are.
+    fn before_halt(&self, _run: &mut Run<'_, C>, _id: NodeId) {}
+
+    /// What a halt leaves of its state, once its children are halted. Unless overridden, nothing.
+    fn after_halt(&self, state: &mut NodeState) {
+        state.clear();
+    }
+
+    /// Called when its parent resets it while it has a `count`, running or not. Unless overridden, the count is kept.
+    fn on_reset(&self, _state: &mut NodeState) {}
+
+    /// The entries by which it is asked to pause and to go on, if it can be.
+    fn pause_entries(&self) -> Option<PauseEntries> {
+        None
+    }
+}
+
+/// Entries of the root blackboard; any write to one is the request.
+#[derive(Clone, Copy)]
+pub(crate) struct PauseEntries {
+    pub(crate) pause: Slot,
+    pub(crate) resume: Slot,
+}
+
+/// What the tree builder offers to make a node from: its ports in the scope where it stands.
+pub(crate) trait Ports {
+    /// What is on a port.
+    fn source(&mut self, port: &str) -> Source;
+    /// What is on each port whose name begins so, in the order of the specification.
+    fn sources(&mut self, prefix: &str) -> Vec<Source>;
+    /// The type of a port's value.
+    fn value_type(&self, port: &str) -> ValueType;
+    /// The entry that a port of type [`PortType::Key`] names.
+    fn slot(&mut self, port: &str) -> Slot;
+    /// The entry of the root blackboard that the text on a port names.
+    #[cfg(feature = "nav2")]
+    fn root_slot(&mut self, port: &str) -> Slot;
+    /// The script on a port of type [`PortType::Script`].
+    fn program(&mut self, port: &str) -> Program;
+    /// The numbers that names stand for.
+    fn enums(&self) -> Arc<BTreeMap<String, i64>>;
+}
+
+/// What makes a built-in node of its ports.
+pub(crate) type MakeBuiltin<C> = fn(&mut dyn Ports) -> Box<dyn Builtin<C>>;
+
+/// A built-in node: what it offers, and what makes it.
+pub(crate) type Row<C> = (NodeSpec, MakeBuiltin<C>);
+
+/// A row of the table.
+pub(crate) fn row<C>(spec: NodeSpec, make: MakeBuiltin<C>) -> Row<C> {
+    (spec, make)
+}
+
+/// A control node of one child or more.
+pub(crate) fn control(id: &str, doc: &str) -> NodeSpec {
+    NodeSpec::control(id, doc, 1, usize::MAX)
+}
+
+fn decorator(id: &str, doc: &str) -> NodeSpec {
+    NodeSpec::decorator(id, doc)
+}
+
+/// BehaviorTree.CPP's nodes, and py_trees' `ParallelAny`.
+pub(crate) fn rows<C>() -> Vec<Row<C>> {
+    use branches::{IfThenElse, Switch, TryCatch, WhileDoElse};
+    use decorators::{Force, Inverter, KeepRunningUntilFailure, Precondition, Repeat, Retry, RunOnce};
+    use leaves::{RunScript, ScriptCondition, SetBlackboard, UnsetBlackboard};
+    use loops::LoopOver;
+    use parallel::{Parallel, ParallelAll, ParallelAny};
+    use reactive::{ReactiveFallback, ReactiveSequence};
+    use sequences::{Fallback, Sequence, SequenceWithMemory};
+    use timing::{Delay, Sleep, Timeout};
+    use updates::{IfUpdated, WasEntryUpdated};
+
+    let mut rows = vec![
+        // Controls.
+        row(
+            control(
+                "Sequence",
+                "Ticks children in order until one fails; resumes at the running child.",
+            ),
+            |_| Box::new(Sequence { yields: false }),
+        ),
+        row(
+            control("AsyncSequence", "A Sequence that yields after each child."),
+            |_| Box::new(Sequence { yields: true }),
+        ),
+        row(
+            control("SequenceWithMemory", "A Sequence that retries the failed child."),
+            |_| Box::new(SequenceWithMemory),
+        ),
+        row(control("SequenceStar", "Former name of SequenceWithMemory."), |_| {
+            Box::new(SequenceWithMemory)
+        }),
+        row(
+            control(
+                "ReactiveSequence",
+                "A Sequence that starts from the first child in every tick.",
+            ),
+            |_| Box::new(ReactiveSequence),
+        ),
+        row(
+            control(
+                "Fallback",
+                "Ticks children in order until one succeeds; resumes at the running child.",
+            ),
+            |_| Box::new(Fallback { yields: false }),
+        ),
+        row(
+            control("AsyncFallback", "A Fallback that yields after each child."),
+            |_| Box::new(Fallback { yields: true }),
+        ),
+        row(
+            control(
+                "ReactiveFallback",
+                "A Fallback that starts from the first child in every tick.",
+            ),
+            |_| Box::new(ReactiveFallback),
+        ),
+        row(
+            control("Parallel", "Ticks all children until enough have succeeded or failed.")
+                .input_or("success_count", Int, "-1", "successes that end it; -1: all")
+                .input_or("failure_count", Int, "1", "failures that end it; -1: all"),
+            |ports| {
+                Box::new(Parallel {
+                    success_count: ports.source("success_count"),
+                    failure_count: ports.source("failure_count"),
+                })
+            },
+        ),
+        row(
+            control("ParallelAll", "Ticks all children, each to its end.").input_or(
+                "max_failures",
+                Int,
+                "1",
+                "failures that make it fail; -1: all",
+            ),
+            |ports| {
+                Box::new(ParallelAll {
+                    max_failures: ports.source("max_failures"),
+                })
+            },
+        ),
+        row(
+            control(
+                "ParallelAny",
+                "Ticks all children until one succeeds or fails (py_trees).",
+            ),
+            |_| Box::new(ParallelAny),
+        ),
+        row(
+            NodeSpec::control("IfThenElse", "Ticks child 1 once, then runs child 2 or 3.", 2, 3),
+            |_| Box::new(IfThenElse),
+        ),
+        row(
+            NodeSpec::control(
+                "WhileDoElse",
+                "Ticks child 1 in every tick and runs child 2 or 3.",
+                2,
+                3,
+            ),
+            |_| Box::new(WhileDoElse),
+        ),
+        row(
+            NodeSpec::control(
+                "TryCatch",
+                "A Sequence whose last child cleans up after a failure.",
+                2,
+                usize::MAX,
+            )
+            .input_or("catch_on_halt", Bool, "false", "clean up after a halt too"),
+            |ports| {
+                Box::new(TryCatch {
+                    catch_on_halt: ports.source("catch_on_halt"),
+                })
+            },
+        ),
+        // Decorators.
+        row(decorator("Inverter", "Swaps SUCCESS and FAILURE."), |_| {
+            Box::new(Inverter)
+        }),
+        row(
+            decorator("ForceSuccess", "SUCCESS whatever the child ends with."),
+            |_| Box::new(Force(Status::Success)),
+        ),
+        row(
+            decorator("ForceFailure", "FAILURE whatever the child ends with."),
+            |_| Box::new(Force(Status::Failure)),
+        ),
+        row(
+            decorator("RetryUntilSuccessful", "Retries until the child succeeds.").input(
+                "num_attempts",
+                Int,
+                "attempts in all; -1: unlimited",
+            ),
+            |ports| Box::new(Retry(ports.source("num_attempts"))),
+        ),
+        row(
+            decorator("Repeat", "Repeats while the child succeeds.").input("num_cycles", Int, "cycles; -1: unlimited"),
+            |ports| Box::new(Repeat(ports.source("num_cycles"))),
+        ),
+        row(
+            decorator("KeepRunningUntilFailure", "RUNNING until the child fails."),
+            |_| Box::new(KeepRunningUntilFailure),
+        ),
+        row(
+            decorator("Timeout", "FAILURE if the child takes longer.").input(
+                "msec",
+                Unsigned,
+                "time for the child, ms; 0: unlimited",
+            ),
+            |ports| Box::new(Timeout(ports.source("msec"))),
+        ),
+        row(
+            decorator("Delay", "Waits before the child.").input("delay_msec", Unsigned, "wait, ms"),
+            |ports| Box::new(Delay(ports.source("delay_msec"))),
+        ),
+        row(
+            decorator("RunOnce", "Runs the child once in the life of the tree.").input_or(
+                "then_skip",
+                Bool,
+                "true",
+                "afterwards SKIPPED, not the same status again",
+            ),
+            |ports| {
+                Box::new(RunOnce {
+                    then_skip: ports.source("then_skip"),
+                })
+            },
+        ),
+        row(
+            decorator("Precondition", "Runs the child if a script is true.")
+                .input("if", Script, "condition")
+                .input_or("else", PortType::Status, "FAILURE", "status if the condition is false"),
+            |ports| {
+                Box::new(Precondition {
+                    condition: ports.program("if"),
+                    otherwise: ports.source("else"),
+                })
+            },
+        ),
+        row(
+            decorator("SkipUnlessUpdated", "SKIPPED unless the entry has been written.").input(
+                "entry",
+                Key,
+                "entry to watch",
+            ),
+            |ports| {
+                Box::new(IfUpdated {
+                    slot: ports.slot("entry"),
+                    otherwise: Status::Skipped,
+                })
+            },
+        ),
+        row(
+            decorator("WaitValueUpdate", "RUNNING unless the entry has been written.").input(
+                "entry",
+                Key,
+                "entry to watch",
+            ),
+            |ports| {
+                Box::new(IfUpdated {
+                    slot: ports.slot("entry"),
+                    otherwise: Status::Running,
+                })
+            },
+        ),
+        // Leaves.
+        row(NodeSpec::action("AlwaysSuccess", "SUCCESS."), |_| {
+            Box::new(Always(Status::Success))
+        }),
+        row(NodeSpec::action("AlwaysFailure", "FAILURE."), |_| {
+            Box::new(Always(Status::Failure))
+        }),
+        row(
+            NodeSpec::action("Sleep", "Waits.").input("msec", Unsigned, "wait, ms"),
+            |ports| Box::new(Sleep(ports.source("msec"))),
+        ),
+        row(
+            NodeSpec::action("SetBlackboard", "Writes an entry.")
+                .input("value", Any, "literal or entry to copy")
+                .inout("output_key", Key, "entry to write"),
+            |ports| {
+                Box::new(SetBlackboard {
+                    value: ports.source("value"),
+                    slot: ports.slot("output_key"),
+                })
+            },
+        ),
+        row(
+            NodeSpec::action("UnsetBlackboard", "Removes an entry.").input("key", Key, "entry to remove"),
+            |ports| Box::new(UnsetBlackboard(ports.slot("key"))),
+        ),
+        row(
+            NodeSpec::action("Script", "Runs a script.").input("code", Script, "script"),
+            |ports| Box::new(RunScript(ports.program("code"))),
+        ),
+        row(
+            NodeSpec::condition("ScriptCondition", "SUCCESS if a script is true.").input("code", Script, "condition"),
+            |ports| Box::new(ScriptCondition(ports.program("code"))),
+        ),
+        row(
+            NodeSpec::action(
+                "WasEntryUpdated",
+                "SUCCESS if the entry has been written since the last tick.",
+            )
+            .input("entry", Key, "entry to watch"),
+            |ports| Box::new(WasEntryUpdated(ports.slot("entry"))),
+        ),
+    ];
+    for cases in 2..=6 {
+        let doc = "Runs the child whose case equals the variable, else the last.";
+        let spec = NodeSpec::control(&format!("Switch{cases}"), doc, cases + 1, cases + 1);
+        let spec = (1..=cases).fold(spec.input("variable", Text, "value to compare"), |spec, case| {
+            spec.input(&format!("case_{case}"), Text, "value that selects this child")
+        });
+        rows.push(row(spec, |ports| {
+            Box::new(Switch {
+                variable: ports.source("variable"),
+                cases: ports.sources("case_"),
+                enums: ports.enums(),
+            })
+        }));
+    }
+    for (id, item) in [
+        ("LoopInt", Int),
+        ("LoopBool", Bool),
+        ("LoopDouble", Double),
+        ("LoopString", Text),
+    ] {
+        let queue = PortType::List(item.value_type().unwrap_or(ValueType::Text));
+        let spec = decorator(id, "Runs the child once for each item of a list.")
+            .inout("queue", queue, "the list: 1;2;3, or an entry that is consumed")
+            .input_or("if_empty", PortType::Status, "SUCCESS", "status when no item is left")
+            .output("value", item, "the current item");
+        rows.push(row(spec, |ports| {
+            Box::new(LoopOver {
+                queue: ports.source("queue"),
+                value: ports.source("value"),
+                if_empty: ports.source("if_empty"),
+                item: ports.value_type("value"),
+            })
+        }));
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_default_is_a_value_of_its_port() {
+        for (spec, _) in rows::<()>() {
+            for port in &spec.ports {
+                if let Some(default) = &port.default {
+                    assert!(port.kind.parse(default).is_some(), "{} {}", spec.id, port.name);
+                }
+            }
+        }
+    }
+}

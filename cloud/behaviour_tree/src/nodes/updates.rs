@@ -1,0 +1,51 @@
+//! Nodes that ask whether a blackboard entry has been written since they last looked:
+//! BehaviorTree.CPP's `SkipUnlessUpdated`, `WaitValueUpdate`, `WasEntryUpdated`.
+//!
+//! `mark` is the sequence number seen last; it survives halts.
+
+use super::Builtin;
+use crate::blackboard::Slot;
+use crate::node::{NodeId, NodeState};
+use crate::status::Status;
+use crate::tick::{Answer, Run};
+
+/// Ticks the child if the entry was written since the last look, or while the child is `Running`
+/// (`flag`), and passes its status; answers `otherwise` if not.
+pub(crate) struct IfUpdated {
+    pub(crate) slot: Slot,
+    pub(crate) otherwise: Status,
+}
+
+impl<C> Builtin<C> for IfUpdated {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        if !run.states[id as usize].flag && !was_written(run, id, self.slot) {
+            return Ok(self.otherwise);
+        }
+        let status = run.only_child(id)?;
+        run.states[id as usize].flag = status == Status::Running;
+        Ok(status)
+    }
+
+    fn after_halt(&self, state: &mut NodeState) {
+        let mark = state.mark;
+        state.clear();
+        state.mark = mark;
+    }
+}
+
+/// `Success` if the entry was written since the last look, else `Failure`.
+pub(crate) struct WasEntryUpdated(pub(crate) Slot);
+
+impl<C> Builtin<C> for WasEntryUpdated {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        Ok(match was_written(run, id, self.0) {
+            true => Status::Success,
+            false => Status::Failure,
+        })
+    }
+}
+
+fn was_written<C>(run: &mut Run<'_, C>, id: NodeId, slot: Slot) -> bool {
+    let current = run.board.sequence(slot);
+    std::mem::replace(&mut run.states[id as usize].mark, current) != current
+}

@@ -1,0 +1,155 @@
+//! Portable graymaps. How is a PGM read and written?
+//!
+//! Written here rather than taken from a crate: readers of the `image` family drop the comments, which carry a map's place and revision
+//! ([`map_file`](crate::map_file)), do not name the line of a mistake, and cost far more code than these lines.
+
+use super::{GrayImage, ImageError, checked_size};
+
+/// The words of a graymap; its comments are gathered on the way.
+struct Words<'b> {
+    bytes: &'b [u8],
+    at: usize,
+    line: usize,
+    comments: Vec<String>,
+}
+
+impl<'b> Words<'b> {
+    fn next(&mut self) -> &'b str {
+        while let Some(byte) = self.bytes.get(self.at) {
+            if *byte == b'#' {
+                let rest = &self.bytes[self.at + 1..];
+                let end = rest.iter().position(|byte| *byte == b'\n').unwrap_or(rest.len());
+                if self.comments.len() < 64 {
+                    self.comments
+                        .push(String::from_utf8_lossy(&rest[..end]).trim().to_owned());
+                }
+                self.at += 1 + end;
+            } else if byte.is_ascii_whitespace() {
+                self.line += usize::from(*byte == b'\n');
+                self.at += 1;
+            } else {
+                break;
+            }
+        }
+        let rest = &self.bytes[self.at.min(self.bytes.len())..];
+        let end = rest
+            .iter()
+            .position(|byte| byte.is_ascii_whitespace() || *byte == b'#')
+            .unwrap_or(rest.len());
+        self.at += end;
+        std::str::from_utf8(&rest[..end]).unwrap_or("bytes that are not text")
+    }
+
+    fn header(&mut self, expected: &'static str) -> Result<u32, ImageError> {
+        let word = self.next();
+        word.parse().map_err(|_| ImageError::Header {
+            expected,
+            found: quote(word),
+        })
+    }
+}
+
+fn quote(word: &str) -> String {
+    if word.is_empty() {
+        "the end of the file".to_owned()
+    } else {
+        format!("`{}`", word.chars().take(40).collect::<String>())
+    }
+}
+
+/// Decodes a graymap, text (P2) or binary (P5).
+pub(super) fn decode(mut bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
+    let mut words = Words {
+        bytes: &bytes,
+        at: 2,
+        line: 1,
+        comments: Vec::new(),
+    };
+    let (width, height) = (words.header("the width")?, words.header("the height")?);
+    let limit = words.header("the largest value")?;
+    if !(1..=65_535).contains(&limit) {
+        return Err(ImageError::Header {
+            expected: "a largest value from 1 to 65535",
+            found: limit.to_string(),
+        });
+    }
+    let count = checked_size(width.into(), height.into())?;
+    // Values above the limit count as white.
+    let scaled = |value: u32| {
+        if limit == 255 {
+            value.min(255) as u8
+        } else {
+            ((value.min(limit) * 255 + limit / 2) / limit) as u8
+        }
+    };
+    let is_binary = bytes[1] == b'5';
+    let (gray, comments) = if is_binary {
+        // Exactly one white-space character ends the header.
+        let start = words.at + 1;
+        let comments = std::mem::take(&mut words.comments);
+        let data = bytes.get(start..).unwrap_or_default();
+        let size = if limit > 255 { 2 } else { 1 };
+        if data.len() / size < count {
+            return Err(ImageError::Truncated {
+                expected: count,
+                found: data.len() / size,
+            });
+        }
+        if size == 2 {
+            let pairs = data.as_chunks::<2>().0.iter().take(count);
+            let gray = pairs
+                .map(|[high, low]| scaled(u32::from(*high) << 8 | u32::from(*low)))
+                .collect();
+            (gray, comments)
+        } else {
+            // In place: the largest maps fill much of the memory.
+            bytes.drain(..start);
+            bytes.truncate(count);
+            for value in &mut bytes {
+                *value = scaled(u32::from(*value));
+            }
+            (bytes, comments)
+        }
+    } else {
+        let mut gray = Vec::with_capacity(count.min(bytes.len()));
+        while gray.len() < count {
+            let word = words.next();
+            if word.is_empty() {
+                return Err(ImageError::Truncated {
+                    expected: count,
+                    found: gray.len(),
+                });
+            }
+            let value = word.parse().ok().filter(|value| *value <= limit);
+            gray.push(scaled(value.ok_or_else(|| ImageError::Value {
+                line: words.line,
+                limit,
+                found: quote(word),
+            })?));
+        }
+        (gray, words.comments)
+    };
+    Ok(GrayImage {
+        width,
+        height,
+        gray,
+        opacity: None,
+        comments,
+    })
+}
+
+/// The header of a binary graymap (P5).
+pub(crate) fn pgm_header(width: u32, height: u32, comments: &[String]) -> String {
+    let comments: String = comments
+        .iter()
+        .map(|comment| format!("# {}\n", comment.replace('\n', " ")))
+        .collect();
+    format!("P5\n{comments}{width} {height}\n255\n")
+}
+
+/// Encodes a binary graymap (P5) with its comments; opacity is lost.
+#[must_use]
+pub fn encode_pgm(image: &GrayImage) -> Vec<u8> {
+    let header = pgm_header(image.width, image.height, &image.comments);
+    [header.as_bytes(), &image.gray].concat()
+}

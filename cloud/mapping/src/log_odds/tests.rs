@@ -1,0 +1,252 @@
+//! Does the grid hold what the beams saw?
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use zenav_protocol::grid::{Cell, Occupancy};
+use zenav_protocol::messages::TILE;
+use zenav_protocol::time::Stamp;
+
+use super::*;
+use crate::sensor_model::UNSEEN;
+
+const BEAMS: BeamSettings = BeamSettings {
+    trim: 0,
+    max_range: None,
+    clear_without_return: true,
+};
+
+/// A scan from a pose whose beams start straight ahead and go counter-clockwise by `step`.
+fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
+    Scan {
+        stamp: Stamp(1),
+        angle_min: 0.0,
+        angle_increment: step,
+        range_min: 0.02,
+        range_max: 5.0,
+        ranges,
+        base_from_laser: Pose2::IDENTITY,
+        map_from_odom: Pose2::IDENTITY,
+        odom_from_base: pose,
+    }
+}
+
+fn empty() -> LogOddsGrid {
+    LogOddsGrid::new(0.05, &SensorModel::default())
+}
+
+fn at(map: &LogOddsGrid, x: f64, y: f64) -> Occupancy {
+    map.to_occupancy()
+        .at(Point2::new(x, y))
+        .map_or(Occupancy::Unknown, |value| Occupancy::of(*value))
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::test_runner::Config::with_cases(32))]
+
+    #[test]
+    fn reference_insertion_is_a_walk_along_every_beam(looks in proptest::collection::vec((-3.0..3.0, -3.0..3.0, -3.1..3.1, 0.01..0.3, proptest::collection::vec(0.05_f32..7.0, 1..40)), 1..12)) {
+        let (mut map, model) = (empty(), QuantizedModel::new(&SensorModel::default()));
+        let whole = GridSpec { origin: Point2::new(-12.8, -12.8), resolution: 0.05, width: 512, height: 512 };
+        let mut bytes = vec![UNSEEN; whole.len()];
+        for (x, y, yaw, step, mut ranges) in looks {
+            ranges.truncate((std::f64::consts::TAU / step) as usize);
+            let scan = scan(Pose2::new(x, y, yaw), step, ranges);
+            proptest::prop_assert!(map.insert(&scan, &BEAMS, InsertMode::Reference, None).is_some());
+            let (mut seen, mut hit) = (std::collections::BTreeSet::new(), std::collections::BTreeSet::new());
+            for (beam, range) in scan.ranges.iter().enumerate() {
+                let length = f64::from(*range).min(scan.range_max);
+                let end = Point2::new(x, y) + Vector2::new((yaw + scan.angle(beam)).cos(), (yaw + scan.angle(beam)).sin()) * length;
+                seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
+                hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
+            }
+            for index in seen {
+                bytes[index] = if hit.contains(&index) { model.after_hit(bytes[index]) } else { model.after_miss(bytes[index]) };
+            }
+        }
+        let map = map.to_occupancy();
+        for (index, byte) in bytes.iter().enumerate() {
+            let value = map.at(whole.center(whole.cell(index))).copied().unwrap_or(Occupancy::UNKNOWN);
+            proptest::prop_assert_eq!(value, model.percent(*byte), "at {}", whole.center(whole.cell(index)));
+        }
+    }
+}
+
+proptest::proptest! {
+    #[test]
+    fn fast_insertion_marks_nearly_the_same_cells(ranges in proptest::collection::vec((0.3_f32..5.0, 1_usize..60), 5..40), x in -1.0..1.0, yaw in -3.0..3.0, step in 0.005..0.02) {
+        let ranges: Vec<f32> = ranges.iter().flat_map(|(range, times)| (0..*times).map(move |i| range + 0.003 * i as f32)).collect();
+        let count = ranges.len().min((std::f64::consts::TAU / step) as usize);
+        let scan = scan(Pose2::new(x, 0.4, yaw), step, ranges[..count].to_vec());
+        let [exact, fast] = [InsertMode::Reference, InsertMode::Fast].map(|mode| {
+            let mut map = empty();
+            map.insert(&scan, &BEAMS, mode, None);
+            map.to_occupancy()
+        });
+        let differ = exact.values().iter().zip(fast.values()).filter(|(exact, fast)| exact != fast).count();
+        let known = exact.values().iter().filter(|value| **value >= 0).count();
+        proptest::prop_assert!(differ * 200 <= known, "{differ} of {known} cells differ");
+    }
+}
+
+#[test]
+fn a_beam_frees_the_cells_it_passes_and_fills_its_last() {
+    let mut map = empty();
+    map.insert(
+        &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![2.0]),
+        &BEAMS,
+        InsertMode::Reference,
+        None,
+    );
+    assert_eq!(at(&map, 1.0, 0.01), Occupancy::Free);
+    assert_eq!(at(&map, 2.01, 0.01), Occupancy::Occupied);
+    assert_eq!(at(&map, 2.06, 0.01), Occupancy::Unknown);
+    assert_eq!(at(&map, 1.0, 0.11), Occupancy::Unknown);
+    assert_eq!(map.counts().occupied, 1);
+}
+
+#[test]
+fn a_beam_without_a_return_frees_its_whole_range() {
+    let mut map = empty();
+    map.insert(
+        &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]),
+        &BEAMS,
+        InsertMode::Reference,
+        None,
+    );
+    assert_eq!((at(&map, 4.9, 0.01), map.counts().occupied), (Occupancy::Free, 0));
+    let mut map = empty();
+    map.insert(
+        &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![f32::INFINITY]),
+        &BeamSettings {
+            clear_without_return: false,
+            ..BEAMS
+        },
+        InsertMode::Reference,
+        None,
+    );
+    assert_eq!(map.counts().free, 0);
+}
+
+#[test]
+fn a_hit_is_not_erased_by_another_beam_of_its_scan() {
+    let mut map = empty();
+    // The second beam goes on through the cell that the first one ended in.
+    map.insert(
+        &scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![1.0, 2.0]),
+        &BEAMS,
+        InsertMode::Reference,
+        None,
+    );
+    assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
+    // Later scans do erase it.
+    for _ in 0..5 {
+        map.insert(
+            &scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![2.0, 2.0]),
+            &BEAMS,
+            InsertMode::Reference,
+            None,
+        );
+    }
+    assert_eq!(at(&map, 1.01, 0.01), Occupancy::Free);
+}
+
+#[test]
+fn the_cells_under_the_robot_are_free() {
+    let mut map = empty();
+    map.insert(
+        &scan(Pose2::new(3.0, -2.0, 0.3), 0.1, vec![0.1; 40]),
+        &BEAMS,
+        InsertMode::Reference,
+        Some(&Footprint::Radius(0.25)),
+    );
+    for (x, y) in [(3.0, -2.0), (3.2, -2.0), (2.8, -2.0), (3.0, -1.8), (3.1, -2.0)] {
+        assert_eq!(at(&map, x, y), Occupancy::Free);
+    }
+}
+
+#[test]
+fn growing_keeps_what_was_known_where_it_was() {
+    let mut map = empty();
+    map.insert(
+        &scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]),
+        &BEAMS,
+        InsertMode::Reference,
+        None,
+    );
+    let before = map.spec();
+    map.insert(
+        &scan(Pose2::new(-20.0, -30.0, 0.0), 0.1, vec![1.0]),
+        &BEAMS,
+        InsertMode::Reference,
+        None,
+    );
+    let after = map.spec();
+    assert!(after.len() > before.len() && after.width.is_multiple_of(TILE) && after.height.is_multiple_of(TILE));
+    assert_eq!(
+        (at(&map, 0.5, 0.01), at(&map, 1.01, 0.01)),
+        (Occupancy::Free, Occupancy::Occupied)
+    );
+    assert_eq!(
+        (at(&map, -19.5, -30.0), at(&map, -18.99, -29.99)),
+        (Occupancy::Free, Occupancy::Occupied)
+    );
+}
+
+#[test]
+fn a_beam_beyond_the_largest_map_is_left_out() {
+    let mut map = empty();
+    let mut far = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0, 1e9]);
+    far.range_max = 1e10;
+    let count = BeamCount {
+        inserted: 1,
+        left_out: 1,
+    };
+    assert_eq!(map.insert(&far, &BEAMS, InsertMode::Reference, None), Some(count));
+    let nowhere = scan(Pose2::new(1e12, 0.0, 0.0), 0.1, vec![1.0]);
+    assert_eq!(map.insert(&nowhere, &BEAMS, InsertMode::Reference, None), None);
+    assert_eq!(at(&map, 1.01, 0.01), Occupancy::Occupied);
+}
+
+#[test]
+fn changed_tiles_are_given_once() {
+    let mut map = empty();
+    let still = scan(Pose2::new(0.01, 0.01, 0.0), 0.1, vec![1.0]);
+    map.insert(&still, &BEAMS, InsertMode::Reference, None);
+    let tiles = map.take_dirty(usize::MAX);
+    assert_eq!(tiles.len(), 1);
+    assert_eq!(tiles[0].values, map.to_occupancy().values());
+    assert!(!map.is_dirty());
+    // A scene that does not change any more is not told again.
+    for _ in 0..100 {
+        map.insert(&still, &BEAMS, InsertMode::Reference, None);
+    }
+    map.take_dirty(usize::MAX);
+    map.insert(&still, &BEAMS, InsertMode::Reference, None);
+    assert!(!map.is_dirty());
+}
+
+#[test]
+fn known_values_are_taken_over_and_padded() {
+    let spec = GridSpec {
+        origin: Point2::new(0.3, -0.7),
+        resolution: 0.1,
+        width: 70,
+        height: 3,
+    };
+    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+    grid[Cell::new(69, 2)] = Occupancy::OCCUPIED;
+    let map = LogOddsGrid::from_occupancy(&grid, &SensorModel::default());
+    assert_eq!(
+        (map.spec().width, map.spec().height, map.spec().origin),
+        (128, 64, spec.origin)
+    );
+    assert_eq!(
+        map.counts(),
+        CellCounts {
+            free: 209,
+            occupied: 1,
+            unknown: 128 * 64 - 210
+        }
+    );
+    assert_eq!(Occupancy::of(map.to_occupancy()[Cell::new(69, 2)]), Occupancy::Occupied);
+}

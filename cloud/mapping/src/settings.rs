@@ -1,0 +1,98 @@
+//! Settings. Which numbers of mapping can be tuned?
+//!
+//! The section `[mapping]` of a deployment file. Numerical epsilons and memory bounds are private constants beside their use.
+
+use zenav_protocol::config_text::OutOfBounds;
+
+use crate::log_odds::InsertMode;
+
+zenav_protocol::settings! {
+    /// How scans become a map.
+    pub struct MappingSettings {
+        /// Side of a cell (Nav2's usual 0.05).
+        pub resolution: f64 = 0.05, "m", 0.005..=10.0;
+        /// How beams are drawn: `reference` (every beam, exactly) or `fast` (wedges between beams are filled).
+        pub mode: InsertMode = InsertMode::Reference;
+        /// Temporal decay: an obstacle that appeared where it had long been free is free again after this time without a hit; after as
+        /// long with hits it is permanent. 0 turns decay off (30: longer than a robot usually looks away, shorter than people stand).
+        pub decay_after: f64 = 30.0, "s", 0.0..=86_400.0;
+        /// Distance between the stored positions of the robot.
+        pub trajectory_step: f64 = 0.1, "m", 0.01..=100.0;
+        /// Most tiles in a patch; the others follow in the next (2048 tiles are 8 MiB).
+        pub patch_tiles: usize = 2048, "tiles", 1..=15_000;
+        /// Most patches a second; the first scan after a pause is published at once.
+        pub publish_hz: f64 = 10.0, "Hz", 0.1..=100.0;
+        /// What one observation says about a cell.
+        pub sensor_model: SensorModel;
+        /// Which beams of a scan are used.
+        pub beams: BeamSettings;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Inverse sensor model: the probability that a cell is occupied, given one observation of it.
+    ///
+    /// With the defaults one observation makes an unknown cell free (19 %) or occupied (66 %), and a cell stays occupied as long as more
+    /// than about a quarter of the scans that observe it hit it: range noise moves hits between neighbouring cells.
+    #[derive(Copy)]
+    pub struct SensorModel {
+        /// Prior probability of an unseen cell: most space is free.
+        pub prior: f64 = 0.289, "", 0.002..=0.998;
+        /// Probability after one hit, from even odds.
+        pub hit: f64 = 0.825, "", 0.51..=0.998;
+        /// Probability after one miss, from even odds.
+        pub miss: f64 = 0.366, "", 0.002..=0.49;
+        /// Lower clamp, so that a map can change its mind (OctoMap). From 0.2 on no cell would ever be free.
+        pub least: f64 = 0.119, "", 0.002..=0.19;
+        /// Upper clamp. Below 0.65 no cell would ever be occupied.
+        pub most: f64 = 0.971, "", 0.65..=0.998;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Which beams of a scan are used.
+    #[derive(Copy)]
+    pub struct BeamSettings {
+        /// Beams dropped at each end of the sweep, where lidars see their own housing; a full circle has no ends.
+        pub trim: usize = 2, "beams", 0..=1000;
+        /// Returns beyond this distance are not trusted: such a beam clears up to here and hits nothing. Without it, the scan's range.
+        pub max_range: Option<f64> = None, "m";
+        /// Whether a beam without a return clears its cells up to the range; some lidars also lose black and glass.
+        pub clear_without_return: bool = true;
+    }
+    check = |beams: &BeamSettings| match beams.max_range {
+        Some(range) if !(range.is_finite() && range > 0.0) => {
+            Err(OutOfBounds::unlike("max_range", range, "a positive number of metres"))
+        }
+        _ => Ok(()),
+    };
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::settings::Settings;
+
+    use super::*;
+
+    #[test]
+    fn a_number_out_of_bounds_is_refused_by_its_key() {
+        assert_eq!(MappingSettings::default().check(), Ok(()));
+        let refused = |change: fn(&mut MappingSettings)| {
+            let mut settings = MappingSettings::default();
+            change(&mut settings);
+            settings.check().unwrap_err().to_string()
+        };
+        assert_eq!(
+            refused(|settings| settings.resolution = f64::NAN),
+            "`resolution` is NaN: expected 0.005 to 10 m"
+        );
+        assert_eq!(
+            refused(|settings| settings.beams.max_range = Some(-1.0)),
+            "`beams.max_range` is -1: expected a positive number of metres"
+        );
+        assert!(refused(|settings| settings.sensor_model.hit = 0.3).starts_with("`sensor_model.hit`"));
+        assert!(refused(|settings| settings.sensor_model.least = 0.3).contains("expected 0.002 to 0.19"));
+        assert!(refused(|settings| settings.patch_tiles = 0).starts_with("`patch_tiles`"));
+    }
+}

@@ -1,0 +1,78 @@
+//! Ends of a search. From which free cell does a robot leave, and to which does it come?
+//!
+//! A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is refused only where it
+//! stands in an obstacle.
+
+use nalgebra::Point2;
+use zenav_protocol::grid::Cell;
+use zenav_space::{ConfigurationSpace, LineOfSight as _};
+
+use super::path::center;
+use super::planner::Planner;
+
+/// Cells looked at around a point that is not at a free cell's centre, in each direction.
+const NEARBY: i64 = 3;
+/// How deep an obstacle of the map may reach into a robot that stands, cells: a map is no truer than its cells.
+const TOUCHING_CELLS: f64 = 1.5;
+/// How far such a robot may go for a free place, m.
+const LEAVING: f64 = 0.6;
+
+/// Where a search begins or ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct End {
+    /// Exactly, in cells.
+    pub(super) point: Point2<f64>,
+    /// The free cell at or close to it.
+    pub(super) cell: Cell,
+}
+
+impl End {
+    /// Where a planner starts from: the point itself where the planner is not bound to cells and the robot fits there.
+    pub(super) fn of(&self, space: &ConfigurationSpace, planner: Planner) -> Point2<f64> {
+        if planner.grows_trees() && space.admits(self.point) {
+            self.point
+        } else {
+            center(self.cell)
+        }
+    }
+}
+
+/// The free cell nearest to a point from whose centre a disc of `radius` (m) goes straight to the point; none further than a few cells away.
+pub(super) fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius: f64) -> Option<Cell> {
+    nearest_reachable(space, point, radius, NEARBY)
+}
+
+/// The free cell that a robot leaves by, which may stand closer to obstacles than it would be led.
+pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>) -> Option<Cell> {
+    let radius = space.radius();
+    if let Some(cell) = cell_beside(space, start, radius) {
+        return Some(cell);
+    }
+    let clearance = space.clearance(start);
+    let tolerance = TOUCHING_CELLS * space.spec().resolution;
+    if clearance < space.footprint().inscribed_radius() - tolerance {
+        return None;
+    }
+    let cells = (LEAVING / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
+    nearest_reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells)
+}
+
+fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> Option<Cell> {
+    let spec = space.spec();
+    let home = spec.cell_at(point)?;
+    let mut around: Vec<(f64, Cell)> = Vec::new();
+    for dy in -cells..=cells {
+        for dx in -cells..=cells {
+            let (x, y) = (i64::from(home.x) + dx, i64::from(home.y) + dy);
+            if spec.contains(x, y) && space.is_free(Cell::new(x as u32, y as u32)) {
+                let cell = Cell::new(x as u32, y as u32);
+                around.push(((spec.center(cell) - point).norm_squared(), cell));
+            }
+        }
+    }
+    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    around
+        .into_iter()
+        .map(|(_, cell)| cell)
+        .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
+}

@@ -1,0 +1,193 @@
+//! What does mapping promise on the network?
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
+use zenav_protocol::messages::{EdgeState, LeaseRole, LeaseState, MapAction, MapReply, MapRequest, Refusal};
+
+use super::*;
+
+const DEADLINE: Duration = Duration::from_secs(10);
+
+fn scan(stamp: u64) -> Scan {
+    Scan {
+        stamp: Stamp(stamp),
+        angle_min: -1.0,
+        angle_increment: 0.02,
+        range_min: 0.02,
+        range_max: 5.0,
+        ranges: vec![2.0; 100],
+        base_from_laser: Pose2::IDENTITY,
+        map_from_odom: Pose2::IDENTITY,
+        odom_from_base: Pose2::new(0.1, 0.0, 0.0),
+    }
+}
+
+fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
+    MapRequest {
+        action,
+        request_id: Some(id.to_owned()),
+        epoch,
+    }
+}
+
+async fn router() -> (Router, String) {
+    let router = Router::open(&RouterConfig {
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        ..RouterConfig::default()
+    })
+    .await
+    .unwrap();
+    let endpoint = router.endpoints().await.remove(0);
+    (router, endpoint)
+}
+
+/// State of a robot whose lease a mission holds under this epoch, or has let lapse.
+fn state(epoch: u64, live: bool) -> EdgeState {
+    let lease = LeaseState {
+        holder: Some("mission-a".into()),
+        role: Some(LeaseRole::Mission),
+        epoch,
+        live,
+        ..LeaseState::default()
+    };
+    serde_json::from_value(serde_json::json!({
+        "stamp": 1, "boot_id": "b", "mode": "idle", "link": "Connected", "lease": lease, "velocity": {"v": 0.0, "w": 0.0},
+        "guard": "clear", "battery": 1.0
+    }))
+    .unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_scan_becomes_a_patch_and_a_saved_map_is_there_after_a_restart() {
+    let (router, endpoint) = router().await;
+    let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+    let folder = tempfile::tempdir().unwrap();
+    let config = MappingConfig {
+        folder: Some(folder.path().to_owned()),
+        ..MappingConfig::new("tiago")
+    };
+    let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
+    let mut patches = client.subscribe(&MAP_PATCH, &chunks, 16).unwrap();
+    let scans = client.publisher(&SCAN, &chunks).unwrap();
+
+    let shutdown = Shutdown::new();
+    let service = tokio::spawn(run(
+        open("mapping").await.unwrap(),
+        Clock::wall(),
+        config.clone(),
+        shutdown.clone(),
+    ));
+    let empty = client
+        .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+        .await
+        .unwrap();
+    assert!(!empty.info.stored && empty.values.is_empty());
+    let refused = client
+        .ask(&MAP, &chunks, &request(MapAction::Save, "too early", None), DEADLINE)
+        .await;
+    assert!(refused.is_err());
+
+    // The scan's way to the service may not be declared yet: a robot sends again and again.
+    let mut replica = MapReplica::new();
+    let mut stamp = 0;
+    while !replica.has_map() {
+        stamp += 1;
+        scans.put(&scan(stamp));
+        if let Ok(Some(patch)) = tokio::time::timeout(Duration::from_millis(100), patches.next()).await {
+            assert_eq!(replica.apply(&patch.message), PatchResult::Applied);
+        }
+    }
+    let saved = client
+        .ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE)
+        .await
+        .unwrap();
+    assert!(saved.info.stored && saved.values.is_empty());
+    let again = client
+        .ask(&MAP, &chunks, &request(MapAction::Save, "save", None), DEADLINE)
+        .await
+        .unwrap();
+    assert_eq!(again, saved);
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+
+    let shutdown = Shutdown::new();
+    let service = tokio::spawn(run(
+        open("mapping").await.unwrap(),
+        Clock::wall(),
+        config,
+        shutdown.clone(),
+    ));
+    let loaded = client
+        .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+        .await
+        .unwrap();
+    assert!(loaded.info.stored && loaded.info.free > 0 && loaded.trajectory.len() == 1);
+    assert_eq!(
+        (loaded.info.free, loaded.info.occupied),
+        (saved.info.free, saved.info.occupied)
+    );
+    let reset = client
+        .ask(&MAP, &chunks, &request(MapAction::Reset, "reset", None), DEADLINE)
+        .await
+        .unwrap();
+    assert!(!reset.info.stored && reset.info.map.id != loaded.info.map.id);
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+    router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mission_s_map_is_changed_under_its_epoch_only_and_once() {
+    let (router, endpoint) = router().await;
+    let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+    let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
+    let shutdown = Shutdown::new();
+    let service = tokio::spawn(run(
+        open("mapping").await.unwrap(),
+        Clock::wall(),
+        MappingConfig::new("tiago"),
+        shutdown.clone(),
+    ));
+    let states = client.publisher(&STATE, &chunks).unwrap();
+    let ask = async |request: MapRequest| client.ask(&MAP, &chunks, &request, DEADLINE).await;
+    let until = async |epoch: u64, live: bool, wanted: fn(&Result<MapReply, AskError>) -> bool| {
+        tokio::time::timeout(DEADLINE, async {
+            loop {
+                states.put(&state(epoch, live));
+                let plain = MapRequest {
+                    action: MapAction::Reset,
+                    ..MapRequest::default()
+                };
+                let answer = ask(plain).await;
+                if wanted(&answer) {
+                    return answer;
+                }
+            }
+        })
+        .await
+        .unwrap()
+    };
+
+    // While the mission holds the lease, a request typed by somebody is refused, and the refusal says what is missing.
+    let refused = until(7, true, Result::is_err).await.unwrap_err();
+    assert!(refused.to_string().contains("expected `epoch`"), "{refused}");
+    states.put(&state(7, true));
+    let wrong = ask(request(MapAction::Reset, "a", Some(6))).await.unwrap_err();
+    assert_eq!(wrong, AskError::Refused(Refusal::WrongEpoch { got: 6, current: 7 }));
+    // The same request under the right epoch succeeds, and when it is repeated nothing is reset again.
+    states.put(&state(7, true));
+    let first = ask(request(MapAction::Reset, "a", Some(7))).await.unwrap();
+    assert_eq!(ask(request(MapAction::Reset, "a", Some(7))).await.unwrap(), first);
+    let map = ask(MapRequest::default()).await.unwrap();
+    assert_eq!(map.info.map, first.info.map);
+    // Once the lease has lapsed, the plain request is carried out.
+    let reset = until(7, false, Result::is_ok).await.unwrap();
+    assert_ne!(reset.info.map.id, first.info.map.id);
+
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+    router.close().await;
+}

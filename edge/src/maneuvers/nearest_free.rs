@@ -1,0 +1,142 @@
+//! Nearest free place. Where is the nearest place with enough clearance to every known obstacle, and how does the robot get there? By one turn
+//! on the spot and one straight drive, forwards or backwards, each checked with the swept footprint.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::robot::Footprint;
+
+use crate::field_of_view::rigid;
+use crate::local_obstacles::LocalObstacles;
+
+/// Number of directions tried.
+const DIRECTIONS: u32 = 16;
+/// Clearance that must be known to be free around the outline in the blind spot, m: more than the collision monitor requires.
+const KEEP_OFF: f64 = 0.1;
+/// Spacing of the poses checked along a drive, m.
+const PLACES: f64 = 0.1;
+/// Spacing of the candidate places along a direction, m.
+const STEP: f64 = 0.05;
+
+/// A turn (rad, counter-clockwise) and a straight drive after it (m, negative is backwards).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Escape {
+    /// Turn on the spot, rad.
+    pub turn: f64,
+    /// Distance, m.
+    pub distance: f64,
+}
+
+/// The path to the nearest place within `within` m at which every point stays `clearance` m away from the footprint; of places equally
+/// near, the one after the lesser turn. `None` when there is none.
+///
+/// `points` are in the base frame; `is_free` tells whether the robot, placed at a pose in its present base frame, can move with a twist
+/// for so many seconds.
+#[must_use]
+pub fn nearest_free(
+    footprint: &Footprint,
+    points: &[Point2<f64>],
+    clearance: f64,
+    within: f64,
+    is_free: impl Fn(Pose2, Twist2, f64) -> bool,
+) -> Option<Escape> {
+    // NaN counts as zero.
+    let within = within.max(0.0);
+    let reach = within + clearance + footprint.circumscribed_radius();
+    let near: Vec<&Point2<f64>> = points.iter().filter(|point| point.coords.norm() <= reach).collect();
+    let is_valid = |pose: Pose2| {
+        let inverse = pose.inverse();
+        near.iter()
+            .all(|point| footprint.distance(inverse.transform_point(**point)) >= clearance)
+    };
+    if is_valid(Pose2::IDENTITY) {
+        return Some(Escape {
+            turn: 0.0,
+            distance: 0.0,
+        });
+    }
+    let mut headings: Vec<(f64, f64)> = (0..DIRECTIONS)
+        .map(|index| TAU * f64::from(index) / f64::from(DIRECTIONS))
+        .flat_map(|direction| [(wrap_angle(direction), 1.0), (wrap_angle(direction + PI), -1.0)])
+        .collect();
+    headings.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+    let after = |turn: f64| Pose2::new(0.0, 0.0, turn);
+    let can_turn = |turn: f64| turn == 0.0 || is_free(Pose2::IDENTITY, Twist2::new(0.0, turn.signum()), turn.abs());
+    let steps = (within / STEP).floor() as u32;
+    (1..=steps).map(|step| STEP * f64::from(step)).find_map(|length| {
+        headings
+            .iter()
+            .find(|(turn, sign)| {
+                let drive = Twist2::new(*sign, 0.0);
+                is_valid(after(*turn).advance(drive, length)) && can_turn(*turn) && is_free(after(*turn), drive, length)
+            })
+            .map(|(turn, sign)| Escape {
+                turn: *turn,
+                distance: sign * length,
+            })
+    })
+}
+
+/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free: the collision monitor
+/// would stop it.
+#[must_use]
+pub fn drives_into_unknown(
+    footprint: &Footprint,
+    obstacles: &LocalObstacles,
+    odom_from_there: Pose2,
+    twist: Twist2,
+    secs: f64,
+) -> bool {
+    let (floor, odom_from_there) = (obstacles.blind_spots(), rigid(odom_from_there));
+    if !floor.leads_into_blind_spot(twist.v) {
+        return false;
+    }
+    let reach = footprint.circumscribed_radius() + KEEP_OFF;
+    let places = (secs * twist.v.abs() / PLACES).ceil().clamp(1.0, 100.0);
+    (1..=places as u32).any(|place| {
+        let there = Pose2::IDENTITY.advance(twist, secs * f64::from(place) / places);
+        (0..DIRECTIONS).any(|index| {
+            let direction = Pose2::new(0.0, 0.0, TAU * f64::from(index) / f64::from(DIRECTIONS)).heading();
+            // Only the leading side of the outline is on new floor.
+            direction.x * twist.v > 0.0
+                && floor.is_unknown(&odom_from_there, there.transform_point(Point2::from(direction * reach)))
+        })
+    })
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const DISC: Footprint = Footprint::Radius(0.2);
+
+    fn everything(_: Pose2, _: Twist2, _: f64) -> bool {
+        true
+    }
+
+    #[test]
+    fn with_enough_clearance_already_nothing_is_done() {
+        let way = nearest_free(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, everything);
+        assert_eq!(way.map(|way| (way.turn, way.distance)), Some((0.0, 0.0)));
+    }
+
+    #[test]
+    fn from_a_wall_ahead_it_backs_up_just_as_far_as_is_needed() {
+        let wall: Vec<_> = (-20..=20).map(|i| Point2::new(0.22, 0.05 * f64::from(i))).collect();
+        let way = nearest_free(&DISC, &wall, 0.095, 1.0, everything).unwrap();
+        assert!(way.turn == 0.0 && (way.distance + 0.1).abs() < 1e-9, "{way:?}");
+    }
+
+    #[test]
+    fn a_blocked_path_is_not_taken_and_without_any_there_is_none() {
+        let point = [Point2::new(0.22, 0.0)];
+        let not_back = |_: Pose2, twist: Twist2, _: f64| twist.v >= 0.0;
+        let way = nearest_free(&DISC, &point, 0.1, 1.0, not_back).unwrap();
+        assert!(way.distance > 0.0 && way.turn.abs() > 0.5, "{way:?}");
+        assert_eq!(nearest_free(&DISC, &point, 0.1, 1.0, |_, _, _| false), None);
+        assert_eq!(nearest_free(&DISC, &point, 2.0, 0.5, everything), None, "too far");
+        assert_eq!(nearest_free(&DISC, &point, 0.1, f64::NAN, everything), None);
+    }
+}

@@ -1,0 +1,106 @@
+//! Motion arbitration in a tick. Which twist does the source that may move the robot want, and how does it brake?
+
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::{Bump, EventKind, GuardZone, Mode};
+use zenav_protocol::time::Stamp;
+
+use super::Pilot;
+use crate::arbitration::MotionSource;
+use crate::limiter::Braking;
+use crate::trackers::TrackerInput;
+use crate::wall_follower::WallFollowerInput;
+
+impl Pilot {
+    /// The wanted twist of the source that may move the robot, and how it brakes.
+    pub(super) fn arbitrate(&mut self, now: Stamp, dt: f64, bump: &Bump) -> (Twist2, Braking) {
+        let plan_valid = self.active_plan.as_ref().is_some_and(|active| active.is_valid(now));
+        let source = self.authority.motion_source(now, plan_valid);
+        if source != MotionSource::ReturnHome {
+            self.return_home.record(self.estimator.map_from_base().position());
+        }
+        if self.maneuvers.running().is_some() {
+            // A maneuver moves under a live lease only; whose it is was checked when it began.
+            let live = self.authority.lease_state(now).live;
+            if live && source != MotionSource::Brake {
+                self.mode = Mode::Behaviour;
+                let stopped = self.collision_monitor.zone() == GuardZone::Stop;
+                let wanted = self.maneuvers.step(
+                    now,
+                    dt,
+                    self.estimator.odom_from_base(),
+                    self.estimator.velocity(),
+                    stopped,
+                    &mut self.events,
+                );
+                return (wanted, Braking::Normal);
+            }
+            self.maneuvers.cancel(now, "the lease has expired", &mut self.events);
+        }
+        match source {
+            MotionSource::Brake => {
+                self.mode = if self.authority.is_stopped() {
+                    Mode::Stopped
+                } else {
+                    Mode::Idle
+                };
+                (Twist2::ZERO, Braking::Hard)
+            }
+            MotionSource::Rest => {
+                self.mode = Mode::Idle;
+                (Twist2::ZERO, Braking::Normal)
+            }
+            MotionSource::WallFollow => {
+                self.mode = Mode::WallFollow;
+                let input = WallFollowerInput {
+                    now,
+                    dt,
+                    settings: &self.wall_following,
+                    obstacles: &self.obstacles,
+                    odom_from_base: self.estimator.odom_from_base(),
+                    bump,
+                    stopped: self.collision_monitor.zone() == GuardZone::Stop,
+                };
+                (self.wall_follower.step(&input, &mut self.events), Braking::Normal)
+            }
+            MotionSource::ReturnHome => {
+                let map_from_base = self.estimator.map_from_base();
+                if self.return_home.is_home(&map_from_base) {
+                    self.mode = Mode::Idle;
+                    return (Twist2::ZERO, Braking::Normal);
+                }
+                self.mode = Mode::ReturnHome;
+                let view = TrackerInput {
+                    dt,
+                    map_from_base,
+                    velocity: self.estimator.velocity(),
+                    speed_cap: f64::INFINITY,
+                };
+                (self.return_home.step(&view, &self.config.model), Braking::Normal)
+            }
+            MotionSource::Teleop => {
+                self.mode = Mode::Teleop;
+                if self.dead_man.just_expired(now) {
+                    let reason = "teleop timed out".to_owned();
+                    let zone = GuardZone::Stop;
+                    self.events.record(now, EventKind::Guard { zone, reason });
+                }
+                (self.dead_man.twist(now), Braking::Normal)
+            }
+            MotionSource::Plan => match &mut self.active_plan {
+                Some(active) => {
+                    let wanted = active.step(
+                        now,
+                        dt,
+                        self.estimator.map_from_base(),
+                        self.estimator.velocity(),
+                        &self.config.model.drive,
+                        &self.gains,
+                    );
+                    self.mode = if active.is_finished() { Mode::Idle } else { Mode::Follow };
+                    (wanted, Braking::Normal)
+                }
+                None => (Twist2::ZERO, Braking::Normal),
+            },
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! Pilot. What does the robot do in one control tick? Readings and messages in; wheel speeds, messages and replies out.
+//!
+//! The phases of a tick, in order: sense, answer requests, renew the lease, receive plans, arbitrate what moves the robot, limit, monitor
+//! for collisions, report. Pure: no clock, no I/O, no randomness; the same inputs give the same outputs.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `sense` | what do the readings of a tick change? |
+//! | `plans` | which plan drives the robot? |
+//! | `arbitrate` | which twist does the source that may move the robot want? |
+//! | `report` | what is published at the end of a tick? |
+
+mod arbitrate;
+mod plans;
+mod report;
+mod sense;
+
+use std::collections::VecDeque;
+
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{EventKind, LostPolicy, Mode, Revision, WallFollowerState};
+use zenav_protocol::readings::Readings;
+use zenav_protocol::robot::ControllerGains;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::wall_following::WallFollowing;
+
+use crate::active_plan::ActivePlan;
+use crate::authority::Authority;
+use crate::collision_monitor::CollisionMonitor;
+use crate::config::EdgeConfig;
+use crate::control_io::{Inbox, Outbox, Persisted};
+use crate::estimator::Estimator;
+use crate::event_log::EventLog;
+use crate::limiter::{Braking, Limiter};
+use crate::local_obstacles::LocalObstacles;
+use crate::loop_timing::LoopTiming;
+use crate::maneuvers::Maneuvers;
+use crate::return_home::ReturnHome;
+use crate::telemetry::Telemetry;
+use crate::teleop::DeadMan;
+use crate::wall_follower::WallFollower;
+use crate::wheel_coordination::WheelCoordination;
+
+/// Longest time step that controllers and limiters integrate, s.
+const LONGEST_TICK: f64 = 0.1;
+/// After this many ticks without a command the wheels may have come to rest.
+const SILENT_TICKS: f64 = 5.0;
+/// Maneuvers may back up at this speed over floor that was seen before, m/s: their path was checked when they began.
+const RECOVERY_BLIND_SPEED: f64 = 0.15;
+
+/// The robot's side, whole and pure.
+#[derive(Clone, Debug)]
+pub struct Pilot {
+    pub(crate) config: EdgeConfig,
+    pub(crate) gains: ControllerGains,
+    pub(crate) authority: Authority,
+    pub(crate) maneuvers: Maneuvers,
+    pub(crate) events: EventLog,
+    pub(crate) estimator: Estimator,
+    pub(crate) obstacles: LocalObstacles,
+    pub(crate) collision_monitor: CollisionMonitor,
+    pub(crate) active_plan: Option<ActivePlan>,
+    pub(crate) wall_following: WallFollowing,
+    wall_follower: WallFollower,
+    return_home: ReturnHome,
+    limiter: Limiter,
+    wheel_coordination: WheelCoordination,
+    dead_man: DeadMan,
+    telemetry: Telemetry,
+    newest: Option<(u64, Revision)>,
+    /// Plans rejected under the current grant: none is accepted later, when it would fit by chance.
+    refused: VecDeque<(u64, Revision)>,
+    discarded: VecDeque<u64>,
+    last: Option<Stamp>,
+    pressed: bool,
+    battery_is_low: bool,
+    mode: Mode,
+    missed_ticks: u64,
+    pub(crate) loop_timing: LoopTiming,
+}
+
+impl Pilot {
+    /// A robot at rest. `boot_id` must be new at every start; `stored` is what the last boot persisted.
+    #[must_use]
+    pub fn new(config: EdgeConfig, boot_id: String, stored: Persisted) -> Self {
+        let model = &config.model;
+        Self {
+            gains: model.controller.clone(),
+            authority: Authority::new(&config, stored),
+            maneuvers: Maneuvers::default(),
+            events: EventLog::new(boot_id),
+            estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
+            obstacles: LocalObstacles::new(model),
+            collision_monitor: CollisionMonitor::new(model, config.tick, config.scan_timeout),
+            active_plan: None,
+            wall_following: model.wall_following.clone(),
+            wall_follower: WallFollower::new(model),
+            return_home: ReturnHome::default(),
+            limiter: Limiter::new(&model.drive),
+            wheel_coordination: WheelCoordination::new(&model.drive),
+            dead_man: DeadMan::new(config.dead_man),
+            telemetry: Telemetry::default(),
+            newest: None,
+            refused: VecDeque::new(),
+            discarded: VecDeque::new(),
+            last: None,
+            pressed: false,
+            battery_is_low: false,
+            mode: Mode::Idle,
+            missed_ticks: 0,
+            loop_timing: LoopTiming::default(),
+            config,
+        }
+    }
+
+    /// One control tick at `now` (the stamp of the readings, on the edge's own clock).
+    pub fn step(&mut self, now: Stamp, readings: &Readings, inbox: Inbox) -> Outbox {
+        let mut out = Outbox::default();
+        let last = self.last.replace(now);
+        if last.is_none() {
+            self.events.record(now, EventKind::Started);
+        }
+        let gap = last.map_or(0.0, |last| now.secs_since(last));
+        let dt = gap.clamp(0.0, LONGEST_TICK);
+        // A body without commands for some ticks stops its wheels, and so does contact.
+        if readings.bump.pressed || gap >= SILENT_TICKS * self.config.tick {
+            self.wheel_coordination.reset();
+        }
+        self.missed_ticks = inbox.missed_ticks;
+        if let Some(late) = inbox.late {
+            self.loop_timing.record(late);
+        }
+        self.sense(now, readings, &inbox.corrections, &mut out.publications);
+        for (ticket, request) in inbox.requests {
+            let reply = self.answer(now, request);
+            out.replies.push((ticket, reply));
+        }
+        for heartbeat in &inbox.heartbeats {
+            self.authority.heartbeat(now, heartbeat);
+        }
+        self.dead_man
+            .receive(now, &inbox.teleops, &mut self.authority, &mut self.events);
+        self.authority.update_link(now, &mut self.events);
+        self.receive_plans(now, inbox.plans);
+
+        let (wanted, braking) = if inbox.halt {
+            (Twist2::ZERO, Braking::Hard)
+        } else {
+            self.arbitrate(now, dt, &readings.bump)
+        };
+        if self.mode != Mode::WallFollow && self.authority.policy() == LostPolicy::WallFollow {
+            self.wall_follower.stand_by(
+                now,
+                self.mode == Mode::Teleop,
+                &readings.bump,
+                self.estimator.odom_from_base(),
+                &mut self.events,
+            );
+        }
+        out.wheels = self.command(now, dt, wanted, braking, readings);
+        self.end_plan(now);
+        self.report(now, readings, &mut out.publications);
+        out.persist = self.authority.unpersisted();
+        out
+    }
+
+    /// Estimated pose in the map.
+    #[must_use]
+    pub fn map_from_base(&self) -> Pose2 {
+        self.estimator.map_from_base()
+    }
+
+    /// Measured velocity, base frame.
+    #[must_use]
+    pub fn velocity(&self) -> Twist2 {
+        self.estimator.velocity()
+    }
+
+    /// What decides the motion.
+    #[must_use]
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// State of the wall follower.
+    #[must_use]
+    pub fn wall_follower(&self) -> WallFollowerState {
+        self.wall_follower.state()
+    }
+
+    /// Limits the wanted twist, then lets the collision monitor have the last word.
+    fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
+        let drive = &self.config.model.drive;
+        let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
+        self.collision_monitor.blind_speed = match self.mode {
+            Mode::Behaviour => self.gains.blind_speed.max(RECOVERY_BLIND_SPEED),
+            _ => self.gains.blind_speed,
+        };
+        let verdict = self.collision_monitor.judge(
+            now,
+            limited,
+            &self.obstacles,
+            self.estimator.odom_from_base(),
+            &readings.bump,
+        );
+        if let Some(reason) = verdict.change {
+            self.events.record(
+                now,
+                EventKind::Guard {
+                    zone: self.collision_monitor.zone(),
+                    reason,
+                },
+            );
+        }
+        let wheels = drive.wheels(verdict.twist);
+        self.limiter.set(wheels, dt);
+        self.wheel_coordination.command(wheels, dt)
+    }
+}
+
+#[cfg(test)]
+mod rig;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod wall_tests;

@@ -1,0 +1,158 @@
+//! Plan life cycle. Which plan drives the robot? Received, judged, accepted or rejected, discarded, and ended: reached, expired or lost.
+
+use zenav_protocol::messages::{EventKind, LeaseRole, Plan, Revision};
+use zenav_protocol::time::Stamp;
+
+use super::Pilot;
+use crate::acceptance::{Grant, Rejection, judge_head};
+use crate::active_plan::{ActivePlan, Scene, Taken};
+
+/// Most discarded trajectories remembered.
+const DISCARDED: usize = 32;
+/// Most rejected plans remembered.
+const REFUSED: usize = 256;
+
+impl Pilot {
+    /// Judges what arrived: of a burst, only the newest plan of the current grant counts.
+    pub(super) fn receive_plans(&mut self, now: Stamp, plans: Vec<Plan>) {
+        let epoch = self.authority.epoch();
+        let Some(plan) = plans
+            .into_iter()
+            .max_by_key(|plan| (plan.epoch == epoch, plan.epoch, plan.revision))
+        else {
+            return;
+        };
+        let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
+        let of_epoch = plan.epoch == epoch;
+        let again = newest == Some(plan.revision) || self.refused.contains(&(epoch, plan.revision));
+        if again && of_epoch {
+            // The bus delivers the kept sample again after every reconnection: no event.
+            return;
+        }
+        let (goal_id, revision, trajectory_id) = (
+            plan.goal_id.chars().take(128).collect::<String>(),
+            plan.revision,
+            plan.trajectory_id,
+        );
+        let taken = self.judge_plan(now, plan, newest);
+        // A rejected plan makes older ones stale all the same; but a stranger's revision must not lock the holder out.
+        let of_the_writer =
+            newest.is_some_and(|newest| newest.incarnation == revision.incarnation && revision > newest);
+        if taken.is_ok() || (of_the_writer && of_epoch) {
+            self.newest = Some((epoch, revision));
+        }
+        if taken.is_err() && of_epoch {
+            self.refused.push_back((epoch, revision));
+            if self.refused.len() > REFUSED {
+                self.refused.pop_front();
+            }
+        }
+        match taken {
+            Ok(Taken::Renewed) => {}
+            Ok(Taken::Begun) => self.events.record(
+                now,
+                EventKind::PlanAccepted {
+                    goal_id,
+                    revision,
+                    trajectory_id,
+                },
+            ),
+            Err(rejection) => self.events.record(
+                now,
+                EventKind::PlanRejected {
+                    goal_id,
+                    revision,
+                    trajectory_id,
+                    reason: rejection.to_string(),
+                },
+            ),
+        }
+    }
+
+    fn judge_plan(&mut self, now: Stamp, plan: Plan, newest: Option<Revision>) -> Result<Taken, Rejection> {
+        let grant = Grant {
+            now,
+            boot_id: self.events.boot_id(),
+            epoch: self.authority.epoch(),
+            mission_live: self.authority.is_live_as(now, LeaseRole::Mission),
+            stopped: self.authority.is_stopped(),
+            resumed: self.authority.resumed(),
+            newest,
+            max_validity: self.config.max_validity,
+        };
+        let expiry = judge_head(&plan, &grant)?;
+        if self.discarded.contains(&plan.trajectory_id) {
+            return Err(Rejection::Discarded(plan.trajectory_id));
+        }
+        if let Some(id) = self.maneuvers.running() {
+            return Err(Rejection::Busy(id.to_owned()));
+        }
+        let scene = Scene {
+            model: &self.config.model,
+            map_from_base: self.estimator.map_from_base(),
+            map_from_odom: self.estimator.map_from_odom(),
+            velocity: self.estimator.velocity(),
+            around: &self.obstacles,
+        };
+        ActivePlan::take(&mut self.active_plan, plan, expiry, &scene)
+    }
+
+    /// Discards the plan and the maneuver.
+    pub(crate) fn discard(&mut self, now: Stamp, reason: &str) {
+        self.maneuvers.cancel(now, reason, &mut self.events);
+        self.discard_plan(now, reason);
+        self.dead_man.release();
+    }
+
+    /// Discards the plan: its trajectory is never accepted again.
+    pub(crate) fn discard_plan(&mut self, now: Stamp, reason: &str) {
+        let Some(active) = self.active_plan.take() else {
+            return;
+        };
+        if self.discarded.len() == DISCARDED {
+            self.discarded.pop_front();
+        }
+        self.discarded.push_back(active.plan().trajectory_id);
+        if !active.is_finished() {
+            self.events.record(
+                now,
+                EventKind::PlanDiscarded {
+                    goal_id: active.plan().goal_id.clone(),
+                    reason: reason.to_owned(),
+                },
+            );
+        }
+    }
+
+    /// Another holder numbers its trajectories anew.
+    pub(crate) fn forget_discarded(&mut self) {
+        self.discarded.clear();
+    }
+
+    /// Ends the plan when it is reached, expired or lost.
+    pub(super) fn end_plan(&mut self, now: Stamp) {
+        let pose = self.estimator.map_from_base();
+        let Some(active) = &mut self.active_plan else {
+            return;
+        };
+        if active.ends(&pose) {
+            let plan = active.plan();
+            self.events.record(
+                now,
+                EventKind::PlanFinished {
+                    goal_id: plan.goal_id.clone(),
+                    trajectory_id: plan.trajectory_id,
+                },
+            );
+        } else if active.expires(now) {
+            self.events.record(
+                now,
+                EventKind::PlanExpired {
+                    goal_id: active.plan().goal_id.clone(),
+                },
+            );
+        } else if let Some(reason) = active.lost() {
+            self.discard_plan(now, reason);
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Operator control. How does a person stop, resume or drive a robot, and change what it does on its own?
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::Mode;
+use crate::geometry::Twist2;
+use crate::time::Stamp;
+
+/// Stops a robot. Needs no lease, latches across restarts, and discards the plan.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StopRequest {
+    /// Who stops the robot, for the event log.
+    #[serde(default)]
+    pub by: Option<String>,
+}
+
+/// Lifts a stop: the robot takes a new plan again, from its present pose.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ResumeRequest {
+    /// Who lifts the stop, for the event log.
+    #[serde(default)]
+    pub by: Option<String>,
+}
+
+/// Answer to a stop or a resume.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StopReply {
+    /// Whether the robot is stopped now.
+    pub stopped: bool,
+}
+
+/// A velocity command from an operator who holds the lease.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Teleop {
+    /// Lease epoch of the operator.
+    pub epoch: u64,
+    /// Velocity that is asked for, base frame, m/s and rad/s.
+    pub twist: Twist2,
+    /// Dead man's switch: stamp of the newest robot message that the operator has seen, such as its state or odometry. The command acts
+    /// until this stamp is 0.3 s old. Of several commands with one echo the first counts, and a stop.
+    pub echo: Stamp,
+}
+
+/// Reads the mode, or changes what the robot does once the lease is lost.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModeRequest {
+    /// The policy from now on; without it, nothing changes.
+    #[serde(default)]
+    pub on_lost: Option<LostPolicy>,
+    /// Lease epoch, for a change.
+    #[serde(default)]
+    pub epoch: Option<u64>,
+}
+
+/// What the robot does with an accepted plan once the lease has expired.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LostPolicy {
+    /// Follow the plan until it expires, and be at rest by then.
+    #[default]
+    FinishHorizon,
+    /// Brake at once.
+    Stop,
+    /// As `finish_horizon`; once the link is lost and no plan is left, follow walls.
+    WallFollow,
+    /// As `finish_horizon`; once the link is lost and no plan is left, drive back to the start along the path driven so far.
+    ReturnHome,
+}
+
+/// Answer to a mode request.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModeReply {
+    /// Which controller decides the motion.
+    pub mode: Mode,
+    /// The policy in force.
+    pub on_lost: LostPolicy,
+}
+
+/// Reads parameters, or changes one.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ParamRequest {
+    /// Name of the parameter; without it, all are read.
+    #[serde(default)]
+    pub name: Option<String>,
+    /// New value of the parameter.
+    #[serde(default)]
+    pub value: Option<f64>,
+    /// Lease epoch, for a change.
+    #[serde(default)]
+    pub epoch: Option<u64>,
+}
+
+/// Parameters of the robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ParamReply {
+    /// Values by name.
+    pub params: BTreeMap<String, f64>,
+}

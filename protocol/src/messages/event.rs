@@ -1,0 +1,133 @@
+//! Events. What happened on the robot?
+
+use serde::{Deserialize, Serialize};
+
+use super::{BehaviourReport, GuardZone, Link, Revision};
+use crate::time::Stamp;
+
+/// One entry of the robot's event log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// Time of the event, on the robot's clock.
+    pub stamp: Stamp,
+    /// The start of the edge that the event belongs to.
+    pub boot_id: String,
+    /// Number of the event within that start, from one.
+    pub sequence: u64,
+    /// What happened; its name stands in the field `event`.
+    #[serde(flatten)]
+    pub kind: EventKind,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum EventKind {
+    /// The edge started.
+    Started,
+    /// The robot accepted a plan and follows it.
+    PlanAccepted {
+        /// The goal that the plan serves.
+        goal_id: String,
+        /// The plan's revision.
+        revision: Revision,
+        /// The plan's trajectory.
+        trajectory_id: u64,
+    },
+    /// The robot refused a plan; an older one stays in force while it is valid.
+    PlanRejected {
+        /// The goal that the plan serves.
+        goal_id: String,
+        /// The plan's revision.
+        revision: Revision,
+        /// The plan's trajectory.
+        trajectory_id: u64,
+        /// Which check the plan failed.
+        reason: String,
+    },
+    /// The robot reached the end of a plan.
+    PlanFinished {
+        /// The goal that the plan serves.
+        goal_id: String,
+        /// The plan's trajectory.
+        trajectory_id: u64,
+    },
+    /// The plan expired; the robot is at rest.
+    PlanExpired {
+        /// The goal that the plan served.
+        goal_id: String,
+    },
+    /// The robot discarded its plan.
+    PlanDiscarded {
+        /// The goal that the plan served.
+        goal_id: String,
+        /// Why the plan was discarded.
+        reason: String,
+    },
+    /// The contact sensor was pressed.
+    Bumped,
+    /// The battery's charge fell below the low mark of the robot file.
+    BatteryLow {
+        /// Charge left, 0 to 1.
+        charge: f64,
+    },
+    /// The pose estimator dropped measurements; reported every ten seconds at most.
+    InputsDropped {
+        /// Measurements since the start that were older than the measurement buffer.
+        too_late: u64,
+        /// Measurements since the start that were not finite, had no covariance, or came from the future.
+        broken: u64,
+    },
+    /// A teleop command was dropped; reported every ten seconds at most for each cause.
+    TeleopDropped {
+        /// Why the command did not count.
+        reason: String,
+    },
+    /// The collision monitor's verdict changed.
+    Guard {
+        /// The verdict from now on.
+        zone: GuardZone,
+        /// What the verdict rests on.
+        reason: String,
+    },
+    /// The lease changed hands, lapsed or was given back.
+    Lease {
+        /// The holder from now on, if there is one.
+        holder: Option<String>,
+        /// The current epoch.
+        epoch: u64,
+        /// What happened to the lease.
+        reason: String,
+    },
+    /// The link state changed.
+    LinkChanged {
+        /// The link state from now on.
+        link: Link,
+    },
+    /// An operator stopped the robot.
+    Stopped {
+        /// Who stopped it.
+        by: String,
+    },
+    /// An operator lifted the stop.
+    Resumed {
+        /// Who lifted it.
+        by: String,
+    },
+    /// A manoeuvre ended.
+    BehaviourDone {
+        /// Which manoeuvre it was, and how it ended.
+        report: BehaviourReport,
+    },
+    /// A state machine on the robot changed its state.
+    Transition {
+        /// The state machine, such as `wall_follow`.
+        behaviour: String,
+        /// The state before.
+        from: String,
+        /// The state after.
+        to: String,
+        /// What caused the change.
+        reason: String,
+    },
+}

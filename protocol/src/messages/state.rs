@@ -1,0 +1,154 @@
+//! Robot state. What is the robot doing now, and under whose command?
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use super::{BehaviourReport, LeaseState, Revision};
+use crate::geometry::Twist2;
+use crate::time::Stamp;
+
+/// Link state: how long ago the lease was last renewed, by the robot's own clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Link {
+    /// The lease is being renewed.
+    Connected,
+    /// No renewal for a while (default 0.5 s).
+    Stale,
+    /// No renewal for long (default 3 s), or none yet.
+    #[default]
+    Lost,
+}
+
+/// Which controller decides the robot's motion now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Nothing to do; the robot is at rest.
+    #[default]
+    Idle,
+    /// The robot follows an accepted plan.
+    Follow,
+    /// An operator drives the robot by hand.
+    Teleop,
+    /// One of the robot's own manoeuvres (spin, back up, …) runs.
+    Behaviour,
+    /// The robot follows walls by itself, without a cloud.
+    WallFollow,
+    /// The robot drives back to its start by itself, without a cloud.
+    ReturnHome,
+    /// An operator stopped the robot; it stays stopped until resumed.
+    Stopped,
+}
+
+/// State of the wall follower.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WallFollowerState {
+    /// The robot turns towards the nearest wall.
+    #[default]
+    WallSearch,
+    /// The robot drives up to the wall.
+    Approach,
+    /// The robot turns until there is room ahead.
+    Turn,
+    /// The robot drives along the wall.
+    WallFollow,
+    /// The robot touched something and waits until an operator drives it away.
+    Bump,
+}
+
+impl WallFollowerState {
+    /// The state's name on the wire.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::WallSearch => "wall_search",
+            Self::Approach => "approach",
+            Self::Turn => "turn",
+            Self::WallFollow => "wall_follow",
+            Self::Bump => "bump",
+        }
+    }
+}
+
+/// The collision monitor's verdict on the motion that is asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GuardZone {
+    /// No limit: the motion goes through as asked.
+    #[default]
+    Clear,
+    /// The collision monitor slows the robot down.
+    Slow,
+    /// The collision monitor keeps the robot at rest.
+    Stop,
+}
+
+/// Progress on the plan in force.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlanProgress {
+    /// The goal that the plan serves.
+    pub goal_id: String,
+    /// Lease epoch under which the plan was written.
+    pub epoch: u64,
+    /// The plan's revision.
+    pub revision: Revision,
+    /// The plan's trajectory; a renewed plan keeps it.
+    pub trajectory_id: u64,
+    /// Plan time reached, s.
+    pub time: f64,
+    /// Index of the next waypoint, from zero.
+    pub waypoint: usize,
+    /// Path left, m.
+    pub distance_left: f64,
+    /// Time left by the plan, s.
+    pub time_left: f64,
+    /// Time until the plan expires, s.
+    pub valid_for: f64,
+    /// Whether the robot is at rest at the plan's end.
+    pub finished: bool,
+}
+
+/// State of a robot, published ten times a second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EdgeState {
+    /// Time of the state, on the robot's clock.
+    pub stamp: Stamp,
+    /// Identifies this start of the edge; new after every restart.
+    pub boot_id: String,
+    /// Which controller decides the motion.
+    pub mode: Mode,
+    /// How long ago the lease was renewed.
+    pub link: Link,
+    /// Who may command the robot.
+    pub lease: LeaseState,
+    /// Progress on the accepted plan, if there is one.
+    #[serde(default)]
+    pub plan: Option<PlanProgress>,
+    /// Velocity in the base frame, m/s and rad/s.
+    pub velocity: Twist2,
+    /// The collision monitor's verdict.
+    pub guard: GuardZone,
+    /// Charge left, 0 to 1.
+    pub battery: f64,
+    /// The manoeuvre that runs, or ran last.
+    #[serde(default)]
+    pub behaviour: Option<BehaviourReport>,
+    /// State of the wall follower, on a robot that follows walls when nobody commands it.
+    #[serde(default)]
+    pub wall_follower: Option<WallFollowerState>,
+    /// Control ticks skipped since the start because they came too late.
+    #[serde(default)]
+    pub missed_ticks: u64,
+}
+
+/// A shape to draw.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Marker {
+    /// Time of the shape, on the robot's clock.
+    pub stamp: Stamp,
+    /// What the shape stands for, such as `waypoint`.
+    pub name: String,
+    /// Corner points, map frame, m; a single one is a point.
+    pub points: Vec<Point2<f64>>,
+}

@@ -1,0 +1,376 @@
+//! Trajectory. Where is the robot to be, at which time, at which velocity?
+//!
+//! A path is points; a trajectory is a path in time; a plan is a trajectory under the contract of
+//! [`Plan`](crate::messages::Plan). On the wire a trajectory is the list of its points.
+
+use std::fmt;
+use std::ops::Deref;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize, Serializer};
+
+use crate::geometry::{Pose2, Twist2};
+
+/// Where the robot is to be at a time of the trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrajectoryPoint {
+    /// Time since the trajectory's start, s.
+    pub t: f64,
+    /// Map x, m.
+    pub x: f64,
+    /// Map y, m.
+    pub y: f64,
+    /// Heading in the map, rad.
+    pub yaw: f64,
+    /// Forward speed, m/s.
+    pub v: f64,
+    /// Yaw rate, rad/s.
+    pub w: f64,
+}
+
+impl TrajectoryPoint {
+    /// Columns of a point as it is displayed.
+    pub const CSV_HEADER: &str = "t,x,y,yaw,v,w";
+
+    /// A pose and a velocity at a time (s).
+    #[must_use]
+    pub fn new(t: f64, pose: Pose2, twist: Twist2) -> Self {
+        Self {
+            t,
+            x: pose.x,
+            y: pose.y,
+            yaw: pose.yaw,
+            v: twist.v,
+            w: twist.w,
+        }
+    }
+
+    /// Its pose, map frame.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        Pose2 {
+            x: self.x,
+            y: self.y,
+            yaw: self.yaw,
+        }
+    }
+
+    /// Its position, map frame, m.
+    #[must_use]
+    pub fn position(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
+
+    /// Its velocity, base frame.
+    #[must_use]
+    pub fn twist(&self) -> Twist2 {
+        Twist2::new(self.v, self.w)
+    }
+
+    /// Linear in time, pose and velocity: `share` 0 is this point, 1 is `to`.
+    #[must_use]
+    pub fn interpolate(&self, to: &Self, share: f64) -> Self {
+        let between = |from: f64, to: f64| from + share * (to - from);
+        Self::new(
+            between(self.t, to.t),
+            self.pose().interpolate(&to.pose(), share),
+            Twist2::new(between(self.v, to.v), between(self.w, to.w)),
+        )
+    }
+}
+
+impl fmt::Display for TrajectoryPoint {
+    /// A row of a CSV file with the columns [`Self::CSV_HEADER`]; the digits round-trip.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { t, x, y, yaw, v, w } = self;
+        write!(f, "{t},{x},{y},{yaw},{v},{w}")
+    }
+}
+
+/// Points in the order of time, linear between them. Reads as the slice of its points.
+///
+/// Time begins at zero, or below: a spliced trajectory keeps the rest of the one before it at negative times.
+/// A trajectory from outside may hold any numbers; whoever drives it checks it first. Sampling one never panics.
+///
+/// ```
+/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+///
+/// let straight: Trajectory = [0.0, 1.0, 2.0]
+///     .map(|t| TrajectoryPoint::new(t, Pose2::new(0.5 * t, 0.0, 0.0), Twist2::new(0.5, 0.0)))
+///     .into_iter()
+///     .collect();
+/// assert_eq!((straight.duration(), straight.length()), (2.0, 1.0));
+/// assert_eq!(straight.sample(1.5).x, 0.75);
+/// assert_eq!(straight.length_left(1.5), 0.25);
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(from = "Vec<TrajectoryPoint>")]
+pub struct Trajectory {
+    points: Vec<TrajectoryPoint>,
+    /// Length of the path from the first point to each, m.
+    lengths: Vec<f64>,
+}
+
+/// The place on a trajectory that is nearest to some point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Nearest {
+    /// Time of the trajectory there, s.
+    pub t: f64,
+    /// Distance from the point, m.
+    pub distance: f64,
+}
+
+impl Trajectory {
+    /// From points in the order of time.
+    #[must_use]
+    pub fn new(points: Vec<TrajectoryPoint>) -> Self {
+        let mut length = 0.0;
+        let mut lengths = Vec::with_capacity(points.len());
+        let mut last: Option<Pose2> = None;
+        for point in &points {
+            length += last.map_or(0.0, |last| last.distance(&point.pose()));
+            lengths.push(length);
+            last = Some(point.pose());
+        }
+        Self { points, lengths }
+    }
+
+    /// Its first time, s; zero without points.
+    #[must_use]
+    pub fn start_time(&self) -> f64 {
+        self.points.first().map_or(0.0, |point| point.t)
+    }
+
+    /// Its last time, s; zero without points.
+    #[must_use]
+    pub fn end_time(&self) -> f64 {
+        self.points.last().map_or(0.0, |point| point.t)
+    }
+
+    /// From the first time to the last, s.
+    #[must_use]
+    pub fn duration(&self) -> f64 {
+        self.end_time() - self.start_time()
+    }
+
+    /// Length of its path, m.
+    #[must_use]
+    pub fn length(&self) -> f64 {
+        self.lengths.last().copied().unwrap_or(0.0)
+    }
+
+    /// Length of its path from a time (s) to the end, m.
+    #[must_use]
+    pub fn length_left(&self, t: f64) -> f64 {
+        let next = self.next_index(t);
+        let Some((to, length)) = self.points.get(next).zip(self.lengths.get(next)) else {
+            return 0.0;
+        };
+        self.length() - length + self.sample(t).pose().distance(&to.pose())
+    }
+
+    /// Where the robot is to be at a time (s), linear between two points and held at both ends. Logarithmic in the points.
+    #[must_use]
+    pub fn sample(&self, t: f64) -> TrajectoryPoint {
+        let next = self.next_index(t);
+        let (Some(from), to) = (self.points.get(next.saturating_sub(1)), self.points.get(next)) else {
+            return TrajectoryPoint::default();
+        };
+        match to.filter(|to| next > 0 && to.t > from.t) {
+            Some(to) => TrajectoryPoint {
+                t,
+                ..from.interpolate(to, (t - from.t) / (to.t - from.t))
+            },
+            None => TrajectoryPoint { t, ..*from },
+        }
+    }
+
+    /// This trajectory from `now` up to `until` (s), then `next`, whose time zero is `until` here.
+    #[must_use]
+    pub fn spliced(&self, now: f64, until: f64, next: &Self) -> Self {
+        let mut points = Vec::with_capacity(next.len() + 64);
+        if now < until && !self.is_empty() {
+            let first = self.sample(now);
+            let rest = self.points.iter().filter(|point| point.t > now && point.t < until);
+            points.extend(std::iter::once(&first).chain(rest).map(|point| TrajectoryPoint {
+                t: point.t - until,
+                ..*point
+            }));
+        }
+        points.extend_from_slice(next);
+        Self::new(points)
+    }
+
+    /// The points from the last one at or before a time (s) on.
+    #[must_use]
+    pub fn rest(&self, t: f64) -> &[TrajectoryPoint] {
+        self.points
+            .get(self.next_index(t).saturating_sub(1)..)
+            .unwrap_or_default()
+    }
+
+    /// The place nearest to a point (map frame) among those from time `from` (s) on, looked for `window` (m) ahead along the
+    /// path: a path that comes back close to itself is not cut short. Of places equally near the last.
+    #[must_use]
+    pub fn nearest_ahead(&self, from: f64, point: Point2<f64>, window: f64) -> Nearest {
+        let first = self.next_index(from).saturating_sub(1);
+        let limit = self.lengths.get(first).copied().unwrap_or(0.0) + window;
+        let mut best = Nearest {
+            t: from,
+            distance: f64::INFINITY,
+        };
+        let legs = self.points.windows(2).zip(&self.lengths).skip(first);
+        for (leg, _) in legs.take_while(|(_, length)| **length <= limit) {
+            let [begin, end] = leg else { continue };
+            let (origin, along) = (begin.position(), end.position() - begin.position());
+            let squared = along.norm_squared();
+            // A turn on the spot is passed at once.
+            let share = if squared > 0.0 {
+                ((point - origin).dot(&along) / squared).clamp(0.0, 1.0)
+            } else {
+                1.0
+            };
+            let distance = (point - (origin + along * share)).norm();
+            if distance <= best.distance + 1e-9 {
+                let t = begin.t + share * (end.t - begin.t);
+                best = Nearest { t, distance };
+            }
+        }
+        if !best.distance.is_finite() {
+            best.distance = (self.sample(from).position() - point).norm();
+        }
+        best
+    }
+
+    /// Positions along the path, `spacing` (m) apart, and the last; the first is left out.
+    #[must_use]
+    pub fn positions_spaced(&self, spacing: f64) -> Vec<Point2<f64>> {
+        let mut positions = Vec::new();
+        let mut next = spacing;
+        for (point, length) in self.points.iter().zip(&self.lengths) {
+            if *length >= next {
+                positions.push(point.position());
+                next = length + spacing;
+            }
+        }
+        positions.extend(self.points.last().map(TrajectoryPoint::position));
+        positions
+    }
+
+    /// Index of the first point after a time.
+    fn next_index(&self, t: f64) -> usize {
+        self.points.partition_point(|point| point.t <= t)
+    }
+}
+
+impl Deref for Trajectory {
+    type Target = [TrajectoryPoint];
+
+    fn deref(&self) -> &[TrajectoryPoint] {
+        &self.points
+    }
+}
+
+impl From<Vec<TrajectoryPoint>> for Trajectory {
+    fn from(points: Vec<TrajectoryPoint>) -> Self {
+        Self::new(points)
+    }
+}
+
+impl FromIterator<TrajectoryPoint> for Trajectory {
+    fn from_iter<I: IntoIterator<Item = TrajectoryPoint>>(points: I) -> Self {
+        Self::new(points.into_iter().collect())
+    }
+}
+
+impl Serialize for Trajectory {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.points.serialize(serializer)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// An L of 3 m and 1 m at 0.5 m/s, points 0.1 s apart.
+    fn corner() -> Trajectory {
+        let at = |t: f64| {
+            if t < 6.0 {
+                Pose2::new(0.5 * t, 0.0, 0.0)
+            } else {
+                Pose2::new(3.0, 0.5 * t - 3.0, std::f64::consts::FRAC_PI_2)
+            }
+        };
+        let times = (0..=80).map(|step| f64::from(step) * 0.1);
+        times
+            .map(|t| TrajectoryPoint::new(t, at(t), Twist2::new(0.5, 0.0)))
+            .collect()
+    }
+
+    #[test]
+    fn a_splice_keeps_the_old_trajectory_until_the_new_one_begins() {
+        let old = corner();
+        let next: Trajectory = old
+            .iter()
+            .filter(|point| point.t >= 3.0)
+            .map(|point| TrajectoryPoint {
+                t: point.t - 3.0,
+                ..*point
+            })
+            .collect();
+        let merged = old.spliced(2.5, 3.0, &next);
+        assert!((merged.start_time() + 0.5).abs() < 1e-12 && (merged.end_time() - 5.0).abs() < 1e-9);
+        assert!(merged.sample(-0.25).pose().distance(&old.sample(2.75).pose()) < 1e-9);
+        assert!(merged.windows(2).all(|pair| pair[0].t < pair[1].t));
+    }
+
+    #[test]
+    fn a_trajectory_is_held_at_both_ends_and_as_long_as_its_legs() {
+        let corner = corner();
+        assert_eq!((corner.sample(-1.0).x, corner.sample(99.0).y), (0.0, corner[80].y));
+        assert_eq!(Trajectory::default().sample(1.0), TrajectoryPoint::default());
+        assert!((corner.length() - 4.0).abs() < 1e-9 && (corner.length_left(0.0) - 4.0).abs() < 1e-9);
+        assert!((corner.length_left(7.0) - 0.5).abs() < 1e-9 && corner.length_left(8.0) == 0.0);
+        let positions = corner.positions_spaced(0.5);
+        assert!(positions.len() >= 8 && *positions.last().unwrap() == corner[80].position());
+    }
+
+    #[test]
+    fn the_nearest_place_is_looked_for_ahead_and_not_beyond_the_window() {
+        let there = corner();
+        let back = there.iter().rev().map(|point| TrajectoryPoint {
+            t: 16.0 - point.t,
+            ..*point
+        });
+        let there_and_back: Trajectory = there.iter().copied().chain(back.skip(1)).collect();
+        let near = |from, window| there_and_back.nearest_ahead(from, Point2::new(1.0, 0.2), window);
+        assert!((near(0.0, 2.0).t - 2.0).abs() < 1e-9 && (near(0.0, 2.0).distance - 0.2).abs() < 1e-9);
+        assert!((near(3.0, f64::INFINITY).t - 14.0).abs() < 1e-9);
+        assert!((near(3.0, 0.4).t - 3.0).abs() < 1e-9);
+        let alone = Trajectory::new(vec![there[0]]).nearest_ahead(0.0, Point2::new(0.0, 2.0), 1.0);
+        assert_eq!((alone.t, alone.distance), (0.0, 2.0));
+    }
+
+    #[test]
+    fn on_the_wire_it_is_the_list_of_its_points() {
+        let text = r#"[{"t":0.0,"x":1.0,"y":2.0,"yaw":0.5,"v":0.25,"w":0.0}]"#;
+        let trajectory: Trajectory = serde_json::from_str(text).unwrap();
+        assert_eq!(trajectory.len(), 1);
+        assert_eq!(serde_json::to_string(&trajectory).unwrap(), text);
+    }
+
+    proptest! {
+        #[test]
+        fn sampling_any_numbers_does_no_harm(numbers in prop::collection::vec((any::<f64>(), any::<f64>()), 0..6), t in any::<f64>()) {
+            let points = numbers.into_iter().map(|(t, x)| TrajectoryPoint { t, x, ..TrajectoryPoint::default() });
+            let trajectory: Trajectory = points.collect();
+            let _ = (trajectory.sample(t), trajectory.length_left(t), trajectory.rest(t));
+            let _ = trajectory.nearest_ahead(t, Point2::new(t, 0.0), 1.0);
+            let _ = trajectory.spliced(t, 2.0 * t, &trajectory);
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Bad input. What do malformed payloads do?
+
+use zenav_protocol::bus::RawReply;
+use zenav_protocol::messages::Refusal;
+use zenav_protocol::topics;
+
+use super::rig::{PATIENCE, client, event, refusal, router, serve_stop, stop, until, within};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bad_requests_are_answered_and_change_nothing() {
+    let (_router, endpoint) = router().await;
+    let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
+    let _serving = serve_stop(&server, "r1");
+    assert!(stop(&asker, "r1", PATIENCE).await.is_ok());
+    let key = "zenav/r1/ask/edge/stop";
+    let too_large = format!("{{\"by\": \"{}\"}}", "x".repeat(10 << 20));
+    let deep = "[".repeat(10_000);
+    for (payload, limit) in [
+        (too_large.as_str(), Some(16 * 1024)),
+        (deep.as_str(), None),
+        ("{\"by\": NaN}", None),
+        ("{\"by\"", None),
+        ("\u{0}\u{1}", None),
+        ("[1,2]", None),
+        ("7", None),
+    ] {
+        let replies = within(
+            "a refusal",
+            asker.raw_query(key, Some(payload.as_bytes().to_vec()), PATIENCE),
+        )
+        .await
+        .unwrap();
+        assert_eq!(replies.len(), 1);
+        match (refusal(&replies[0]), limit) {
+            (Refusal::TooLarge { limit }, Some(expected)) => assert_eq!(limit, expected),
+            (Refusal::BadRequest { reason }, None) => assert!(reason.len() < 400, "{reason}"),
+            (other, _) => panic!("{other:?} to {}", &payload[..payload.len().min(20)]),
+        }
+    }
+    // No payload at all is an empty request, and unknown fields are ignored.
+    for payload in [
+        None,
+        Some(b"{}".to_vec()),
+        Some(br#"{"by": "me", "mood": "calm"}"#.to_vec()),
+    ] {
+        let replies = within("an answer", asker.raw_query(key, payload, PATIENCE))
+            .await
+            .unwrap();
+        assert!(
+            matches!(replies.as_slice(), [RawReply::Ok(sample)] if sample.bytes == br#"{"stopped":true}"# && sample.encoding == "application/json"),
+            "{replies:?}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bad_samples_are_counted_and_harmless() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let mut events = reader.subscribe(&topics::EVENT, &["r1"], 100).unwrap();
+    let key = "zenav/r1/edge/event";
+    // The subscription is in place once anything arrives.
+    until("the subscription", async || {
+        writer.raw_put(key, b"?".to_vec(), "application/json").unwrap();
+        assert!(events.try_next().is_none());
+        (events.unreadable() > 0).then_some(())
+    })
+    .await;
+    writer.raw_put(key, vec![b' '; 10 << 20], "application/json").unwrap();
+    writer
+        .raw_put(key, "[".repeat(16_000).into_bytes(), "text/plain")
+        .unwrap();
+    writer.raw_put(key, vec![0x81; 16_000], "application/cbor").unwrap();
+    writer
+        .raw_put(key, br#"{"stamp": NaN}"#.to_vec(), "application/json")
+        .unwrap();
+    // JSON typed into any client is a message, whatever encoding that client claims.
+    writer
+        .raw_put(key, serde_json::to_vec(&event(7)).unwrap(), "zenoh/bytes")
+        .unwrap();
+    let received = within("the good one", events.next()).await.unwrap();
+    assert_eq!(received.message.sequence, 7);
+    assert!(events.unreadable() >= 5);
+}

@@ -1,0 +1,212 @@
+//! Topics. What does a reader receive: late joiners, slow readers, bulk?
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use zenav_protocol::bus::{RawReply, Received};
+use zenav_protocol::messages::GoalState;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+
+use super::rig::{PATIENCE, client, clock, event, router, until, within};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_gets_the_events_kept_in_order_and_then_the_new_ones() {
+    let (_router, endpoint) = router().await;
+    let writer = client(&endpoint, "writer").await;
+    let publisher = writer.publisher(&topics::EVENT, &["r1"]).unwrap();
+    for sequence in 1..=100 {
+        publisher.put(&event(sequence));
+    }
+    let reader = client(&endpoint, "reader").await;
+    let mut events = reader.subscribe(&topics::EVENT, &["*"], 1000).unwrap();
+    for sequence in 1..=200 {
+        if sequence > 100 {
+            publisher.put(&event(sequence));
+        }
+        let received = within("an event", events.next()).await.unwrap();
+        assert_eq!(
+            (received.message.sequence, received.chunks.as_slice()),
+            (sequence, ["r1".to_owned()].as_slice())
+        );
+    }
+    assert_eq!((events.dropped(), events.unreadable(), publisher.failures()), (0, 0, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_gets_the_last_value_of_a_state() {
+    let (_router, endpoint) = router().await;
+    let writer = client(&endpoint, "writer").await;
+    let mut info = serde_json::json!({"stamp": 1, "map": {"id": "m", "revision": 0}, "free": 0, "occupied": 0, "unknown": 0, "scans": 0, "stored": false,
+        "spec": {"resolution": 0.05, "origin": [0.0, 0.0], "width": 1, "height": 1}});
+    let publisher = writer.publisher(&topics::MAP_INFO, &["r1"]).unwrap();
+    let mut last = None;
+    for revision in 1..=5 {
+        info["map"]["revision"] = revision.into();
+        let message: zenav_protocol::messages::MapInfo = serde_json::from_value(info.clone()).unwrap();
+        publisher.put(&message);
+        last = Some(message);
+    }
+    let reader = client(&endpoint, "reader").await;
+    let mut latest = reader.latest(&topics::MAP_INFO, &["r1"]).unwrap();
+    // Older ones may still be on their way.
+    until("the last value", async || {
+        (latest.borrow() == last.as_ref()).then_some(())
+    })
+    .await;
+    assert_eq!(latest.borrow(), last.as_ref(), "borrowing does not take");
+    assert_eq!(latest.take(), None, "nothing newer");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_gets_the_last_state_of_every_goal() {
+    let (_router, endpoint) = router().await;
+    let writer = client(&endpoint, "writer").await;
+    let state = |id: &str, state: &str| -> GoalState {
+        serde_json::from_value(serde_json::json!({"id": id, "robot": "r1", "state": state, "accepted": 1, "request": {"x": 1.0, "y": 2.0}})).unwrap()
+    };
+    let mut publishers = Vec::new();
+    for goal in 0..10 {
+        let id = format!("g{goal}");
+        let publisher = writer.publisher(&topics::GOAL_STATE, &["r1", &id]).unwrap();
+        for phase in ["Accepted", "Succeeded"] {
+            publisher.put(&state(&id, phase));
+        }
+        publishers.push(publisher);
+    }
+    let reader = client(&endpoint, "reader").await;
+    let mut goals = reader.subscribe(&topics::GOAL_STATE, &["*", "*"], 100).unwrap();
+    let mut done = std::collections::BTreeSet::new();
+    while done.len() < publishers.len() {
+        let Received { chunks, message } = within("a goal", goals.next()).await.unwrap();
+        assert_eq!(chunks, ["r1", &message.id]);
+        // An older one may still have been on its way, but never comes after the last.
+        assert!(!done.contains(&message.id));
+        if message == state(&message.id, "Succeeded") {
+            done.insert(message.id);
+        }
+    }
+    assert!(goals.try_next().is_none());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn values_are_skipped_but_time_never_goes_back() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let publisher = Arc::new(writer.publisher(&topics::SIM_CLOCK, &[]).unwrap());
+    let mut latest = reader.latest(&topics::SIM_CLOCK, &[]).unwrap();
+    // From a plain thread, as the robot's control loop does.
+    let control = std::thread::spawn({
+        let publisher = Arc::clone(&publisher);
+        move || {
+            for stamp in 1..=5_000 {
+                publisher.put(&clock(stamp));
+                std::thread::yield_now();
+            }
+        }
+    });
+    let mut seen = Vec::new();
+    until("the last value", async || {
+        if control.is_finished() {
+            publisher.put(&clock(5_001));
+        }
+        seen.extend(latest.take().map(|message| message.stamp));
+        (seen.last() == Some(&Stamp(5_001))).then_some(())
+    })
+    .await;
+    assert!(seen.is_sorted_by(|earlier, later| earlier < later), "{seen:?}");
+    assert_eq!(latest.unreadable(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_clock_follows_the_simulation_on_the_bus() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "sim").await, client(&endpoint, "reader").await);
+    let publisher = writer.publisher(&topics::SIM_CLOCK, &[]).unwrap();
+    let time = zenav_protocol::bus::Clock::follow(&reader).unwrap();
+    let sleeper = tokio::spawn(async move {
+        time.sleep_until(Stamp(700)).await;
+        time.now()
+    });
+    let mut stamp = 0;
+    until("waking", async || {
+        stamp += 100;
+        publisher.put(&clock(stamp));
+        sleeper.is_finished().then_some(())
+    })
+    .await;
+    assert!(sleeper.await.unwrap() >= Stamp(700));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_reader_holds_nobody_up() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let mut slow = reader.subscribe(&topics::EVENT, &["r1"], 8).unwrap();
+    let mut quick = reader.latest(&topics::EVENT, &["r1"]).unwrap();
+    let publisher = writer.publisher(&topics::EVENT, &["r1"]).unwrap();
+    let mut sequence = 0;
+    until(
+        "the newest event at the quick reader, far behind which the slow one is",
+        async || {
+            for _ in 0..100 {
+                sequence += 1;
+                publisher.put(&event(sequence));
+            }
+            let newest = quick.borrow().map_or(0, |event| event.sequence);
+            (newest > 1000 && slow.dropped() > 500).then_some(())
+        },
+    )
+    .await;
+    let first = slow.next().await.unwrap().message.sequence;
+    assert!(first > 500, "the oldest are dropped, the last eight kept");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bulk_is_binary_on_the_wire_and_typed_askers_get_it_so() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let spec = serde_json::json!({"resolution": 0.05, "origin": [0.0, 0.0], "width": 64, "height": 64});
+    let patch: zenav_protocol::messages::MapPatch = serde_json::from_value(serde_json::json!({"stamp": 1, "map": {"id": "m", "revision": 2}, "base_revision": 1,
+        "spec": spec, "tiles": (0..200).map(|x| serde_json::json!({"x": x, "y": 0, "values": vec![-1; 4096]})).collect::<Vec<_>>()}))
+    .unwrap();
+    let mut raw = reader.raw_subscribe("zenav/*/cloud/map_patch", 10).unwrap();
+    let mut typed = reader.subscribe(&topics::MAP_PATCH, &["r1"], 10).unwrap();
+    let publisher = writer.publisher(&topics::MAP_PATCH, &["r1"]).unwrap();
+    publisher.put(&patch);
+    assert_eq!(within("the patch", typed.next()).await.unwrap().message, patch);
+    // The raw subscription has no history: it may have missed the first one.
+    until("the sample", async || {
+        publisher.put(&patch);
+        tokio::time::timeout(Duration::from_millis(100), raw.next())
+            .await
+            .ok()
+            .flatten()
+            .map(|sample| {
+                assert_eq!(sample.encoding, "application/cbor");
+                assert!(sample.bytes.len() < 200 * 4200, "{} bytes", sample.bytes.len());
+                assert!(sample.stamp.is_some());
+            })
+    })
+    .await;
+
+    let mut maps = writer.serve(&topics::MAP, &["r1"]).unwrap();
+    let whole: zenav_protocol::messages::MapReply = serde_json::from_value(serde_json::json!({"values": vec![0; 4096], "info": {"stamp": 1,
+        "map": {"id": "m", "revision": 0}, "free": 0, "occupied": 0, "unknown": 0, "scans": 0, "stored": false, "spec": spec}}))
+    .unwrap();
+    let answer = whole.clone();
+    tokio::spawn(async move {
+        while let Some(request) = maps.next().await {
+            request.reply(&answer);
+        }
+    });
+    let request = zenav_protocol::messages::MapRequest::default();
+    assert_eq!(reader.ask(&topics::MAP, &["r1"], &request, PATIENCE).await, Ok(whole));
+    let mut human = reader
+        .raw_query("zenav/r1/ask/cloud/map", None, PATIENCE)
+        .await
+        .unwrap();
+    assert!(
+        matches!(human.pop(), Some(RawReply::Ok(sample)) if sample.encoding == "application/json" && sample.bytes.starts_with(b"{\"info\""))
+    );
+}

@@ -1,0 +1,151 @@
+//! Does a message look on the wire as it always did?
+//!
+//! Each line of `wire.golden` is the name of a message and its JSON. A line must decode, and encode to the same bytes again. A change of a
+//! line is a change of the contract: unless it only adds an optional field, it raises `SCHEMA_VERSION`. To write the lines anew:
+//! `ZENAV_WRITE_GOLDEN=1 cargo test -p zenav-protocol --test wire`, and read the diff.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use zenav_protocol::codec::{CodecError, Encoding, decode, encode};
+use zenav_protocol::messages::{
+    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
+    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan,
+    PlanReply, PlanRequest, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree,
+    SimClock, SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+};
+use zenav_protocol::readings::Readings;
+use zenav_protocol::topics::TABLE;
+
+const LIMIT: usize = 1 << 20;
+
+/// Decodes a message and encodes it again, in JSON directly, and by way of CBOR.
+fn round_trips<T: Serialize + DeserializeOwned>(json: &str) -> Result<[String; 2], CodecError> {
+    let message: T = decode(json.as_bytes(), Encoding::Json, LIMIT)?;
+    let cbor: T = decode(&encode(&message, Encoding::Cbor)?, Encoding::Cbor, LIMIT)?;
+    let text =
+        |message: &T| encode(message, Encoding::Json).map(|bytes| String::from_utf8(bytes).expect("JSON is text"));
+    Ok([text(&message)?, text(&cbor)?])
+}
+
+macro_rules! messages {
+    ($($name:ident)*) => {
+        fn round_trips_of(name: &str, json: &str) -> Result<[String; 2], CodecError> {
+            match name {
+                $(stringify!($name) => round_trips::<$name>(json),)*
+                _ => panic!("`{name}` is no message: add it to `messages!`"),
+            }
+        }
+    };
+}
+
+messages! {
+    Readings
+    WheelSpeeds
+    Scan
+    Odometry
+    Imu
+    Gps
+    Bump
+    Battery
+    PoseEstimate
+    EdgeState
+    Event
+    Marker
+    MapInfo
+    MapPatch
+    Correction
+    Heartbeat
+    Plan
+    SearchTree
+    MissionStatus
+    GoalState
+    Teleop
+    SimClock
+    GoalRequest
+    GoalReply
+    CancelRequest
+    PauseRequest
+    GoalsRequest
+    GoalsReply
+    MapRequest
+    MapReply
+    InfoRequest
+    InfoReply
+    JoinRequest
+    JoinReply
+    JournalEntry
+    JournalReply
+    LeaseRequest
+    LeaseReply
+    StopRequest
+    StopReply
+    ResumeRequest
+    ModeRequest
+    ModeReply
+    ParamRequest
+    ParamReply
+    BehaviourRequest
+    BehaviourReply
+    PlanRequest
+    PlanReply
+    SmoothRequest
+    SmoothReply
+    AttachRequest
+    AttachReply
+    RemoteRequest
+    RemoteReply
+    Refusal
+}
+
+#[test]
+fn every_message_looks_as_it_always_did() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/wire.golden");
+    let golden = std::fs::read_to_string(&path).unwrap();
+    let write = std::env::var_os("ZENAV_WRITE_GOLDEN").is_some();
+    let mut written = String::new();
+    let mut differ = Vec::new();
+    for line in golden.lines() {
+        let (name, json) = line.split_once(' ').expect("a name and its JSON");
+        match round_trips_of(name, json) {
+            Ok([text, by_cbor]) => {
+                assert_eq!(by_cbor, text, "{name}: CBOR loses something");
+                if text != json {
+                    differ.push(format!("  was {line}\n  now {name} {text}"));
+                }
+                written.push_str(&format!("{name} {text}\n"));
+            }
+            Err(error) => {
+                differ.push(format!("  {line}\n  does not decode: {error}"));
+                written.push_str(&format!("{line}\n"));
+            }
+        }
+    }
+    if write {
+        std::fs::write(&path, written).unwrap();
+    }
+    assert!(write || differ.is_empty(), "the wire changed:\n{}", differ.join("\n"));
+    let names: BTreeSet<&str> = golden.lines().filter_map(|line| line.split(' ').next()).collect();
+    for message in TABLE.iter().flat_map(|row| row.message.split(" -> ")) {
+        assert!(names.contains(message), "`{message}` has no line in {}", path.display());
+    }
+}
+
+#[test]
+fn the_cells_of_a_tile_are_one_byte_string_in_cbor() {
+    let tile = Tile {
+        x: 1,
+        y: 2,
+        values: vec![-1, 0, 100],
+    };
+    assert_eq!(
+        encode(&tile, Encoding::Cbor).unwrap(),
+        b"\xa3\x61x\x01\x61y\x02\x66values\x43\xff\x00\x64"
+    );
+}

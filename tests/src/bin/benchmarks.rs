@@ -1,0 +1,382 @@
+//! Writes `BENCHMARKS.md`. What does every bench and acceptance run print, on which machine, at which commit?
+//!
+//! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page from what was found last. Each
+//! run's own output is kept in `target/benchmarks/NAME.txt`; a figure is a line `row: NAME | VALUE | UNIT [| PEER | PEER'S VALUE]`
+//! ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`, and every one becomes a row of the page.
+
+#![expect(clippy::print_stdout, reason = "a command that says what it runs")]
+
+use std::fmt::Write as _;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+
+use clap::Parser;
+use zenav_fixtures::Row;
+
+/// A bench or an acceptance run.
+struct Run {
+    name: &'static str,
+    /// What it measures.
+    title: &'static str,
+    /// After `cargo`.
+    arguments: &'static [&'static str],
+}
+
+const fn bench(name: &'static str, title: &'static str, arguments: &'static [&'static str]) -> Run {
+    Run { name, title, arguments }
+}
+
+/// Everything that the page shows, in its order.
+const RUNS: &[Run] = &[
+    bench(
+        "kitchen",
+        "The kitchen mission, 20 seeds over real Zenoh sessions",
+        &["acceptance", "kitchen", "20", "--speed", "8"],
+    ),
+    bench(
+        "online",
+        "A house that nobody has mapped, 20 seeds",
+        &["acceptance", "online", "20", "--speed", "6"],
+    ),
+    bench(
+        "guard",
+        "The collision monitor in random worlds with movers and adversarial commands",
+        &["acceptance", "guard", "10000"],
+    ),
+    bench(
+        "pose",
+        "Consistency of the pose estimate",
+        &["acceptance", "pose", "100", "1000001"],
+    ),
+    bench("track", "Path error of the trackers", &["acceptance", "track"]),
+    bench(
+        "economy",
+        "Energy of the fastest and the most economical drives",
+        &["acceptance", "economy"],
+    ),
+    bench(
+        "kills",
+        "A mission killed at random instants",
+        &["acceptance", "kills", "200"],
+    ),
+    bench(
+        "handover",
+        "Two missions, the leader killed and paused",
+        &["acceptance", "handover", "14", "2", "77"],
+    ),
+    bench(
+        "fleet",
+        "100 robots' missions on one core",
+        &["acceptance", "fleet", "100", "30"],
+    ),
+    bench("footprint", "The robot's binary alone", &["acceptance", "footprint"]),
+    bench(
+        "search",
+        "A* and JPS beside the crate pathfinding",
+        &["bench", "-p", "zenav-planning", "--bench", "search"],
+    ),
+    bench(
+        "sampling",
+        "Sampling planners beside OMPL",
+        &["bench", "-p", "zenav-planning", "--bench", "sampling"],
+    ),
+    bench(
+        "smoothing",
+        "Trajectories from planned paths, each checked",
+        &["bench", "-p", "zenav-smoothing", "--bench", "smoothing"],
+    ),
+    bench(
+        "timing",
+        "Time laws",
+        &["bench", "-p", "zenav-smoothing", "--bench", "timing"],
+    ),
+    bench(
+        "mapping",
+        "Scan insertion",
+        &["bench", "-p", "zenav-mapping", "--bench", "mapping"],
+    ),
+    bench(
+        "space",
+        "Distance fields",
+        &["bench", "-p", "zenav-space", "--bench", "space"],
+    ),
+    bench(
+        "sight",
+        "Lines of sight",
+        &["bench", "-p", "zenav-space", "--bench", "sight"],
+    ),
+    bench(
+        "tick",
+        "Behaviour trees",
+        &["bench", "-p", "zenav-behaviour-tree", "--bench", "tick"],
+    ),
+    bench(
+        "collision_monitor",
+        "One decision of the collision monitor",
+        &["bench", "-p", "zenav-edge", "--bench", "collision_monitor"],
+    ),
+    bench(
+        "lidar",
+        "The simulated lidar beside parry's ray cast",
+        &["bench", "-p", "zenav-sim", "--bench", "lidar"],
+    ),
+    bench(
+        "simulator",
+        "The simulator beside IR-SIM",
+        &["bench", "-p", "zenav-tests", "--bench", "simulator"],
+    ),
+    bench(
+        "pipeline",
+        "Each stage from scan to plan",
+        &["bench", "-p", "zenav-tests", "--bench", "pipeline"],
+    ),
+    bench(
+        "bus",
+        "The typed bus beside raw Zenoh",
+        &["bench", "-p", "zenav-tests", "--bench", "bus"],
+    ),
+];
+
+/// Runs benches and writes BENCHMARKS.md from their own output
+#[derive(Debug, Parser)]
+struct Args {
+    /// Benches to run; all by default
+    names: Vec<String>,
+    /// Run nothing: write the page from what was found last
+    #[arg(long)]
+    write_only: bool,
+    /// The page
+    #[arg(long, default_value = "BENCHMARKS.md")]
+    out: PathBuf,
+}
+
+fn main() -> ExitCode {
+    match write(&Args::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
+    let known = |name: &String| RUNS.iter().any(|run| run.name == name);
+    if let Some(name) = args.names.iter().find(|name| !known(name)) {
+        let all: Vec<&str> = RUNS.iter().map(|run| run.name).collect();
+        return Err(format!("no bench `{name}`; there are {}", all.join(", ")).into());
+    }
+    let folder = Path::new("target/benchmarks");
+    std::fs::create_dir_all(folder)?;
+    let mut good = true;
+    let is_wanted = |run: &&Run| args.names.is_empty() || args.names.iter().any(|name| name == run.name);
+    if !args.write_only {
+        let wanted: Vec<&Run> = RUNS.iter().filter(is_wanted).collect();
+        if wanted.iter().any(|run| run.arguments.first() == Some(&"acceptance")) {
+            good &= cargo(&["build", "--release", "-p", "zenav-tests", "--bins"])?.1;
+            good &= cargo(&["build", "--release", "-p", "zenav-edge"])?.1;
+        }
+        for run in wanted {
+            println!("== {}: {}", run.name, command_line(run));
+            let (mut output, succeeded) = cargo(&cargo_arguments(run))?;
+            good &= succeeded;
+            if !succeeded {
+                output.push_str("FAILED\n");
+            }
+            std::fs::write(
+                folder.join(format!("{}.txt", run.name)),
+                format!("{}\n{output}", provenance()),
+            )?;
+        }
+    }
+    std::fs::write(&args.out, page(folder))?;
+    println!("{} is written", args.out.display());
+    Ok(good)
+}
+
+fn cargo_arguments(run: &Run) -> Vec<&'static str> {
+    match run.arguments {
+        ["acceptance", rest @ ..] => {
+            let mut all = vec![
+                "run",
+                "--release",
+                "-q",
+                "-p",
+                "zenav-tests",
+                "--bin",
+                "acceptance",
+                "--",
+            ];
+            all.extend(rest);
+            all
+        }
+        arguments => arguments.to_vec(),
+    }
+}
+
+/// The command as a person types it.
+fn command_line(run: &Run) -> String {
+    match run.arguments {
+        ["acceptance", rest @ ..] => format!("target/release/acceptance {}", rest.join(" ")),
+        arguments => format!("cargo {}", arguments.join(" ")),
+    }
+}
+
+/// Runs cargo, shows its output as it comes, and returns it.
+fn cargo(arguments: &[&str]) -> std::io::Result<(String, bool)> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut child = Command::new(cargo).args(arguments).stdout(Stdio::piped()).spawn()?;
+    let mut output = String::new();
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).lines() {
+            let line = line?;
+            println!("{line}");
+            output.push_str(&line);
+            output.push('\n');
+        }
+    }
+    Ok((output, child.wait()?.success()))
+}
+
+/// Where and of what a run was made.
+fn provenance() -> String {
+    let first = |program: &str, arguments: &[&str]| {
+        let output = Command::new(program).args(arguments).output().ok();
+        let text = output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+        text.filter(|text| !text.is_empty())
+    };
+    let commit = first("git", &["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "unknown".to_owned());
+    let changed = first("git", &["status", "--porcelain", "--untracked-files=no"]).map_or("", |_| " with changes");
+    let date = first("date", &["-u", "+%F"]).unwrap_or_default();
+    let rust = first("rustc", &["--version"]).unwrap_or_default();
+    let field = |path: &str, name: &str| {
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let line = text.lines().find(|line| line.starts_with(name))?;
+        Some(line.split_once([':', '='])?.1.trim().trim_matches('"').to_owned())
+    };
+    let processor = field("/proc/cpuinfo", "model name").unwrap_or_else(|| std::env::consts::ARCH.to_owned());
+    let memory = field("/proc/meminfo", "MemTotal").unwrap_or_default();
+    let system = field("/etc/os-release", "PRETTY_NAME").unwrap_or_default();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("commit {commit}{changed}, {date}; {cores} x {processor}, {memory}, {system}; {rust}")
+}
+
+/// The page, from the runs' outputs.
+fn page(folder: &Path) -> String {
+    let mut page = String::from(
+        "# Benchmarks\n\nWritten by `cargo run --release -p zenav-tests --bin benchmarks` from the output of the commands below: every row that they print, \
+         losing ones too. Where a peer was measured, it was in the same run on the same machine; the ratio is its figure over ours.\n",
+    );
+    let mut missing = Vec::new();
+    for run in RUNS {
+        let Ok(output) = std::fs::read_to_string(folder.join(format!("{}.txt", run.name))) else {
+            missing.push(run.name);
+            continue;
+        };
+        let (provenance, output) = output.split_once('\n').unwrap_or_default();
+        let _ = write!(
+            page,
+            "\n## {}\n\n`{}`\n\n{provenance}\n\n",
+            run.title,
+            command_line(run)
+        );
+        let rows = rows(output);
+        if rows.is_empty() {
+            let _ = write!(page, "```text\n{}\n```\n", output.trim_end());
+            continue;
+        }
+        page.push_str("| what | zenav | unit | peer | its figure | ratio |\n|---|---|---|---|---|---|\n");
+        for row in rows {
+            let (peer, figure, ratio) = match &row.peer {
+                Some((peer, value)) => (peer.as_str(), figure(*value), figure(value / row.value)),
+                None => ("", String::new(), String::new()),
+            };
+            let _ = writeln!(
+                page,
+                "| {} | {} | {} | {peer} | {figure} | {ratio} |",
+                row.name,
+                self::figure(row.value),
+                row.unit
+            );
+        }
+        if output.trim_end().ends_with("FAILED") {
+            page.push_str("\nThis run did not pass.\n");
+        }
+    }
+    if !missing.is_empty() {
+        let _ = write!(page, "\nNot run here: {}.\n", missing.join(", "));
+    }
+    page
+}
+
+/// Three significant digits.
+fn figure(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let digits = 2 - value.abs().log10().floor() as i32;
+    format!("{value:.*}", usize::try_from(digits).unwrap_or(0))
+}
+
+/// Every figure of an output: rows, and criterion's estimates.
+fn rows(output: &str) -> Vec<Row> {
+    let mut found = Vec::new();
+    let mut last = "";
+    for line in output.lines() {
+        if let Some(row) = Row::parse(line) {
+            found.push(row);
+        } else if let Some((name, times)) = line.split_once("time:") {
+            let name = if name.trim().is_empty() {
+                last.trim()
+            } else {
+                name.trim()
+            };
+            found.extend(estimate(name, times));
+        }
+        if !line.trim().is_empty() {
+            last = line;
+        }
+    }
+    found
+}
+
+/// The middle one of `[1.23 us 1.25 us 1.27 us]`.
+fn estimate(name: &str, times: &str) -> Option<Row> {
+    let times = times.trim().strip_prefix('[')?.strip_suffix(']')?;
+    let words: Vec<&str> = times.split_whitespace().collect();
+    let (value, unit) = (words.get(2)?.parse().ok()?, words.get(3)?.replace('µ', "u"));
+    Some(Row::new(name, value, &unit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_and_criterion_s_estimates_are_found() {
+        let output = "tick/30 nodes            time:   [358.1 ns 360.4 ns 363.0 ns]\nBenchmarking a long name\na long name\n   \
+                      time:   [1.0000 µs 1.2000 µs 1.4000 µs]\nrow: A* | 1.5 | ms | pathfinding | 6\nnothing\n";
+        let found = rows(output);
+        let expected = [
+            Row::new("tick/30 nodes", 360.4, "ns"),
+            Row::new("a long name", 1.2, "us"),
+            Row::new("A*", 1.5, "ms").beside("pathfinding", 6.0),
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn figures_have_three_digits() {
+        for (value, text) in [
+            (1.23456, "1.23"),
+            (123_456.7, "123457"),
+            (0.001_234, "0.00123"),
+            (0.0, "0"),
+            (98.76, "98.8"),
+        ] {
+            assert_eq!(figure(value), text);
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! Which package may depend on which? The walls are Cargo's: this reads what Cargo says of them.
+
+use std::collections::BTreeMap;
+
+use crate::workspace::{built_of, metadata, root};
+
+/// What a package of this workspace may use of the others: in its code, and in its tests besides.
+type Arrows = (&'static str, &'static [&'static str], &'static [&'static str]);
+
+const ARROWS: &[Arrows] = &[
+    ("zenav-protocol", &[], &["zenav-fixtures"]),
+    ("zenav-sim", &["zenav-protocol"], &["zenav-fixtures"]),
+    ("zenav-edge", &["zenav-protocol", "zenav-sim"], &["zenav-fixtures"]),
+    ("zenav-behaviour-tree", &[], &[]),
+    ("zenav-mapping", &["zenav-protocol"], &["zenav-fixtures"]),
+    ("zenav-space", &["zenav-protocol"], &["zenav-mapping", "zenav-fixtures"]),
+    (
+        "zenav-planning",
+        &["zenav-protocol", "zenav-space"],
+        &["zenav-mapping", "zenav-fixtures"],
+    ),
+    (
+        "zenav-smoothing",
+        &["zenav-protocol", "zenav-space"],
+        &["zenav-mapping", "zenav-planning", "zenav-fixtures"],
+    ),
+    (
+        "zenav-mission",
+        &[
+            "zenav-protocol",
+            "zenav-behaviour-tree",
+            "zenav-planning",
+            "zenav-smoothing",
+            "zenav-space",
+        ],
+        &["zenav-mapping", "zenav-fixtures"],
+    ),
+    (
+        "zenav-cloud",
+        &[
+            "zenav-protocol",
+            "zenav-behaviour-tree",
+            "zenav-mapping",
+            "zenav-mission",
+            "zenav-planning",
+            "zenav-smoothing",
+            "zenav-space",
+        ],
+        &["zenav-fixtures"],
+    ),
+    (
+        "zenav",
+        &[
+            "zenav-protocol",
+            "zenav-sim",
+            "zenav-edge",
+            "zenav-cloud",
+            "zenav-behaviour-tree",
+            "zenav-mapping",
+            "zenav-mission",
+            "zenav-planning",
+            "zenav-smoothing",
+            "zenav-space",
+        ],
+        &["zenav-fixtures"],
+    ),
+    ("zenav-fixtures", &["zenav-protocol"], &[]),
+];
+
+/// What a package is never built of, however many packages lie between.
+const WALLS: &[(&str, &[&str])] = &[
+    ("zenav-protocol", &["zenoh", "zenoh-ext", "tokio"]),
+    ("zenav-sim", &["zenoh", "tokio", "redb", "clarabel"]),
+    ("zenav-edge", &["zenav-cloud", "redb", "clarabel", "roxmltree", "axum"]),
+    (
+        "zenav-behaviour-tree",
+        &["zenoh", "tokio", "redb", "nalgebra", "clarabel", "zenav-protocol"],
+    ),
+    (
+        "zenav-mapping",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-space",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-planning",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-smoothing",
+        &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
+    ),
+    ("zenav-mission", &["zenoh", "tokio", "parry2d-f64"]),
+    ("zenav-cloud", &["zenav-edge", "zenav-sim", "parry2d-f64"]),
+    ("zenav-fixtures", &["zenoh", "tokio"]),
+];
+
+#[test]
+fn packages_depend_on_each_other_along_the_arrows_only_in_tests_too() {
+    let arrows: BTreeMap<_, _> = ARROWS
+        .iter()
+        .map(|(name, code, tests)| (*name, (*code, *tests)))
+        .collect();
+    // What is not for others may use everything.
+    for package in metadata().members().filter(|package| package.name != "zenav-tests") {
+        let name = package.name.as_str();
+        let (code, tests) = arrows
+            .get(name)
+            .unwrap_or_else(|| panic!("{name}: a new package; say in ARROWS what it may depend on"));
+        for dependency in package
+            .dependencies
+            .iter()
+            .filter(|dependency| dependency.path.is_some())
+        {
+            let used = dependency.name.as_str();
+            let is_test = dependency.kind.as_deref() == Some("dev");
+            let allowed = code.contains(&used) || (is_test && tests.contains(&used));
+            assert!(
+                allowed,
+                "{name} depends on {used} ({:?}) against the arrows",
+                dependency.kind
+            );
+        }
+    }
+}
+
+#[test]
+fn libraries_are_built_without_what_their_job_does_not_need() {
+    for (package, forbidden) in WALLS {
+        let parts = built_of(package);
+        assert!(parts.iter().any(|part| part == package), "{package}: {parts:?}");
+        for wall in *forbidden {
+            assert!(
+                !parts.iter().any(|part| part == wall),
+                "{package} is built of {wall}: cargo tree --package {package} --edges normal --invert {wall}"
+            );
+        }
+    }
+}
+
+/// Licences under which anybody may use the program in anything.
+const PERMISSIVE: &[&str] = &[
+    "0BSD",
+    "Apache-2.0",
+    "Apache-2.0 WITH LLVM-exception",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "BSL-1.0",
+    "CC0-1.0",
+    "ISC",
+    "MIT",
+    "Unicode-3.0",
+    "Unlicense",
+    "Zlib",
+];
+
+/// Packages under another licence, and why they are there.
+const EXCEPTIONS: &[(&str, &str, &str)] = &[(
+    "option-ext",
+    "MPL-2.0",
+    "Zenoh finds the home folder by it; its licence binds its own files alone",
+)];
+
+/// Whether one may choose permissive licences alone in an SPDX expression; `/` is an old way to write `OR`.
+fn is_permissive(expression: &str) -> bool {
+    // Parentheses enclose choices that all hold (`(A OR B) AND C`) in what there is.
+    let all = expression.replace('/', " OR ");
+    if all.contains('(') {
+        return all
+            .split(" AND ")
+            .all(|part| is_permissive(&part.replace(['(', ')'], "")));
+    }
+    all.split(" OR ").any(|choice| {
+        choice
+            .split(" AND ")
+            .all(|licence| PERMISSIVE.contains(&licence.trim()))
+    })
+}
+
+#[test]
+fn every_package_is_under_a_permissive_licence() {
+    assert!(is_permissive("(MIT OR Apache-2.0) AND Unicode-3.0") && is_permissive("EPL-2.0 OR Apache-2.0"));
+    assert!(!is_permissive("MIT AND GPL-3.0") && !is_permissive("(MIT OR ISC) AND MPL-2.0") && !is_permissive(""));
+    for package in &metadata().packages {
+        let licence = package.license.as_deref().unwrap_or_default();
+        let excepted = EXCEPTIONS
+            .iter()
+            .any(|(name, exception, _)| *name == package.name && *exception == licence);
+        assert!(is_permissive(licence) || excepted, "{}: `{licence}`", package.name);
+    }
+    for (name, _, _) in EXCEPTIONS {
+        let used = metadata().packages.iter().any(|package| package.name == *name);
+        assert!(used, "{name} is used no more: its exception goes");
+    }
+}
+
+/// `1.90` or `1.90.0` as numbers.
+fn version(text: &str) -> Vec<u32> {
+    text.split('.').map(|part| part.parse().unwrap()).collect()
+}
+
+#[test]
+fn nothing_asks_for_a_newer_rust_than_the_workspace_says() {
+    let own = metadata()
+        .members()
+        .next()
+        .and_then(|member| member.rust_version.clone());
+    let own = own.expect("the workspace says which Rust it needs");
+    for member in metadata().members() {
+        assert_eq!(member.rust_version.as_ref(), Some(&own), "{}", member.name);
+    }
+    for package in &metadata().packages {
+        let needs = package.rust_version.as_deref().unwrap_or("1.0");
+        assert!(
+            version(needs)[..2] <= version(&own)[..2],
+            "{} needs Rust {needs}, the workspace says {own}",
+            package.name
+        );
+    }
+}
+
+/// Crates that do not yet say of themselves what a user looks for. None is to be added.
+const UNFINISHED: &[&str] = &["zenav-protocol", "zenav-sim", "zenav-edge", "zenav-cloud", "zenav"];
+
+/// Crates without a README yet. None is to be added.
+const WITHOUT_README: &[&str] = &[
+    "zenav-protocol",
+    "zenav-sim",
+    "zenav-edge",
+    "zenav-cloud",
+    "zenav",
+    "zenav-behaviour-tree",
+    "zenav-mapping",
+    "zenav-space",
+    "zenav-planning",
+    "zenav-smoothing",
+    "zenav-mission",
+];
+
+#[test]
+fn every_crate_for_others_says_what_it_is() {
+    let members = metadata().members();
+    for package in members.filter(|package| package.is_library() && package.is_published()) {
+        let name = package.name.as_str();
+        assert!(package.description.is_some(), "{name} has no description");
+        let said = !package.keywords.is_empty() && !package.categories.is_empty() && package.repository.is_some();
+        assert!(
+            said || UNFINISHED.contains(&name),
+            "{name} lacks keywords, categories or repository"
+        );
+        let readme = package.readme.as_deref().unwrap_or("README.md");
+        let readme = root().join(package.folder()).join(readme);
+        assert!(
+            readme.is_file() || WITHOUT_README.contains(&name),
+            "{name}: {} is missing",
+            readme.display()
+        );
+    }
+}

@@ -1,0 +1,119 @@
+//! Is what the pages say true of the house? The key table, and every link to a file.
+
+use std::path::{Path, PathBuf};
+
+use crate::workspace::{relative, root};
+
+/// Every Markdown page of the project.
+fn pages() -> Vec<PathBuf> {
+    fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
+        for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if name.starts_with('.') || ["target", "zenav-out", "zenav-data"].contains(&name.as_str()) {
+                continue;
+            }
+            if path.is_dir() {
+                collect(&path, found);
+            } else if path.extension().is_some_and(|ending| ending == "md") {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(root(), &mut found);
+    found.sort();
+    found
+}
+
+/// Targets of `[text](target)` and `src="target"` outside code, with their lines.
+fn links(text: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    let mut in_code = false;
+    for (number, line) in text.lines().enumerate() {
+        if line.trim_start().starts_with("```") {
+            in_code = !in_code;
+            continue;
+        }
+        if in_code {
+            continue;
+        }
+        // Every second part of a line split at backticks is code.
+        let prose: String = line.split('`').step_by(2).collect::<Vec<_>>().join("`");
+        for (opening, closing) in [("](", ')'), ("src=\"", '"')] {
+            for rest in prose.split(opening).skip(1) {
+                let target = rest.split(closing).next().unwrap_or_default();
+                found.push((
+                    number + 1,
+                    target.split_whitespace().next().unwrap_or_default().to_owned(),
+                ));
+            }
+        }
+    }
+    found
+}
+
+/// The anchor that a heading has on the pages of GitHub and mdBook.
+fn anchor(heading: &str) -> String {
+    let kept = heading.to_lowercase();
+    let kept = kept.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+    kept.collect::<String>().trim().replace(' ', "-")
+}
+
+/// Files that pages link to before they are written. None is to be added.
+const COMING: &[&str] = &[
+    "docs/kitchen.gif",
+    "docs/robot.md",
+    "docs/tuning.md",
+    "BENCHMARKS.md",
+    "robot.md",
+    "tuning.md",
+    "../BENCHMARKS.md",
+];
+
+#[test]
+fn every_link_to_a_file_or_a_heading_of_the_project_leads_somewhere() {
+    for page in pages() {
+        let text = std::fs::read_to_string(&page).unwrap();
+        for (line, target) in links(&text) {
+            if COMING.contains(&target.as_str())
+                || target.is_empty()
+                || target.contains("://")
+                || target.starts_with("mailto:")
+            {
+                continue;
+            }
+            let (file, heading) = target.split_once('#').unwrap_or((&target, ""));
+            let path = if file.is_empty() {
+                page.clone()
+            } else {
+                page.parent().unwrap().join(file)
+            };
+            let at = format!("{}:{line}: `{target}`", relative(&page));
+            assert!(path.exists(), "{at} does not exist");
+            if !heading.is_empty() && path.extension().is_some_and(|ending| ending == "md") {
+                let text = std::fs::read_to_string(&path).unwrap();
+                let headings = text.lines().filter(|line| line.starts_with('#'));
+                let known = headings
+                    .map(|line| anchor(line.trim_start_matches('#')))
+                    .any(|known| known == heading);
+                assert!(known, "{at}: no such heading");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_key_table_in_the_docs_is_the_one_in_code() {
+    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
+    let between = page
+        .split("<!-- keys: begin -->")
+        .nth(1)
+        .and_then(|rest| rest.split("<!-- keys: end -->").next())
+        .unwrap();
+    let table = zenav_protocol::topics::table_markdown();
+    assert_eq!(
+        between.trim(),
+        table.trim(),
+        "ARCHITECTURE.md: replace the key table by:\n{table}"
+    );
+}
