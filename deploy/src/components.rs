@@ -1,4 +1,4 @@
-//! How do the parts start and end that share a process?
+//! Components. How do parts that share a process start and end?
 //!
 //! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
 
@@ -181,7 +181,7 @@ impl Parts {
     pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
         let mut config = mapping::MappingConfig::new(id.as_str());
-        config.settings.resolution = deployment.mapping.resolution;
+        config.settings = deployment.mapping.settings.clone();
         config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;

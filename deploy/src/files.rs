@@ -1,4 +1,4 @@
-//! Which file is meant? Worlds, robots and maps by path or by the name of a shipped one.
+//! Input files. Which one is meant? Worlds, robots and maps by path or by the name of a shipped one.
 
 use std::io::Read as _;
 use std::path::Path;

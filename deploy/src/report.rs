@@ -1,4 +1,4 @@
-//! How did a scenario go? The report for people and programs, from the simulator's truth.
+//! Report of a scenario. How did it go? The report for people and programs, from the simulator's truth.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -45,9 +45,9 @@ pub struct DemoReport {
     pub sim_time_s: f64,
     /// Wall time, s.
     pub wall_time_s: f64,
-    /// Motions published.
+    /// Plans published.
     pub plans: u64,
-    /// Motions that replaced another one under way.
+    /// Plans that replaced another one while driving.
     pub replans: u64,
     /// Wall-clock latencies.
     pub latency: Latency,
@@ -167,9 +167,9 @@ pub fn per_metre(joules: f64, metres: f64) -> f64 {
 /// Wall-clock latencies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Latency {
-    /// From the arrival of the scan or pose that a motion is based on to the motion's arrival.
+    /// From the arrival of the scan or pose that a plan is based on to the plan's arrival.
     pub scan_to_plan_ms: Percentiles,
-    /// From the beginning of a drive (its planning) to the first motion.
+    /// From the beginning of a drive (its planning) to the robot's first motion.
     pub goal_to_motion_ms: Percentiles,
 }
 

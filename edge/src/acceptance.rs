@@ -11,12 +11,8 @@ use zenav_protocol::messages::{Plan, Revision, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
-/// Largest distance between where a trajectory starts and where the robot will be, m.
-const START_DISTANCE: f64 = 0.25;
-/// The same for the heading, rad.
-const START_YAW: f64 = 0.6;
-/// The same for the wheels' surface speed, m/s.
-const START_SPEED: f64 = 0.35;
+use crate::settings::AcceptanceSettings;
+
 /// Tolerance of speed and acceleration limits for rounding and sampling, as a share.
 const LIMIT_SLACK: f64 = 0.02;
 /// Tolerance of a wheel's speed change between two points, rad/s.
@@ -27,12 +23,6 @@ const END_SPEED: f64 = 0.1;
 const MOST_POINTS: usize = 100_000;
 /// Longest goal id.
 const LONGEST_ID: usize = 128;
-/// The footprint checked against the scan is smaller than the true one by this, for range noise, m.
-const SCAN_SLACK: f64 = 0.02;
-/// And by this for each metre from the robot, for heading error.
-const SCAN_SLACK_PER_METRE: f64 = 0.01;
-/// Beyond this distance from the robot the scan is not used, m.
-const SCAN_HORIZON: f64 = 4.0;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
 
@@ -309,11 +299,12 @@ pub fn judge_start(
     predicted: Pose2,
     velocity: Twist2,
     drive: &Drive,
+    settings: &AcceptanceSettings,
 ) -> Result<(), Rejection> {
     let distance = predicted.distance(&start.pose());
     let yaw = wrap_angle(start.yaw - predicted.yaw).abs();
     let speed = drive.surface_speed(Twist2::new(start.v - velocity.v, start.w - velocity.w));
-    if distance > START_DISTANCE || yaw > START_YAW || speed > START_SPEED {
+    if distance > settings.start_distance || yaw > settings.start_yaw || speed > settings.start_speed {
         Err(Rejection::Start { distance, yaw, speed })
     } else {
         Ok(())
@@ -330,12 +321,13 @@ pub fn judge_free(
     model: &RobotModel,
     map_from_base: Pose2,
     obstacles: &[Point2<f64>],
+    settings: &AcceptanceSettings,
 ) -> Result<(), Rejection> {
     let footprint = &model.footprint;
     let reach = footprint.circumscribed_radius();
     let mut last: Option<Pose2> = None;
     // Only obstacles near the checked part.
-    let horizon = SCAN_HORIZON + reach;
+    let horizon = settings.scan_horizon + reach;
     let near: Vec<_> = obstacles
         .iter()
         .filter(|point| (*point - map_from_base.position()).norm() < horizon)
@@ -346,11 +338,11 @@ pub fn judge_free(
             last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1
         };
         let distance = pose.distance(&map_from_base);
-        if distance > SCAN_HORIZON || !last.is_none_or(spaced) {
+        if distance > settings.scan_horizon || !last.is_none_or(spaced) {
             continue;
         }
         last = Some(pose);
-        let slack = SCAN_SLACK + SCAN_SLACK_PER_METRE * distance;
+        let slack = settings.scan_tolerance + settings.scan_tolerance_per_metre * distance;
         let base_from_map = pose.inverse();
         let hit = near.iter().find(|obstacle| {
             (**obstacle - pose.position()).norm_squared() < reach * reach

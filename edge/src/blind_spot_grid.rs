@@ -227,12 +227,11 @@ mod tests {
     use std::f64::consts::PI;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{LidarModel, RobotModel, shipped};
+    use zenav_protocol::robot::{LidarModel, RobotModel};
     use zenav_protocol::time::Stamp;
 
     fn lidar(robot: &str) -> LidarModel {
-        let model = RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap();
-        model.lidar.unwrap()
+        zenav_fixtures::robot(robot).lidar.unwrap()
     }
 
     fn grid(lidar: &LidarModel, footprint: &Footprint) -> BlindSpotGrid {
@@ -240,7 +239,7 @@ mod tests {
     }
 
     fn jackal() -> RobotModel {
-        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+        zenav_fixtures::robot("jackal")
     }
 
     #[test]

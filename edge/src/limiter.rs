@@ -114,10 +114,9 @@ pub fn within_speed(drive: &Drive, twist: Twist2) -> Twist2 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn tiago() -> Drive {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive
+        zenav_fixtures::robot("tiago").drive
     }
 
     proptest! {

@@ -14,6 +14,7 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
+use crate::settings::EdgeSettings;
 
 /// Remembered points beyond this distance are dropped, m.
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
@@ -33,6 +34,8 @@ pub struct LocalObstacles {
     remembered: VecDeque<Point2<f64>>,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
+    /// Top speed of the robot, m/s.
+    top_speed: f64,
 }
 
 /// What one lidar sees.
@@ -63,7 +66,15 @@ impl LocalObstacles {
             moving: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
             blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint),
             view,
+            top_speed: model.drive.top_speed(),
         }
+    }
+
+    /// The same with other tunables than the defaults.
+    #[must_use]
+    pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
+        self.moving = self.moving.with_settings(settings, self.top_speed);
+        self
     }
 
     /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep of an unknown lidar, with
@@ -185,10 +196,9 @@ fn remember(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::shipped;
 
     fn tiago() -> RobotModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+        zenav_fixtures::robot("tiago")
     }
 
     fn sweep(model: &RobotModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {

@@ -167,13 +167,12 @@ impl Referee {
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::id::Id;
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::{RobotSpec, World};
 
     use super::*;
 
     fn bodies(count: usize) -> Vec<(SimBody, Referee)> {
-        let model = RobotModel::from_toml(shipped("turtlebot3_waffle").unwrap(), "robot").unwrap();
+        let model = zenav_fixtures::robot("turtlebot3_waffle");
         let robot = |i: usize| RobotSpec {
             id: Id::new(format!("robot{i}")).unwrap(),
             model: model.clone(),

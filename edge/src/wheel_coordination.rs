@@ -68,15 +68,12 @@ mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::motors::Motors as Real;
 
     const TICK: f64 = 0.02;
 
     fn jackal() -> Drive {
-        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal")
-            .unwrap()
-            .drive
+        zenav_fixtures::robot("jackal").drive
     }
 
     /// Where a robot that was told to rest on its curve does so, and after which way of its faster wheel, m.

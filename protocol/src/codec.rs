@@ -33,7 +33,7 @@ pub enum Encoding {
     /// `application/json`, exactly, without a schema suffix.
     #[default]
     Json,
-    /// `application/cbor`.
+    /// `application/cbor`, for bulk.
     Cbor,
 }
 

@@ -13,7 +13,6 @@ use parry2d_f64::math::{Pose, Vector};
 use parry2d_f64::query::{Ray, RayCast};
 use parry2d_f64::shape::Polyline;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_sim::lidar::AngularBuffer;
 use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::scatter::scatter;
@@ -27,7 +26,7 @@ fn world(text: &str) -> World {
 }
 
 fn sweeps(criterion: &mut Criterion) {
-    let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    let model = zenav_fixtures::robot("tiago");
     let mut lidar = model.first_lidar().unwrap().clone();
     (lidar.beams, lidar.range_max) = (BEAMS, 25.0);
     for (name, world) in [

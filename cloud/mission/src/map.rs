@@ -137,17 +137,8 @@ mod tests {
     use zenav_mapping::{Mapper, MappingSettings};
 
     fn scan(stamp: u64, x: f64) -> Scan {
-        Scan {
-            stamp: Stamp(stamp),
-            angle_min: -3.0,
-            angle_increment: 0.05,
-            range_min: 0.02,
-            range_max: 8.0,
-            ranges: (0..120).map(|beam| 1.0 + 0.03 * beam as f32).collect(),
-            base_from_laser: Pose2::IDENTITY,
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::new(x, 0.3 * x, 0.0),
-        }
+        let ranges = (0..120).map(|beam| 1.0 + 0.03 * beam as f32).collect();
+        zenav_fixtures::scan(stamp, Pose2::new(x, 0.3 * x, 0.0), ranges)
     }
 
     #[test]

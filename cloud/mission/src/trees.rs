@@ -16,6 +16,10 @@ pub const NAVIGATE_THROUGH: &str = "navigate_through";
 pub const SHIPPED: &[(&str, &str)] = &[
     (NAVIGATE, include_str!("../trees/navigate.xml")),
     (NAVIGATE_THROUGH, include_str!("../trees/navigate_through.xml")),
+    (
+        "navigate_with_recovery",
+        include_str!("../trees/navigate_with_recovery.xml"),
+    ),
     ("kitchen", include_str!("../trees/kitchen.xml")),
     ("online", include_str!("../trees/online.xml")),
 ];

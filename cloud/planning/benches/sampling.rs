@@ -1,8 +1,8 @@
-//! How do the sampling planners do beside OMPL's? `cargo bench -p zenav-cloud --bench sampling [-- MAP…]`
+//! How do the sampling planners do beside OMPL's? `cargo bench -p zenav-planning --bench sampling [-- MAP…]`
 //!
 //! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three made ones. A scenario `MAP.scen` beside a map gives its
-//! ten hardest queries, else they are the longest of many random ones. First ways have two seconds, planners that improve on theirs half a second
-//! in all, by the processor's clock, so that a busy machine does no harm. Lengths are in relation to the shortest way on the grid, which knows
+//! ten hardest queries, else they are the longest of many random ones. First paths have two seconds, planners that improve on theirs half a second
+//! in all, by the processor's clock, so that a busy machine does no harm. Lengths are in relation to the shortest path on the grid, which knows
 //! eight directions and cuts no corners.
 //!
 //! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries in the same processor time. `RUNS` seeds are drawn
@@ -78,7 +78,7 @@ fn main() {
     }
 }
 
-/// Whether a planner goes on after its first way.
+/// Whether a planner goes on after its first path.
 fn improves(planner: &str) -> bool {
     !["rrt", "rrt_connect"].contains(&planner)
 }
@@ -93,7 +93,7 @@ struct Terrain {
     name: String,
     grid: BitGrid,
     sight: PointLineOfSight,
-    /// Start, goal, length of the shortest way on the grid.
+    /// Start, goal, length of the shortest path on the grid.
     queries: Vec<(Cell, Cell, f64)>,
 }
 
@@ -157,13 +157,13 @@ impl Terrain {
                     best = best.min(now() - begin);
                     watch.disarm();
                     samples = searched.expansions;
-                    length = searched.result.ok().map(|way| {
+                    length = searched.result.ok().map(|path| {
                         assert!(
-                            way.corners.windows(2).all(|leg| self.sight.sees(leg[0], leg[1])),
+                            path.corners.windows(2).all(|leg| self.sight.sees(leg[0], leg[1])),
                             "not free"
                         );
-                        assert!(way.corners[0] == query.start && way.corners[way.corners.len() - 1] == query.goal);
-                        way.length
+                        assert!(path.corners[0] == query.start && path.corners[path.corners.len() - 1] == query.goal);
+                        path.length
                     });
                     if best > 0.1 {
                         break;
@@ -236,11 +236,11 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
                 goal: center(goal),
                 seed: 0,
             };
-            let way = searcher
+            let path = searcher
                 .search(Planner::Jps, &sight, &query, Budget::UNLIMITED)
                 .result
                 .ok()?;
-            Some((start, goal, way.length))
+            Some((start, goal, path.length))
         })
         .collect();
     found.sort_by(|a, b| b.2.total_cmp(&a.2));
@@ -253,7 +253,7 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
 struct Figures {
     /// s; what is here is always in order.
     times: Vec<f64>,
-    /// Lengths of ways, in relation to the shortest on the grid.
+    /// Lengths of paths, in relation to the shortest on the grid.
     ratios: Vec<f64>,
     /// Drawn, or vertices made.
     samples: Vec<u64>,
@@ -307,8 +307,8 @@ fn maze() -> BitGrid {
             free.set(cell, true);
         }
     };
-    let mut way = vec![(0, 0)];
-    while let Some((x, y)) = way.last().copied() {
+    let mut path = vec![(0, 0)];
+    while let Some((x, y)) = path.last().copied() {
         open(&mut free, 6 * x + 1, 6 * y + 1, 5, 5);
         let closed = |(dx, dy): &(i64, i64)| {
             let (x, y) = (x + dx, y + dy);
@@ -317,7 +317,7 @@ fn maze() -> BitGrid {
         };
         let next: Vec<(i64, i64)> = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().filter(closed).collect();
         if next.is_empty() {
-            way.pop();
+            path.pop();
             continue;
         }
         let (dx, dy) = next[rng.next_u64() as usize % next.len()];
@@ -329,7 +329,7 @@ fn maze() -> BitGrid {
             width,
             height,
         );
-        way.push((x + dx, y + dy));
+        path.push((x + dx, y + dy));
     }
     free
 }

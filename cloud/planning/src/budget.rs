@@ -1,4 +1,4 @@
-//! How long may a search take? Expansions, and a flag that somebody else may set: a search knows no clock.
+//! Search budget. How long may a search take? Expansions, samples, and a flag that somebody else may set: a search knows no clock.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -10,6 +10,8 @@ const PERIOD: u64 = 512;
 pub struct Budget<'a> {
     /// Nodes that may be expanded.
     pub max_expansions: u64,
+    /// Samples that may be drawn.
+    pub max_samples: u64,
     /// Ends the search soon after it is set.
     pub cancel: Option<&'a AtomicBool>,
 }
@@ -18,6 +20,7 @@ impl Budget<'_> {
     /// As long as it takes.
     pub const UNLIMITED: Budget<'static> = Budget {
         max_expansions: u64::MAX,
+        max_samples: u64::MAX,
         cancel: None,
     };
 

@@ -1,4 +1,4 @@
-//! How fast is the configuration space made and kept up to date? `cargo bench -p zenav-cloud --bench space`
+//! How fast is the configuration space made and kept up to date? `cargo bench -p zenav-space --bench space`
 //!
 //! Beside every transform stands the one of the textbook (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions",
 //! 2012), written plainly, on the same map in the same run. Times are the thread's own, whatever else the machine does.
@@ -24,8 +24,7 @@ use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
-use zenav_space::distance::exact::squared_distances;
-use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy};
+use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy, squared_distances};
 
 /// Time that this thread has had a processor for.
 struct ThreadTime;

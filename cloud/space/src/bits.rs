@@ -1,4 +1,4 @@
-//! Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
+//! Bitmaps. Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
 
 use zenav_protocol::grid::Cell;
 

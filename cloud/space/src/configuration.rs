@@ -1,4 +1,4 @@
-//! Which cells admit the robot, and how far is any point from an obstacle?
+//! Configuration space. Which cells admit the robot, and how far is any point from an obstacle?
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -309,17 +309,7 @@ mod tests {
     use super::*;
 
     fn grid(width: u32, height: u32, marks: &[(u32, u32, i8)]) -> OccupancyGrid {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.1,
-            width,
-            height,
-        };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        for (x, y, value) in marks {
-            grid[Cell::new(x % width, y % height)] = *value;
-        }
-        grid
+        zenav_fixtures::map_with(zenav_fixtures::spec(width, height, 0.1), marks)
     }
 
     #[test]

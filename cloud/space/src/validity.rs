@@ -1,4 +1,4 @@
-//! Does the true footprint fit at a pose, along a segment, along a sweep of poses?
+//! State validity. Does the true footprint fit at a pose, along a segment, along a sweep of poses?
 //!
 //! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the
 //! shape can reach, each candidate is measured in closed form. No step size is involved.
@@ -196,11 +196,7 @@ mod tests {
     };
 
     fn map(occupied: &[(u32, u32)]) -> OccupancyGrid {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = Occupancy::OCCUPIED;
-        }
-        grid
+        zenav_fixtures::map_with_occupied(SPEC, occupied)
     }
 
     fn space(occupied: &[(u32, u32)], footprint: &Footprint) -> ConfigurationSpace {
@@ -265,11 +261,11 @@ mod tests {
         }
 
         #[test]
-        fn one_occupied_cell_on_the_way_is_never_missed(x in 1_u32..69, y in 1_u32..59, inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01..5.0, after in 0.01..5.0) {
+        fn one_occupied_cell_on_the_path_is_never_missed(x in 1_u32..69, y in 1_u32..59, inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01..5.0, after in 0.01..5.0) {
             let space = space(&[(x, y)], &Footprint::Radius(0.01));
             let through = SPEC.origin + Vector2::new(f64::from(x) + inside.0, f64::from(y) + inside.1) * SPEC.resolution;
-            let way = Vector2::new(f64::cos(angle), f64::sin(angle));
-            prop_assert!(!space.segment_is_free(through - way * before, through + way * after, 0.0));
+            let path = Vector2::new(f64::cos(angle), f64::sin(angle));
+            prop_assert!(!space.segment_is_free(through - path * before, through + path * after, 0.0));
         }
 
         #[test]

@@ -1,4 +1,4 @@
-//! Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
+//! Zones. Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
 //!
 //! ```toml
 //! [[keep_out]]                 # no part of a robot enters

@@ -1,4 +1,4 @@
-//! How does a planning worker live on the network? Requests in, ways out, and what was searched for whoever looks. Thin: [`PlanWorker`]
+//! How does a planning worker live on the network? Requests in, paths out, and what was searched for whoever looks. Thin: [`PlanWorker`]
 //! answers, [`host`] carries.
 
 pub mod worker;
@@ -17,6 +17,7 @@ use self::worker::PlanWorker;
 use crate::worker_host::{Work, host};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::padding::Extent;
+use zenav_planning::PlanningSettings;
 use zenav_space::Zones;
 
 /// Robots whose searches are shown at once; beyond it the first by name goes.
@@ -63,13 +64,20 @@ impl Work for PlanWorker {
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
-pub async fn run(bus: Bus, clock: Clock, worker: Id, zones: Arc<Zones>, shutdown: Shutdown) -> Result<(), BusError> {
+pub async fn run(
+    bus: Bus,
+    clock: Clock,
+    worker: Id,
+    zones: Arc<Zones>,
+    settings: PlanningSettings,
+    shutdown: Shutdown,
+) -> Result<(), BusError> {
     let mut show = Show {
         bus: bus.clone(),
         clock,
         publishers: BTreeMap::new(),
     };
-    let begun = || PlanWorker::new(Arc::clone(&zones));
+    let begun = || PlanWorker::new(Arc::clone(&zones), settings.clone());
     host(bus, worker, shutdown, begun, |core: &PlanWorker, question, answer| {
         show.tell(core, question, answer);
     })

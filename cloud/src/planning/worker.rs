@@ -8,16 +8,10 @@ use nalgebra::Point2;
 use zenav_protocol::messages::{PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal};
 use zenav_protocol::robot::Footprint;
 
-use zenav_planning::{Budget, PlanOptions, Planner, Replanner};
+use zenav_planning::{Budget, PlanOptions, Planner, PlanningSettings, Replanner};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_space::{SpaceCache, UnknownPolicy, Zones};
 
-/// Nodes that a search may expand for a robot: some seconds' worth.
-const MAX_EXPANSIONS: u64 = 50_000_000;
-/// Samples that trees may grow by until a way is found: seconds' worth.
-const MAX_SAMPLES: u64 = 1_000_000;
-/// Samples that a way is improved by: some tenths of a second's worth. What it would gain by more is less than the wait costs.
-const IMPROVING: u64 = 20_000;
 /// Robots and maps that answers are kept for.
 const KEPT: usize = 4;
 
@@ -27,8 +21,9 @@ pub struct PlanWorker {
     spaces: SpaceCache,
     /// The one used last comes first.
     kept: VecDeque<Kept>,
-    /// Whether the last search grew trees.
-    grew: bool,
+    settings: PlanningSettings,
+    /// Whether the last answer was searched for.
+    searched: bool,
 }
 
 /// What is known of a map for a robot.
@@ -43,9 +38,10 @@ struct Kept {
 impl PlanWorker {
     /// A worker for maps with these zones.
     #[must_use]
-    pub fn new(zones: Arc<Zones>) -> Self {
+    pub fn new(zones: Arc<Zones>, settings: PlanningSettings) -> Self {
         Self {
             spaces: SpaceCache::new(zones),
+            settings,
             ..Self::default()
         }
     }
@@ -53,10 +49,8 @@ impl PlanWorker {
     /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
-        let Some(Kept { replanner, .. }) = self.kept.front().filter(|_| self.grew) else {
-            return Vec::new();
-        };
-        replanner.tree(limit).collect()
+        let last = self.kept.front().filter(|_| self.searched);
+        last.map(|kept| kept.replanner.tree(limit)).unwrap_or_default()
     }
 
     /// Answers a request on a copy of the robot's map, without the time it took. `cancel` ends the search soon after it is set.
@@ -72,7 +66,7 @@ impl PlanWorker {
         let planner: Planner = request
             .planner
             .parse()
-            .map_err(|error: zenav_planning::planner::UnknownPlanner| Refusal::bad_request(error.to_string()))?;
+            .map_err(|error: zenav_planning::UnknownPlanner| Refusal::bad_request(error.to_string()))?;
         if !(request.start.is_finite() && request.goal.is_finite()) {
             return Err(Refusal::bad_request("start and goal: expected finite numbers"));
         }
@@ -110,17 +104,14 @@ impl PlanWorker {
                 replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
             },
         };
-        let mut options = PlanOptions {
+        let options = PlanOptions {
             seed: request.seed,
+            settings: self.settings.clone(),
             ..PlanOptions::new(planner)
         };
-        options.sampling.improving = IMPROVING;
         let budget = Budget {
-            max_expansions: if planner.grows_trees() {
-                MAX_SAMPLES
-            } else {
-                MAX_EXPANSIONS
-            },
+            max_expansions: self.settings.max_expansions,
+            max_samples: self.settings.max_samples,
             cancel,
         };
         let planned = kept
@@ -129,7 +120,7 @@ impl PlanWorker {
         self.kept.push_front(kept);
         self.kept.truncate(KEPT);
         let planned = planned.map_err(|error| internal(&error))?;
-        self.grew = planner.grows_trees() && planned.origin == PlanOrigin::Searched;
+        self.searched = planned.origin == PlanOrigin::Searched;
         Ok(PlanReply {
             map: map.map().clone(),
             outcome: planned.outcome,

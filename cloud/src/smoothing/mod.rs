@@ -71,7 +71,6 @@ mod tests {
     use zenav_protocol::messages::{
         DrivingProfile, MapInfo, MapRef, MapReply, PlanOutcome, PlanRequest, SmoothRequest,
     };
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
     use zenav_protocol::topics::{MAP, PLAN_SERVICE, TREE};
 
@@ -147,7 +146,7 @@ mod tests {
             )),
         ];
         let client = open("client").await.unwrap();
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let question = PlanRequest {
             robot: "tiago".to_owned(),
             model: model.clone(),

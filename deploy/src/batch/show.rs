@@ -56,7 +56,7 @@ pub(super) struct ShowArgs {
     /// Pixels of the longer side
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(64..=8192))]
     size: u32,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }

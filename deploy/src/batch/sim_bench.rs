@@ -131,11 +131,10 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::shipped;
 
     #[test]
     fn a_bench_tells_of_all_robots_and_of_one() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let ticks = std::cell::Cell::new(0);
         let clock = || {
             ticks.set(ticks.get() + 1);

@@ -58,7 +58,9 @@ impl Layers {
         }
         let mut environment = BTreeMap::new();
         for (variable, text) in variables {
-            let Some(name) = variable.strip_prefix(PREFIX) else { continue };
+            let Some(name) = variable.strip_prefix(PREFIX) else {
+                continue;
+            };
             let key = name.to_lowercase().replace("__", ".");
             let value = parsed(&key, text);
             let inner = key.split('.').rev().fold(value, |value, part| {
@@ -103,7 +105,10 @@ impl Layers {
             let line = line_of(text, key).map_or_else(String::new, |line| format!(":{line}"));
             Some(format!("{}{line}", path.display()))
         };
-        self.file.as_ref().and_then(written).unwrap_or_else(|| "default".to_owned())
+        self.file
+            .as_ref()
+            .and_then(written)
+            .unwrap_or_else(|| "default".to_owned())
     }
 }
 
@@ -127,7 +132,8 @@ fn parsed(key: &str, text: String) -> Value {
         return Value::String(text);
     }
     let read = toml::from_str::<Table>(&format!("value = {text}")).ok();
-    read.and_then(|mut table| table.remove("value")).unwrap_or(Value::String(text))
+    read.and_then(|mut table| table.remove("value"))
+        .unwrap_or(Value::String(text))
 }
 
 /// The setting of a key.
@@ -172,7 +178,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("mine.toml");
         std::fs::write(&file, text).unwrap();
-        let variables = variables.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
+        let variables = variables
+            .iter()
+            .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
         Layers::read(Some(&file), variables)
     }
 
@@ -194,15 +202,37 @@ mod tests {
     }
 
     #[test]
+    fn a_library_s_settings_stand_in_the_section_of_its_service() {
+        let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
+        let mapping = read(text, &[]).unwrap().deployment.mapping;
+        assert_eq!((mapping.enabled, mapping.settings.resolution), (false, 0.1));
+        assert_eq!(mapping.settings.sensor_model.hit, 0.7);
+        let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])
+            .map(|_| ())
+            .unwrap_err();
+        assert!(
+            failure
+                .message
+                .contains("mine.toml:2: `mapping.sensor_model.hit` is 0.1"),
+            "{failure}"
+        );
+    }
+
+    #[test]
     fn a_value_out_of_bounds_is_told_with_its_line_or_its_variable() {
         let text = "[mapping]\nresolution = 0.001\n";
         let failure = read(text, &[]).map(|_| ()).unwrap_err();
         assert!(
-            failure.message.ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected at least 0.005 m"),
+            failure
+                .message
+                .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
             "{failure}"
         );
         let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();
-        assert!(failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "), "{failure}");
+        assert!(
+            failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "),
+            "{failure}"
+        );
         assert!(read("", &[("ZENAV_SIMULATION__SPED", "1")]).is_err());
     }
 
@@ -223,7 +253,10 @@ mod tests {
         ];
         let layers = read("[mission]\nholder = \"a\"\nplan_valid_secs = 4\n", &variables).unwrap();
         let deployment = &layers.deployment;
-        assert_eq!((deployment.mission.holder.as_str(), deployment.mission.plan_valid_secs), ("7", 4.0));
+        assert_eq!(
+            (deployment.mission.holder.as_str(), deployment.mission.plan_valid_secs),
+            ("7", 4.0)
+        );
         assert_eq!(deployment.robots["tiago"].model, "neato");
         assert_eq!(deployment.robots["tiago"].listen, "tcp/127.0.0.1:7450");
         assert_eq!(deployment.router.listen, ["tcp/[::]:1"]);

@@ -4,14 +4,17 @@
 //! |---|---|
 //! | `mod` | which sections are there? Those of the libraries are their own settings |
 //! | `layers` | defaults, a file, the environment: which value counts, and what is wrong with one? |
+//! | `service` | does a service run, and with which of its library's settings? |
 //! | `show` | `zenav config show`: every value with unit, default, bounds and origin |
 
 mod layers;
+mod service;
 mod show;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use zenav_mapping::MappingSettings;
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -23,6 +26,7 @@ use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
 
 pub use layers::load;
+pub use service::Service;
 pub use show::{ConfigArgs, run};
 
 settings! {
@@ -39,7 +43,7 @@ settings! {
         /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
-        pub mapping: MappingSection;
+        pub mapping: Service<MappingSettings>;
         /// Motion workers.
         pub planning: PlanningSection;
         /// Zones of the map.
@@ -101,16 +105,6 @@ settings! {
 }
 
 settings! {
-    /// The mapping service.
-    pub struct MappingSection {
-        /// Whether it runs.
-        pub enabled: bool = true;
-        /// Side of a cell.
-        pub resolution: f64 = 0.05, "m", 0.005..;
-    }
-}
-
-settings! {
     /// Motion workers.
     pub struct PlanningSection {
         /// How many run.
@@ -139,7 +133,7 @@ settings! {
         pub latency_budget_secs: f64 = 0.3, "s", 0.0..=10.0;
         /// Validity of a plan.
         pub plan_valid_secs: f64 = 5.0, "s", 0.0..=60.0;
-        /// What plans are to be good at where a goal does not say: `fastest` or `economy`.
+        /// Driving profile of goals that name none: `fastest` or `economy`.
         pub profile: DrivingProfile = DrivingProfile::Fastest;
     }
 }
@@ -166,7 +160,10 @@ impl Deployment {
             robot.check().map_err(|error| error.within(name).within("robots"))?;
         }
         if self.robots.is_empty() {
-            return Err(OutOfBounds::unlike("robots", 0.0, "at least one section [robots.NAME]"));
+            return Err(OutOfBounds {
+                key: "robots".to_owned(),
+                problem: "names no robot: expected at least one section [robots.NAME]".to_owned(),
+            });
         }
         Ok(())
     }

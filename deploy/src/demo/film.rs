@@ -27,9 +27,9 @@ use crate::files;
 /// Width of a film, and greatest height, px.
 const WIDTH: u32 = 640;
 const HEIGHT: f64 = 560.0;
-/// Pictures at most, and how long each is shown, ms: twenty seconds.
+/// Pictures at most, and how long each is shown, hundredths of a second: twenty seconds.
 const MOST: usize = 160;
-const MILLIS: u16 = 125;
+const SHOWN: u16 = 12;
 /// Simulated time between two recorded moments, s.
 const PERIOD: f64 = 0.2;
 /// Longest wait for a map, wall.
@@ -107,7 +107,9 @@ impl Film {
                     () = ended.wait() => return Ok(moments),
                     _ = pace.tick() => {}
                 }
-                let asked = bus.ask(&topics::MAP, &[id.as_str()], &MapRequest::default(), MAP_WITHIN).await;
+                let asked = bus
+                    .ask(&topics::MAP, &[id.as_str()], &MapRequest::default(), MAP_WITHIN)
+                    .await;
                 let map = asked.ok().and_then(|reply| reply.grid().ok()).map(Arc::new);
                 let last = moments.last();
                 let Some(map) = map.or_else(|| last.map(|last| Arc::clone(&last.map))) else {
@@ -170,8 +172,12 @@ impl Film {
     fn develop(self, moments: &[Moment]) -> Result<PathBuf, Failure> {
         let footprint = files::robot(self.robot)?.footprint;
         let count = moments.len().min(MOST);
-        let bytes = encode(count, MILLIS, |index| {
-            let last = if count > 1 { index * (moments.len() - 1) / (count - 1) } else { 0 };
+        let bytes = encode(count, SHOWN, |index| {
+            let last = if count > 1 {
+                index * (moments.len() - 1) / (count - 1)
+            } else {
+                0
+            };
             self.picture(moments.get(..=last).unwrap_or_default(), &footprint)
         })?;
         write(&self.file, bytes)?;

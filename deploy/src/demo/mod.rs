@@ -1,4 +1,4 @@
-//! Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
+//! `zenav demo`. Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
 //!
 //! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
 //! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.
@@ -97,7 +97,7 @@ pub struct DemoArgs {
     /// Which scenario
     #[arg(value_enum, default_value = "kitchen")]
     scenario: Scenario,
-    /// Simulated seconds a second of wall time
+    /// Simulated time against wall time
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// Seed of all noise
@@ -106,20 +106,20 @@ pub struct DemoArgs {
     /// Planner, instead of the scenario's
     #[arg(long)]
     planner: Option<Planner>,
-    /// What motions are to be good at, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
     /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already [default:
     /// zenav-out/SCENARIO]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Animated picture of the run to write, a PNG (kitchen and online)
-    #[arg(long, value_name = "FILE.png")]
+    /// Write a moving picture of the run (kitchen and online)
+    #[arg(long, value_name = "FILE.gif")]
     film: Option<PathBuf>,
     /// Plain log lines instead of a live display
     #[arg(long)]
     no_ui: bool,
-    /// Form of the report on stdout
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -147,9 +147,9 @@ pub fn run(args: &DemoArgs) -> Outcome {
     }
     if let Some(film) = &args.film {
         let ending = film.extension().and_then(|ending| ending.to_str());
-        if !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("png")) || args.scenario.script().alone {
+        if !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("gif")) || args.scenario.script().alone {
             return Err(Failure::usage(format!(
-                "--film {}: expected a name that ends with .png, of a run of kitchen or online",
+                "--film {}: expected a name that ends with .gif, and a run of kitchen or online",
                 film.display()
             )));
         }
@@ -272,7 +272,10 @@ async fn play(
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
     let referee = parts.edge(deployment, world)?;
-    let film = args.film.as_deref().map(|file| Film::new(file, script, world, referee.clone()));
+    let film = args
+        .film
+        .as_deref()
+        .map(|file| Film::new(file, script, world, referee.clone()));
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;

@@ -122,7 +122,9 @@ pub(super) async fn play(
     write_log(args, &watch.log)?;
     draw(args, world, &watch.driven)?;
     let mut report = watch.report(script, args);
-    report.files = ["events.ndjson", "path.png"].map(|name| args.folder().join(name)).into();
+    report.files = ["events.ndjson", "path.png"]
+        .map(|name| args.folder().join(name))
+        .into();
     Ok(report)
 }
 

@@ -3,7 +3,9 @@
 use std::sync::OnceLock;
 
 use ab_glyph::{Font as _, FontRef, PxScale, ScaleFont as _, point};
-use tiny_skia::{FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, PremultipliedColorU8, Stroke, Transform};
+use tiny_skia::{
+    FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, PremultipliedColorU8, Stroke, Transform,
+};
 
 use crate::failure::Failure;
 
@@ -95,7 +97,8 @@ impl Canvas {
         let mut both = Self::new(self.width() + right.width(), height, color)?;
         for (canvas, left) in [(&self, 0), (right, self.width() as i32)] {
             let (pixels, paint) = (canvas.pixmap.as_ref(), tiny_skia::PixmapPaint::default());
-            both.pixmap.draw_pixmap(left, 0, pixels, &paint, Transform::identity(), None);
+            both.pixmap
+                .draw_pixmap(left, 0, pixels, &paint, Transform::identity(), None);
         }
         Ok(both)
     }
@@ -116,7 +119,9 @@ impl Canvas {
     #[must_use]
     pub fn rgb(&self) -> Vec<u8> {
         let pixels = self.pixmap.pixels().iter();
-        pixels.flat_map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect()
+        pixels
+            .flat_map(|pixel| [pixel.red(), pixel.green(), pixel.blue()])
+            .collect()
     }
 
     /// One pixel.
@@ -172,7 +177,10 @@ impl Canvas {
 
     /// A filled disc.
     pub fn disc(&mut self, [x, y]: Pixel, radius: f32, color: Color) {
-        if x.abs() < FAR && y.abs() < FAR && let Some(path) = PathBuilder::from_circle(x, y, radius) {
+        if x.abs() < FAR
+            && y.abs() < FAR
+            && let Some(path) = PathBuilder::from_circle(x, y, radius)
+        {
             self.fill_path(&path, color, 255);
         }
     }

@@ -1,6 +1,4 @@
-//! Film. How do pictures become an animated PNG? One palette for all; of each picture only what has changed since the one before.
-//!
-//! Animated PNG (third edition of the PNG specification, 2025) is shown by every browser; elsewhere the first picture is.
+//! Film. How do pictures become an animated GIF? One palette for all; of each picture only what has changed since the one before.
 
 use std::collections::HashMap;
 
@@ -12,17 +10,23 @@ const COLORS: usize = 255;
 /// Pictures between two that the palette is taken from.
 const STRIDE: usize = 6;
 
-/// Encodes `count` pictures, drawn one by one on demand and all of one size; each is shown for `millis`, the last for longer.
+/// The last picture is shown so many times as long as the others.
+const LAST: u16 = 20;
+
+/// Encodes `count` pictures, drawn one by one on demand and all of one size; each is shown for `hundredths` of a second, the last for
+/// longer.
 ///
 /// # Errors
 /// No pictures, a picture that cannot be drawn, or one of another size.
 pub fn encode(
     count: usize,
-    millis: u16,
+    hundredths: u16,
     mut draw: impl FnMut(usize) -> Result<Canvas, Failure>,
 ) -> Result<Vec<u8>, Failure> {
-    let failed = |error: png::EncodingError| Failure::failed(format!("a film: {error}"));
-    let last = count.checked_sub(1).ok_or_else(|| Failure::failed("a film without pictures"))?;
+    let failed = |error: gif::EncodingError| Failure::failed(format!("a film: {error}"));
+    let last = count
+        .checked_sub(1)
+        .ok_or_else(|| Failure::failed("a film without pictures"))?;
     let mut palette = Palette::default();
     for index in (0..last).step_by(STRIDE).chain([last]) {
         palette.count(&draw(index)?);
@@ -30,43 +34,34 @@ pub fn encode(
     palette.choose();
 
     let first = draw(0)?;
-    let (width, height) = (first.width(), first.height());
+    let side = |pixels: u32| u16::try_from(pixels).map_err(|_| Failure::usage("a film's pictures are too large"));
+    let (width, height) = (side(first.width())?, side(first.height())?);
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(png::ColorType::Indexed);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::High);
-    encoder.set_filter(png::Filter::NoFilter);
-    encoder.set_palette(palette.bytes());
-    encoder.set_trns(vec![0]);
-    encoder.set_animated(count as u32, 0).map_err(failed)?;
-    encoder.set_frame_delay(millis, 1000).map_err(failed)?;
-    encoder.set_dispose_op(png::DisposeOp::None).map_err(failed)?;
-    encoder.set_blend_op(png::BlendOp::Over).map_err(failed)?;
-    let mut writer = encoder.write_header().map_err(failed)?;
-    let mut shown = palette.indices(&first);
-    writer.write_image_data(&shown).map_err(failed)?;
-    for index in 1..count {
+    let mut encoder = gif::Encoder::new(&mut bytes, width, height, &palette.bytes()).map_err(failed)?;
+    encoder.set_repeat(gif::Repeat::Infinite).map_err(failed)?;
+    let mut shown = Vec::new();
+    for index in 0..count {
         let canvas = draw(index)?;
-        if (canvas.width(), canvas.height()) != (width, height) {
+        if (canvas.width(), canvas.height()) != (width.into(), height.into()) {
             return Err(Failure::failed("a film needs pictures of one size"));
         }
         let next = palette.indices(&canvas);
-        let change = Change::between(&shown, &next, width as usize);
-        writer.reset_frame_position().map_err(failed)?;
-        writer
-            .set_frame_dimension(change.width as u32, change.height as u32)
-            .map_err(failed)?;
-        writer
-            .set_frame_position(change.left as u32, change.top as u32)
-            .map_err(failed)?;
-        if index == last {
-            writer.set_frame_delay(millis.saturating_mul(20), 1000).map_err(failed)?;
-        }
-        writer.write_image_data(&change.pixels).map_err(failed)?;
+        let change = Change::between(&shown, &next, width.into());
+        let frame = gif::Frame {
+            left: change.left as u16,
+            top: change.top as u16,
+            dispose: gif::DisposalMethod::Keep,
+            delay: if index == last {
+                hundredths.saturating_mul(LAST)
+            } else {
+                hundredths
+            },
+            ..gif::Frame::from_indexed_pixels(change.width as u16, change.height as u16, change.pixels, Some(0))
+        };
+        encoder.write_frame(&frame).map_err(failed)?;
         shown = next;
     }
-    writer.finish().map_err(failed)?;
+    drop(encoder);
     Ok(bytes)
 }
 
@@ -129,7 +124,10 @@ impl Palette {
     }
 
     fn bytes(&self) -> Vec<u8> {
-        std::iter::once([0; 3]).chain(self.colors.iter().copied()).flatten().collect()
+        std::iter::once([0; 3])
+            .chain(self.colors.iter().copied())
+            .flatten()
+            .collect()
     }
 
     fn indices(&mut self, canvas: &Canvas) -> Vec<u8> {
@@ -144,7 +142,13 @@ impl Palette {
                 best.map_or(0, |(index, _)| index as u8 + 1)
             })
         };
-        canvas.rgb().as_chunks::<3>().0.iter().map(|color| index(*color)).collect()
+        canvas
+            .rgb()
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|color| index(*color))
+            .collect()
     }
 }
 
@@ -159,29 +163,35 @@ mod tests {
             let mut canvas = Canvas::new(30, 20, [255; 3]).unwrap();
             // The third picture is the second again.
             let x = 3.0 * index.min(2) as f32;
-            canvas.fill(&[[x, 4.0], [x + 8.0, 4.0], [x + 8.0, 15.0], [x, 15.0]], [200, 30, 30], 255);
+            canvas.fill(
+                &[[x, 4.0], [x + 8.0, 4.0], [x + 8.0, 15.0], [x, 15.0]],
+                [200, 30, 30],
+                255,
+            );
             Ok(canvas)
         };
-        let bytes = encode(4, 100, draw).unwrap();
-        let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
-        decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::ALPHA);
-        let mut reader = decoder.read_info().unwrap();
-        assert_eq!(reader.info().animation_control.unwrap().num_frames, 4);
+        let bytes = encode(4, 10, draw).unwrap();
+        let mut options = gif::DecodeOptions::new();
+        options.set_color_output(gif::ColorOutput::RGBA);
+        let mut decoder = options.read_info(&bytes[..]).unwrap();
         let mut shown = vec![0; 30 * 20 * 3];
-        for index in 0..4 {
-            let mut frame = vec![0; reader.output_buffer_size().unwrap()];
-            let info = reader.next_frame(&mut frame).unwrap();
-            let control = *reader.info().frame_control().unwrap();
-            assert_eq!((info.width, info.height), (control.width, control.height));
-            for (at, pixel) in frame[..info.buffer_size()].as_chunks::<4>().0.iter().enumerate() {
+        let mut index = 0;
+        while let Some(frame) = decoder.read_next_frame().unwrap() {
+            let (left, top, width) = (
+                usize::from(frame.left),
+                usize::from(frame.top),
+                usize::from(frame.width),
+            );
+            for (at, pixel) in frame.buffer.as_chunks::<4>().0.iter().enumerate() {
                 if pixel[3] > 0 {
-                    let (x, y) = (at % info.width as usize, at / info.width as usize);
-                    let to = ((y + control.y_offset as usize) * 30 + x + control.x_offset as usize) * 3;
+                    let to = ((top + at / width) * 30 + left + at % width) * 3;
                     shown[to..to + 3].copy_from_slice(&pixel[..3]);
                 }
             }
             assert_eq!(shown, draw(index).unwrap().rgb(), "picture {index}");
+            index += 1;
         }
+        assert_eq!(index, 4);
     }
 
     #[test]

@@ -163,7 +163,11 @@ impl Plane {
         let [x, y] = self.pixel(at);
         let width = text_width(name, 11.0, Face::Regular);
         // Beside its dot, on the side that has room.
-        let left = if x + width + 12.0 > self.canvas.width() as f32 { x - width - 12.0 } else { x + 6.0 };
+        let left = if x + width + 12.0 > self.canvas.width() as f32 {
+            x - width - 12.0
+        } else {
+            x + 6.0
+        };
         let top = (y - 8.0).clamp(0.0, (self.canvas.height() as f32 - 16.0).max(0.0));
         if x.is_finite() && y.is_finite() {
             self.canvas.card([left, top], [width + 6.0, 16.0], 3.0, WHITE, 215);
@@ -188,7 +192,8 @@ impl Plane {
             Mark::Dot => self.panel.disc([left + 9.0, middle], 4.5, color),
             Mark::Area => {
                 let (corner, size) = ([left + 1.0, middle - 6.0], [16.0, 12.0]);
-                self.panel.card([corner[0] - 0.5, corner[1] - 0.5], [17.0, 13.0], 2.0, GREY, 255);
+                self.panel
+                    .card([corner[0] - 0.5, corner[1] - 0.5], [17.0, 13.0], 2.0, GREY, 255);
                 self.panel.card(corner, size, 2.0, color, 255);
             }
         }
@@ -244,7 +249,11 @@ impl Plane {
 /// The greatest of …, 0.5, 1, 2, 5, 10, … that is not above a number.
 fn round_below(number: f64) -> f64 {
     let exponent = number.log10().floor();
-    let (exponent, number) = if exponent.is_finite() { (exponent as i32, number) } else { (0, 1.0) };
+    let (exponent, number) = if exponent.is_finite() {
+        (exponent as i32, number)
+    } else {
+        (0, 1.0)
+    };
     // Powers of ten from their text: 0.1, not 0.1000…01.
     let ten: f64 = format!("1e{exponent}").parse().unwrap_or(1.0);
     let share = ROUND.into_iter().find(|share| share * ten <= number * (1.0 + 1e-9));
@@ -268,7 +277,14 @@ mod tests {
 
     #[test]
     fn a_scale_bar_is_a_round_number_of_metres() {
-        for (number, bar) in [(1.0, 1.0), (0.73, 0.5), (4.99, 2.0), (49.0, 20.0), (0.1, 0.1), (0.0, 1.0)] {
+        for (number, bar) in [
+            (1.0, 1.0),
+            (0.73, 0.5),
+            (4.99, 2.0),
+            (49.0, 20.0),
+            (0.1, 0.1),
+            (0.0, 1.0),
+        ] {
             assert_eq!(round_below(number), bar, "{number}");
         }
     }
@@ -276,7 +292,11 @@ mod tests {
     #[test]
     fn a_name_of_any_length_and_a_place_anywhere_can_be_drawn() {
         let mut plane = Plane::new(Point2::origin(), Point2::new(4.0, 3.0), 200, &"long ".repeat(40), FREE).unwrap();
-        for at in [Point2::new(3.9, 2.9), Point2::new(1e300, f64::NAN), Point2::new(-1e9, 0.0)] {
+        for at in [
+            Point2::new(3.9, 2.9),
+            Point2::new(1e300, f64::NAN),
+            Point2::new(-1e9, 0.0),
+        ] {
             plane.place("a place", at);
             plane.dot(at, PLACE, 3.0);
         }

@@ -153,7 +153,10 @@ mod tests {
             ..Scene::new("a drive", &map)
         };
         let canvas = scene.draw(320).unwrap();
-        assert_eq!((canvas.width(), canvas.height()), (320 + super::super::plane::PANEL, 320));
+        assert_eq!(
+            (canvas.width(), canvas.height()),
+            (320 + super::super::plane::PANEL, 320)
+        );
         let pixels = canvas.rgb();
         let at = |x: u32, y: u32| &pixels[((y * canvas.width() + x) * 3) as usize..][..3];
         assert_eq!(at(100, 316), TRAIL, "the drive runs along the lowest row");

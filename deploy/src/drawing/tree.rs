@@ -55,7 +55,12 @@ struct Layout {
 }
 
 fn label(node: &NodeReport) -> String {
-    let cut = |text: &str| -> String { text.chars().filter(|letter| !letter.is_control()).take(LONGEST).collect() };
+    let cut = |text: &str| -> String {
+        text.chars()
+            .filter(|letter| !letter.is_control())
+            .take(LONGEST)
+            .collect()
+    };
     if node.id == node.name {
         cut(&node.name)
     } else {
@@ -83,7 +88,11 @@ fn layout(nodes: &[NodeReport]) -> Layout {
     }
     // Document order: a node is a leaf where the next one is no deeper. From the end every child is placed before its parent.
     let next_depths = nodes.iter().skip(1).map(|node| node.depth).chain([0]);
-    let leaves: Vec<bool> = nodes.iter().zip(next_depths).map(|(node, next)| next <= node.depth).collect();
+    let leaves: Vec<bool> = nodes
+        .iter()
+        .zip(next_depths)
+        .map(|(node, next)| next <= node.depth)
+        .collect();
     let rows = leaves.iter().filter(|leaf| **leaf).count();
     let mut row = rows;
     let mut spans: Vec<Option<(f32, f32)>> = vec![None; nodes.len()];
@@ -196,7 +205,13 @@ pub fn png(nodes: &[NodeReport]) -> Result<Vec<u8>, Failure> {
     for card in &picture.cards {
         let (left, top, width, height) = (card.left * ZOOM, card.top * ZOOM, card.width * ZOOM, CARD * ZOOM);
         canvas.card([left, top], [width, height], 4.0 * ZOOM, LINE, 255);
-        canvas.card([left + 1.5, top + 1.5], [width - 3.0, height - 3.0], 4.0 * ZOOM - 1.5, card.color, 255);
+        canvas.card(
+            [left + 1.5, top + 1.5],
+            [width - 3.0, height - 3.0],
+            4.0 * ZOOM - 1.5,
+            card.color,
+            255,
+        );
         let at = [left + PADDING * ZOOM, top + 16.0 * ZOOM];
         canvas.text(at, &card.label, LETTERS * ZOOM, INK, Anchor::Start, Face::Regular);
     }
@@ -244,7 +259,10 @@ mod tests {
         let picture = layout(&nodes);
         assert_eq!(
             (info.info().width as usize, info.info().height as usize),
-            ((picture.width * ZOOM).ceil() as usize, (picture.height * ZOOM).ceil() as usize)
+            (
+                (picture.width * ZOOM).ceil() as usize,
+                (picture.height * ZOOM).ceil() as usize
+            )
         );
     }
 }

@@ -1,4 +1,4 @@
-//! What is going on? Topics, maps, trees and health, seen from any machine.
+//! Inspection. What is going on? Topics, maps, trees and health, seen from any machine.
 //!
 //! | file | answers |
 //! |---|---|

@@ -1,7 +1,7 @@
-//! How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
+//! Closed loop in lockstep. How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
 //!
 //! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
-//! links' delay stands for the whole way from scan to plan.
+//! links' delay stands for everything from scan to plan.
 
 use std::sync::Arc;
 
@@ -13,7 +13,9 @@ use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalRequest, GoalState, Heartbeat, MapAction, MapRef, MapRequest, Plan, PlanRequest, Refusal, SmoothRequest,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
@@ -23,7 +25,7 @@ use super::delay::Link;
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
 
-/// What a stage is set up with.
+/// What a run is made of.
 #[derive(Debug)]
 pub struct ClosedLoopConfig {
     /// The robot.
@@ -72,7 +74,7 @@ pub struct ClosedLoop {
 }
 
 impl ClosedLoop {
-    /// Sets the stage; the simulation has one robot.
+    /// Prepares a run; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
         let settings = MappingSettings {
@@ -95,7 +97,7 @@ impl ClosedLoop {
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
             mapper,
             workers: Workers {
-                mirror: MapReplica::new(),
+                map: MapReplica::new(),
                 planning: PlanWorker::new(Arc::clone(&config.mission.zones)),
                 smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
             },
@@ -162,8 +164,8 @@ impl ClosedLoop {
             }
         }
         while let Some(patch) = self.mapper.take_patch() {
-            if self.workers.mirror.apply(&patch) == PatchResult::Gap {
-                self.workers.mirror.replace(&self.mapper.reply());
+            if self.workers.map.apply(&patch) == PatchResult::Gap {
+                self.workers.map.replace(&self.mapper.reply());
             }
             self.inputs.map_patches.push(patch);
             self.inputs.map_info = Some(self.mapper.info());
@@ -271,7 +273,7 @@ fn answer_of(reply: Result<EdgeReply, Refusal>) -> Result<Answer, NoAnswer> {
 
 /// A planning and a smoothing worker with one copy of the map.
 struct Workers {
-    mirror: MapReplica,
+    map: MapReplica,
     planning: PlanWorker,
     smoothing: SmoothWorker,
 }
@@ -279,21 +281,21 @@ struct Workers {
 impl Workers {
     fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
         if let Some(outlook) = PlanWorker::outlook(request) {
-            self.mirror.reach(&outlook);
+            self.map.reach(&outlook);
         }
         self.planning
-            .answer(Some(&self.mirror), request, None)
+            .answer(Some(&self.map), request, None)
             .map(Answer::Plan)
             .map_err(NoAnswer::Refused)
     }
 
     fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
         if let Some(outlook) = SmoothWorker::outlook(request) {
-            self.mirror.reach(&outlook);
+            self.map.reach(&outlook);
         }
         // No clock: times would differ from run to run.
         self.smoothing
-            .answer(Some(&self.mirror), request, &mut || 0.0)
+            .answer(Some(&self.map), request, &mut || 0.0)
             .map(|reply| Answer::Smooth(Box::new(reply)))
             .map_err(NoAnswer::Refused)
     }

@@ -71,7 +71,10 @@ fn generations(area: &Area<'_>, report: &TuneReport) -> Painted {
 }
 
 fn rooms(area: &Area<'_>, report: &TuneReport) -> Painted {
-    let costs = report.unseen.iter().flat_map(|room| [room.before.cost, room.after.cost]);
+    let costs = report
+        .unseen
+        .iter()
+        .flat_map(|room| [room.before.cost, room.after.cost]);
     let most = mm(costs.fold(1e-3, f64::max)) * 1.1;
     let mut chart = ChartBuilder::on(area)
         .caption("cost in rooms that the search has not seen", ("sans-serif", 14))
@@ -83,7 +86,11 @@ fn rooms(area: &Area<'_>, report: &TuneReport) -> Painted {
     mesh.x_desc("room").y_desc("mm").disable_x_mesh().draw()?;
     for (offset, color) in [(-0.35, BEFORE), (0.0, AFTER)] {
         let bars = report.unseen.iter().enumerate().map(|(index, room)| {
-            let cost = if color == BEFORE { room.before.cost } else { room.after.cost };
+            let cost = if color == BEFORE {
+                room.before.cost
+            } else {
+                room.after.cost
+            };
             let left = index as f64 + 1.0 + offset;
             Rectangle::new([(left, 0.0), (left + 0.35, mm(cost))], color.filled())
         });
@@ -104,9 +111,14 @@ fn errors(area: &Area<'_>, report: &TuneReport, traces: &Traces) -> Painted {
         .build_cartesian_2d(0.0..last, -MOST..MOST)?;
     chart.configure_mesh().x_desc("simulated time, s").y_desc("mm").draw()?;
     for ((points, color), name) in traces.iter().zip([BEFORE, AFTER]).zip(["before", "after"]) {
-        let points = points.iter().map(|(time, error)| (*time, mm(*error).clamp(-MOST, MOST)));
+        let points = points
+            .iter()
+            .map(|(time, error)| (*time, mm(*error).clamp(-MOST, MOST)));
         let key = move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2));
-        chart.draw_series(LineSeries::new(points, &color))?.label(name).legend(key);
+        chart
+            .draw_series(LineSeries::new(points, &color))?
+            .label(name)
+            .legend(key);
     }
     let mut labels = chart.configure_series_labels();
     labels.background_style(WHITE.mix(0.8)).border_style(BEFORE).draw()?;

@@ -1,4 +1,4 @@
-//! What does `zenav tune wall_follow` do? It searches the gains of the wall follower in rooms drawn from a seed, and tells how much
+//! `zenav tune wall_follow`: searches the gains of the wall follower in rooms drawn from a seed, and tells how much
 //! better they are in rooms that the search has not seen.
 //!
 //! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's truth, along all walls and
@@ -79,7 +79,7 @@ struct WallFollowArgs {
     /// Folder for the robot file, `report.json` and `tuning.svg`
     #[arg(long, default_value = "zenav-tune")]
     out: PathBuf,
-    /// Form of the report on stdout
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }

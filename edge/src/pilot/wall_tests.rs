@@ -4,7 +4,6 @@
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
@@ -21,7 +20,7 @@ fn left_alone() -> (Rig, u64) {
 
 /// A mission commands a robot of this policy.
 fn commanded(policy: LostPolicy) -> (Rig, u64) {
-    let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    let mut model = zenav_fixtures::robot("tiago");
     // Enough for walls, and quick; and it sees where it backs up to.
     let lidar = model.lidar.as_mut().unwrap();
     (lidar.beams, lidar.field_of_view) = (180, std::f64::consts::TAU);

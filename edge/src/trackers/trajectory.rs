@@ -186,10 +186,10 @@ mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
     use zenav_protocol::geometry::wrap_angle;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::RobotModel;
 
     fn model() -> RobotModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+        zenav_fixtures::robot("tiago")
     }
 
     /// Rest, 0.5 m/s on a circle of 1 m radius, rest; 20 ms apart.

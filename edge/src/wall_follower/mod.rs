@@ -22,6 +22,7 @@ use zenav_protocol::wall_following::WallFollowing;
 
 use crate::event_log::EventLog;
 use crate::local_obstacles::LocalObstacles;
+use crate::settings::WallFollowerSettings;
 use beside::{Beside, DistanceController};
 use line::Wall;
 
@@ -35,24 +36,14 @@ const SAME: f64 = 0.3;
 const STEERING: f64 = 2.0;
 /// Heading error at which an approach is given up, rad.
 const ASTRAY: f64 = 0.6;
-/// Free on both sides of the robot's body where it goes straight, m.
-const ELBOW_ROOM: f64 = 0.05;
 /// A way ahead is clear when it is free for so many target distances.
 const CLEAR: f64 = 2.0;
 /// Directions tried on each side for the better one.
 const DIRECTIONS: u32 = 36;
-/// Stopped by the collision monitor for this long the robot turns elsewhere, s.
-const BLOCKED: f64 = 1.0;
-/// A wall this many times farther than any distance that is kept is lost.
-const LOST: f64 = 1.4;
 /// The distance to keep changes by at most this share of the speed.
 const WIDENING: f64 = 0.6;
-/// A wall shorter than this is approached only where there is no longer one: a pillar is no wall, m.
-const SHORT: f64 = 0.5;
 /// A robot that has turned so far towards its wall, on the whole, goes around an island, rad.
 const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
-/// A bump is left when the robot has been driven this far from what it touched, m.
-const AWAY: f64 = 0.05;
 
 /// Inputs of one tick.
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +67,7 @@ pub struct WallFollowerInput<'a> {
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct WallFollower {
+    settings: WallFollowerSettings,
     /// Half the width that the robot needs to go straight, m.
     body: f64,
     /// Off its chord by more a return is another wall's, m.
@@ -113,9 +105,10 @@ pub struct WallFollower {
 impl WallFollower {
     /// In the initial state.
     #[must_use]
-    pub fn new(model: &RobotModel) -> Self {
+    pub fn new(model: &RobotModel, settings: &WallFollowerSettings) -> Self {
         Self {
-            body: model.footprint.circumscribed_radius() + ELBOW_ROOM,
+            settings: settings.clone(),
+            body: model.footprint.circumscribed_radius() + settings.side_clearance,
             bend: model
                 .all_lidars()
                 .map(|(_, lidar)| BEND.1 * lidar.noise)
@@ -152,7 +145,7 @@ impl WallFollower {
             self.touch(now, bump, odom_from_base, events);
         } else if let Some((place, bearing)) = self.touched {
             let gone = place.inverse() * odom_from_base;
-            if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -AWAY {
+            if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -self.settings.bump_clearance {
                 self.touched = None;
                 self.enter(now, State::WallSearch, "driven away by an operator", events);
             }
@@ -175,7 +168,7 @@ impl WallFollower {
         self.take_scan(input);
         let turn = wrap_angle(odom_from_base.yaw - std::mem::replace(&mut self.last_yaw, odom_from_base.yaw));
         self.blocked = if input.stopped { self.blocked + input.dt } else { 0.0 };
-        if self.blocked > BLOCKED && self.state != State::Turn {
+        if self.blocked > self.settings.blocked_timeout && self.state != State::Turn {
             self.blocked = 0.0;
             self.begin_turn(input, None, "blocked by the collision monitor", events);
         }
@@ -272,7 +265,7 @@ impl WallFollower {
             };
             !self.island.is_some_and(on_island)
         };
-        let long = |wall: &&Wall| (wall.to - wall.from).norm() >= SHORT;
+        let long = |wall: &&Wall| (wall.to - wall.from).norm() >= self.settings.short_wall;
         let worth: Vec<&Wall> = self.walls.iter().filter(elsewhere).filter(long).collect();
         let worth = if worth.is_empty() {
             self.walls.iter().filter(elsewhere).collect()
@@ -381,7 +374,7 @@ impl WallFollower {
                 to: mirror(wall.to),
             }
         });
-        let farthest = LOST * settings.widest_distance.max(settings.identify_wall_distance);
+        let farthest = self.settings.lost_factor * settings.widest_distance.max(settings.identify_wall_distance);
         let Some(beside) = Beside::of(walls).filter(|beside| beside.distance < farthest) else {
             self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;

@@ -123,14 +123,10 @@ impl Action {
                 Acting::Done
             }
             Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
-                // Mapping has not heard of the grant yet. It keeps its refusal under this id, so the next ask has another.
+                // Mapping has not heard of the grant yet.
                 self.ticket = None;
                 if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
                     return Acting::Failed(refusal.to_string());
-                }
-                execution.id = ctx.execution_id();
-                if let Err(error) = io.remember(&execution) {
-                    tracing::warn!(%error, "an execution has no stored form");
                 }
                 self.not_before = ctx.now.plus_secs(EPOCH_WAIT);
                 Acting::Busy

@@ -10,7 +10,7 @@ use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -23,7 +23,7 @@ use zenav_smoothing::unsmoothed;
 pub const DT: f64 = 0.05;
 
 pub fn model() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
 }
 
 /// A robot that drives every plan perfectly.

@@ -1,8 +1,8 @@
-//! How much faster than a peer are the grid searches, and are their ways as short? `cargo bench -p zenav-cloud --bench search`
+//! How much faster than a peer are the grid searches, and are their paths as short? `cargo bench -p zenav-planning --bench search`
 //!
 //! A*, jump point search and A* of the crate `pathfinding` answer the same queries in the same run: a point robot, no corner cut, a
 //! diagonal step costs the square root of two. The table gives the median (95th percentile) over a map's queries of the least thread
-//! CPU time of a few runs each, and the median of the ratio, query by query. A way that is not as short as the peer's ends the bench.
+//! CPU time of a few runs each, and the median of the ratio, query by query. A path that is not as short as the peer's ends the bench.
 //!
 //! | variable | does |
 //! |---|---|

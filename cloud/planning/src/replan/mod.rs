@@ -12,13 +12,12 @@ use zenav_protocol::messages::PlanOrigin;
 use zenav_space::ConfigurationSpace;
 
 use self::disc::DiscReplanner;
-use super::astar::NotFound;
 use super::budget::Budget;
 use super::ends::End;
 use super::grid_graph::TooManyCells;
 use super::plan::{FootprintSearch, Planned, answer};
-use super::planner::PlanOptions;
-use super::searcher::Searched;
+use super::options::PlanOptions;
+use super::searcher::{NotFound, Searched};
 
 /// Answers for one robot on one map as it changes: [`plan`](super::plan()), and what was found before is kept where it still stands.
 #[derive(Clone, Debug)]
@@ -77,12 +76,11 @@ impl Replanner {
         Ok(&mut self.discs[0].1)
     }
 
-    /// Edges of the trees that the last search by a sampling planner grew, m, map frame, at most `limit` of them.
-    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+    /// Edges of the trees that the last search grew, m, map frame, at most `limit` of them; none after a search without trees.
+    #[must_use]
+    pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         let edges = self.discs.first().map(|(_, disc)| disc.searcher.tree(limit));
-        edges
-            .into_iter()
-            .flatten()
-            .map(|edge| edge.map(|end| self.spec.from_cells(end)))
+        let edges = edges.into_iter().flatten();
+        edges.map(|edge| edge.map(|end| self.spec.from_cells(end))).collect()
     }
 }

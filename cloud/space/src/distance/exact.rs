@@ -1,4 +1,4 @@
-//! How far is each cell's centre from the nearest occupied square, at any distance?
+//! Exact distance transform. How far is each cell's centre from the nearest occupied square, at any distance?
 //!
 //! Down the columns by counting, along the rows by the lower envelope of what every column offers (Meijster, Roerdink and Hesselink, "A
 //! General Algorithm for Computing Distance Transforms in Linear Time", 2000). Neighbours that offer the same are one: a wall along a

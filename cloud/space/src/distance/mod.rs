@@ -1,4 +1,4 @@
-//! How far is each cell's centre from the nearest occupied square, up to a reach?
+//! Truncated distance field. How far is each cell's centre from the nearest occupied square, up to a reach?
 //!
 //! Exact Euclidean distances to closed squares: a cell `k` columns away is `max(|k| - 1/2, 0)` cells away along x, and the
 //! squared distance is the sum over both axes. Distances are kept as squared half cells, which are whole numbers.

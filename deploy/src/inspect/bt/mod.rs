@@ -19,10 +19,10 @@ use crate::output::Format;
 /// Behaviour trees.
 #[derive(Debug, clap::Args)]
 pub struct BtArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     #[command(subcommand)]

@@ -20,7 +20,7 @@ fn world(body: &str) -> World {
 }
 
 fn model(name: &str) -> RobotModel {
-    RobotModel::from_toml(robot::shipped(name).unwrap(), name).unwrap()
+    zenav_fixtures::robot(name)
 }
 
 fn robot(id: &str, model_name: &str, start: Pose2) -> RobotSpec {
