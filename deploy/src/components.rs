@@ -206,7 +206,7 @@ impl Parts {
                 bus("planning"),
                 move |bus, shutdown| async move {
                     let clock = Clock::follow(&bus)?;
-                    planning::run(bus, clock, name, map_zones, shutdown)
+                    planning::run(bus, clock, name, map_zones, Default::default(), shutdown)
                         .await
                         .map_err(|error| Failure::failed(error.to_string()))
                 },

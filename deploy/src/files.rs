@@ -4,6 +4,7 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
+use zenav_edge::trackers::Law;
 use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
@@ -134,10 +135,12 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
         let shipped = [robot::SHIPPED, robot::OPTIONS].concat();
         Err(unknown("robot", part, shipped.iter().map(|(known, _)| *known)).to_string())
     };
-    RobotModel::with_options(name, read).map_err(|error| match error {
+    let model = RobotModel::with_options(name, read).map_err(|error| match error {
         RobotError::Unknown { reason, .. } => Failure::not_found(reason),
         error => Failure::usage(error.to_string()),
-    })
+    })?;
+    Law::named(&model.controller.tracker).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
+    Ok(model)
 }
 
 /// A map: `map_server` YAML, a bare image, or a Moving AI `.map` (of 1 m cells).

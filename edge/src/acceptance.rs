@@ -21,7 +21,7 @@ const STEP_SLACK: f64 = 0.1;
 const END_SPEED: f64 = 0.1;
 /// Most trajectory points and waypoints looked at.
 const MOST_POINTS: usize = 100_000;
-/// Longest goal id.
+/// Longest goal id, bytes.
 const LONGEST_ID: usize = 128;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
@@ -32,9 +32,9 @@ pub enum Rejection {
     /// Of another lease epoch.
     #[error("plan of epoch {got}, the current epoch is {current}")]
     WrongEpoch {
-        /// The plan's.
+        /// Epoch of the plan.
         got: u64,
-        /// The current one.
+        /// Epoch of the current lease.
         current: u64,
     },
     /// Nobody holds a live lease, or an operator does.
@@ -49,7 +49,7 @@ pub enum Rejection {
     /// Not newer than a plan seen before.
     #[error("plan revision {}.{} is not newer than {}.{}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
     Stale {
-        /// The plan's.
+        /// Revision of the plan.
         got: Revision,
         /// The newest seen under this epoch.
         newest: Revision,
@@ -60,9 +60,9 @@ pub enum Rejection {
     /// Based on another boot of this edge.
     #[error("plan based on boot {got}, the edge runs boot {current}")]
     WrongBoot {
-        /// The plan's, shortened.
+        /// Boot id that the plan is based on, shortened.
         got: String,
-        /// This one.
+        /// Boot id of this edge.
         current: String,
     },
     /// Based on a stamp in the future.
@@ -71,7 +71,7 @@ pub enum Rejection {
     /// Based on a time before the last resume.
     #[error("plan based on a stamp from before the robot was resumed")]
     BeforeResume,
-    /// Expired.
+    /// It has expired.
     #[error("plan expired {0:.3} s ago")]
     Expired(f64),
     /// A number that is not finite, or a name that is too long.
@@ -89,23 +89,23 @@ pub enum Rejection {
     /// Over a limit of the robot.
     #[error("{what} at point {point} is {value:.3}, over the limit of {limit:.3}")]
     OverLimit {
-        /// The quantity.
+        /// Name of the quantity.
         what: &'static str,
         /// Index of the point.
         point: usize,
-        /// Its value.
+        /// Value in the plan.
         value: f64,
-        /// The limit.
+        /// Limit of the robot.
         limit: f64,
     },
     /// It does not start where the robot will be.
     #[error("trajectory starts {distance:.2} m, {yaw:.2} rad and {speed:.2} m/s from where the robot will be")]
     Start {
-        /// m.
+        /// Distance from the predicted position, m.
         distance: f64,
-        /// rad.
+        /// Difference of heading, rad.
         yaw: f64,
-        /// m/s.
+        /// Difference of wheel surface speed, m/s.
         speed: f64,
     },
     /// It does not end at rest.
@@ -118,7 +118,7 @@ pub enum Rejection {
         x: f64,
         /// Obstacle, map frame, m.
         y: f64,
-        /// Plan time, s.
+        /// Plan time of the collision, s.
         time: f64,
     },
     /// The same id for another trajectory.
@@ -131,9 +131,9 @@ pub enum Rejection {
 pub struct Grant<'a> {
     /// Now, on the edge's clock.
     pub now: Stamp,
-    /// This boot.
+    /// Id of this boot.
     pub boot_id: &'a str,
-    /// The current epoch.
+    /// Epoch of the current lease.
     pub epoch: u64,
     /// Whether a mission's lease is live.
     pub mission_live: bool,

@@ -8,7 +8,7 @@ use zenav_protocol::time::Stamp;
 use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
 use crate::local_obstacles::LocalObstacles;
 use crate::settings::{EdgeSettings, PlanSettings};
-use crate::trackers::{Progress, Tracker, TrackerInput, along_trajectory, through_waypoints};
+use crate::trackers::{Law, Progress, Tracker, TrackerInput};
 
 /// The plan in force.
 #[derive(Clone, Debug)]
@@ -70,12 +70,7 @@ impl ActivePlan {
         judge_course(&plan, &scene.model.drive)?;
         let tracker = if plan.trajectory.is_empty() {
             let model = scene.model;
-            through_waypoints(
-                model.controller.tracker,
-                &model.drive,
-                scene.map_from_base,
-                plan.waypoints.clone(),
-            )
+            Law::of(&model.controller).through_waypoints(&model.drive, scene.map_from_base, plan.waypoints.clone())
         } else {
             Self::begin(current.as_ref(), &plan, scene)?
         };
@@ -145,8 +140,8 @@ impl ActivePlan {
             &obstacles,
             &scene.settings.acceptance,
         )?;
-        let kind = scene.model.controller.tracker;
-        Ok(along_trajectory(kind, drive, trajectory, time, &plan.waypoints))
+        let law = Law::of(&scene.model.controller);
+        Ok(law.along_trajectory(drive, trajectory, time, &plan.waypoints))
     }
 
     /// Whether it has not expired.

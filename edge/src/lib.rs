@@ -1,7 +1,7 @@
 //! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
 //!
 //! [`Pilot`] is the whole of it, pure: readings and messages in, wheel speeds and messages out. [`service::run`] connects it to the bus
-//! and to a [`Body`], on a thread of its own. In the order of the data way:
+//! and to a [`Body`], on a thread of its own. In the order of the data flow:
 //!
 //! | module | answers |
 //! |---|---|

@@ -24,7 +24,7 @@ struct Arguments {
     /// Routers to connect to; the edge also works without one.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
     connect: Vec<String>,
-    /// The edge's own endpoint: whoever reaches it can stop the robot with no router; port 0 takes a free one.
+    /// The edge's own endpoint: it can be stopped there without a router; port 0 takes a free one.
     #[arg(long, default_value = "tcp/127.0.0.1:7448")]
     listen: Vec<String>,
     /// Folder of the stored epoch and stop latch.
@@ -137,7 +137,7 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         error => Failure::usage(error),
     })?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
-    // Bad files are told before anybody waits for a router.
+    // Bad files are reported before waiting for a router.
     let here = if arguments.attach || arguments.body.is_some() {
         None
     } else {

@@ -6,7 +6,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::RobotModel;
 
 use crate::settings::ReturnHomeSettings;
-use crate::trackers::{Tracker, TrackerInput, through_waypoints};
+use crate::trackers::{Law, Tracker, TrackerInput};
 
 /// Most places recorded: a longer trail keeps every other place.
 const MOST: usize = 4096;
@@ -55,9 +55,8 @@ impl ReturnHome {
             return Twist2::ZERO;
         }
         let back = || {
-            let kind = model.controller.tracker;
             let path = self.trail.iter().rev().copied().collect();
-            through_waypoints(kind, &model.drive, view.map_from_base, path)
+            Law::of(&model.controller).through_waypoints(&model.drive, view.map_from_base, path)
         };
         let tracker = self.tracker.get_or_insert_with(back);
         tracker.step(view, &model.controller)

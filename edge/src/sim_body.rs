@@ -35,7 +35,7 @@ struct Shared {
 
 struct SharedWorld {
     simulation: Simulation,
-    /// Steps made.
+    /// Number of steps so far.
     steps: u64,
     /// Robots that are driven.
     driven: usize,
@@ -149,7 +149,7 @@ impl Drop for SimBody {
 }
 
 impl Referee {
-    /// The truth now.
+    /// Ground truth now.
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.shared.lock().simulation.truth(self.robot)
@@ -225,7 +225,7 @@ mod tests {
     const ROBOTS: usize = 8;
     const TICKS: usize = 120;
 
-    /// Everything that each robot reads in a drive, as bytes, when as many threads as told take turns at its robots, the last first if so told.
+    /// Everything that each robot reads in a drive, as bytes, driven by this many threads, in reverse order if asked.
     fn driven_by(threads: usize, reversed: bool) -> Vec<String> {
         let bodies: Vec<_> = bodies(ROBOTS).into_iter().enumerate().collect();
         let referee = bodies.first().unwrap().1.1.clone();

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::config_text::Pair;
 pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
-pub use crate::gains::{ControllerGains, TrackerKind};
+pub use crate::gains::ControllerGains;
 pub use crate::robot_check::RobotError;
 use crate::sensors::DEFAULT_LIDAR;
 pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};

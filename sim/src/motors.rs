@@ -84,7 +84,6 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::robot;
 
     fn tiago() -> Drive {
         zenav_fixtures::robot("tiago").drive

@@ -15,7 +15,6 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Point2, Vector2};

@@ -6,6 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 const PERIOD: u64 = 512;
 
 /// What a search may use.
+///
+/// ```
+/// use std::sync::atomic::AtomicBool;
+/// use zenav_planning::Budget;
+///
+/// let cancel = AtomicBool::new(true);
+/// let budget = Budget { cancel: Some(&cancel), ..Budget::UNLIMITED };
+/// assert!(budget.is_cancelled());
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Budget<'a> {
     /// Nodes that may be expanded.

@@ -65,7 +65,10 @@ pub(crate) fn clearance_cost<'a>(
     space: &'a ConfigurationSpace,
     settings: &ClearanceSettings,
 ) -> Option<DistanceCost<'a>> {
-    let ClearanceSettings { distance: wanted, weight } = *settings;
+    let ClearanceSettings {
+        distance: wanted,
+        weight,
+    } = *settings;
     let cost = |distance: f64| {
         let clearance = distance - space.radius();
         let share = (1.0 - clearance.max(0.0) / wanted).max(0.0);

@@ -315,7 +315,10 @@ pub(super) fn between(
 
 /// The costs of clearance, for a planner that knows costs.
 pub(super) fn costs_of<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
-    options.planner.keeps_clear().then(|| clearance_cost(space, &options.settings.clearance))?
+    options
+        .planner
+        .keeps_clear()
+        .then(|| clearance_cost(space, &options.settings.clearance))?
 }
 
 #[cfg(test)]

@@ -2,6 +2,16 @@
 
 zenav_protocol::settings! {
     /// What can be tuned about planning.
+    ///
+    /// ```
+    /// use zenav_planning::PlanningSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let wide = PlanningSettings::default().with_number("clearance.distance", 0.8).unwrap()?;
+    /// assert_eq!(wide.clearance.distance, 0.8);
+    /// assert!(wide.with_number("clearance.weight", 9.0).unwrap().is_err(), "out of its bounds");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     pub struct PlanningSettings {
         /// Nodes that one search may expand: some seconds' worth.
         pub max_expansions: u64 = 50_000_000, "", 1..;

@@ -81,8 +81,8 @@ mod tests {
 
     use super::*;
     use crate::cell_cost::Uniform;
-    use crate::planners::astar::{Memory, search};
     use crate::grid_graph::GridGraph;
+    use crate::planners::astar::{Memory, search};
     use crate::{Budget, Path};
     use zenav_space::{BitGrid, PointLineOfSight};
 

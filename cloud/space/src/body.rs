@@ -165,6 +165,14 @@ pub fn swept_corners(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> V
 }
 
 /// Convex hull, counter-clockwise (Andrew, "Another Efficient Algorithm for Convex Hulls in Two Dimensions", 1979).
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_space::convex_hull;
+///
+/// let points = [(0.0, 0.0), (2.0, 0.0), (1.0, 0.5), (2.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y));
+/// assert_eq!(convex_hull(&points).len(), 4);
+/// ```
 pub fn convex_hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));

@@ -35,6 +35,16 @@ pub struct PointLineOfSight {
 
 impl PointLineOfSight {
     /// Prepares a bitmap of free cells: linear in its words.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_space::{BitGrid, LineOfSight as _, PointLineOfSight};
+    ///
+    /// let free = BitGrid::from_fn(20, 20, |cell| cell.x != 10 || cell.y != 5);
+    /// let sight = PointLineOfSight::new(&free);
+    /// assert!(!sight.sees(Point2::new(1.5, 5.5), Point2::new(18.5, 5.5)));
+    /// assert!(sight.sees(Point2::new(1.5, 4.5), Point2::new(18.5, 4.5)));
+    /// ```
     #[must_use]
     pub fn new(free: &BitGrid) -> Self {
         let blocked = free.complement();

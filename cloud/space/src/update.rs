@@ -199,9 +199,8 @@ impl ConfigurationSpace {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, GridSpec};
+    use zenav_protocol::grid::Cell;
     use zenav_protocol::robot::Footprint;
 
     use super::super::zones::Zones;

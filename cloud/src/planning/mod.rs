@@ -15,9 +15,9 @@ use zenav_protocol::topics::{Ask, PLAN_SERVICE, TREE};
 
 use self::worker::PlanWorker;
 use crate::worker_host::{Work, host};
+use zenav_planning::PlanningSettings;
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::padding::Extent;
-use zenav_planning::PlanningSettings;
 use zenav_space::Zones;
 
 /// Robots whose searches are shown at once; beyond it the first by name goes.

@@ -136,6 +136,7 @@ mod tests {
                 Clock::wall(),
                 worker.clone(),
                 Arc::default(),
+                Default::default(),
                 shutdown.clone(),
             )),
             tokio::spawn(run(

@@ -130,7 +130,7 @@ settings! {
         /// Its name as a lease holder.
         pub holder: String = "mission".to_owned();
         /// How far ahead of the robot a replan starts.
-        pub latency_budget_secs: f64 = 0.3, "s", 0.0..=10.0;
+        pub latency_budget_secs: f64 = zenav_mission::config::LATENCY_BUDGET, "s", 0.0..=10.0;
         /// Validity of a plan.
         pub plan_valid_secs: f64 = 5.0, "s", 0.0..=60.0;
         /// Driving profile of goals that name none: `fastest` or `economy`.

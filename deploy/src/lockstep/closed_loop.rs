@@ -98,7 +98,7 @@ impl ClosedLoop {
             mapper,
             workers: Workers {
                 map: MapReplica::new(),
-                planning: PlanWorker::new(Arc::clone(&config.mission.zones)),
+                planning: PlanWorker::new(Arc::clone(&config.mission.zones), Default::default()),
                 smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
             },
             mission: Mission::new(config.mission, Restored::fresh()),

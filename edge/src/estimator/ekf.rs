@@ -16,7 +16,7 @@ use crate::settings::EstimatorSettings;
 
 /// Gates at 99.9 % of the chi-square distribution for one, two and three dimensions.
 const GATE: [f64; 3] = [10.83, 13.82, 16.27];
-/// No measurement is better than this, m² or rad².
+/// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
 /// Places in the state after x, y and yaw.
@@ -32,12 +32,12 @@ pub(super) type Known<'a> = (&'a RobotModel, &'a EstimatorSettings);
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
 
-/// What a sensor said, checked for being numbers.
+/// An input of a sensor, checked to be finite.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Input {
     /// Mean yaw rate since the gyro's reading before, rad/s.
     Gyro(f64),
-    /// Angles of both wheels since start, rad; not a number where nobody knows.
+    /// Angles of both wheels since start, rad; NaN where unknown.
     Wheels([f64; 2]),
     /// Heading, rad.
     Compass(f64),
@@ -48,7 +48,7 @@ pub(super) enum Input {
 }
 
 impl Input {
-    /// Whether it is made of numbers, or says itself that it is not.
+    /// Whether it is finite; wheel angles may be NaN.
     pub(super) fn is_finite(&self) -> bool {
         match self {
             Self::Gyro(value) | Self::Compass(value) => value.is_finite(),
@@ -58,7 +58,7 @@ impl Input {
         }
     }
 
-    /// Order of inputs with one stamp: what moves comes before what measures.
+    /// Order of inputs with one stamp: prediction before measurement.
     pub(super) fn rank(&self) -> u8 {
         match self {
             Self::Gyro(_) => 0,
@@ -70,18 +70,18 @@ impl Input {
     }
 }
 
-/// A measurement of the pose was compared with what was believed.
+/// A pose measurement was compared with the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Compared {
-    /// Compass, GPS, correction.
+    /// Index of the sensor: compass, GPS, correction.
     pub(super) sensor: usize,
     /// Normalised innovation squared.
     pub(super) distance: f64,
-    /// It fitted and counts.
+    /// Whether it passed the gate and was fused.
     pub(super) fused: bool,
 }
 
-/// How the robot moves until the next input, as far as sensors tell.
+/// Motion until the next input, as far as sensors know.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Stamp and angles (rad) of the wheels' reading that ends the interval.
@@ -90,18 +90,18 @@ pub(super) struct Motion {
     pub(super) gyro: Option<(Stamp, f64)>,
 }
 
-/// Dead reckoning since the beginning, with neither bias nor wheels corrected.
+/// Dead reckoning since start, not corrected for gyro bias and wheel errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Reckoned {
-    /// Way, m.
+    /// Distance rolled, m.
     pub(super) way: f64,
-    /// Turn, rad.
+    /// Angle turned, rad.
     pub(super) turn: f64,
-    /// Time in which the gyro told the turn, s.
+    /// Time in which the turn came from the gyro, s.
     pub(super) by_gyro: f64,
 }
 
-/// The filter at a moment.
+/// The state of the filter at one stamp.
 #[derive(Clone, Debug)]
 pub(super) struct Ekf {
     time: Stamp,
@@ -141,13 +141,13 @@ impl Ekf {
         }
     }
 
-    /// The same at rest at another time: its clock began anew, or just now.
+    /// The same estimate at rest at another time: the clock has restarted, or starts now.
     pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
         (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
         (self.still, self.stood_at) = (0.0, wheels);
     }
 
-    /// When it holds.
+    /// Stamp of the estimate.
     pub(super) fn time(&self) -> Stamp {
         self.time
     }
@@ -182,7 +182,7 @@ impl Ekf {
         self.reckoned
     }
 
-    /// Moves on to an input's stamp, and takes it. `motion` is what the sensors say about the time in between.
+    /// Predicts to an input's stamp, and applies it. `motion` is the motion since the last input.
     pub(super) fn take(
         &mut self,
         (model, settings): Known<'_>,
@@ -228,7 +228,7 @@ impl Ekf {
         }
     }
 
-    /// Moves on to a stamp within the interval that `motion` tells about.
+    /// Predicts to a stamp within the interval that `motion` covers.
     fn advance(&mut self, (model, settings): Known<'_>, to: Stamp, motion: &Motion) {
         let secs = to.secs_since(self.time);
         let interval = motion.wheels.0.secs_since(self.wheels.0);
@@ -238,18 +238,18 @@ impl Ekf {
         self.time = to;
         let drive = &model.drive;
         let mut turns = [0, 1].map(|side: usize| motion.wheels.1[side] - self.wheels.1[side]);
-        // An encoder that is silent, was reset or lost counts: no wheel turns at thrice its limit.
+        // A silent or reset encoder, or lost counts: no wheel turns at three times its limit.
         let limit = 3.0 * drive.max_wheel_speed * interval + 0.1;
         let known = turns.iter().all(|turn| turn.abs() <= limit);
         if !known {
             turns = [0.0; 2];
         }
-        // Of what the wheels rolled, m, the share that falls into this time; variances add up over the interval.
+        // The part of the distance rolled, m, in this time; variances add up over the interval.
         let share = secs / interval;
         let slip = settings.slip.max(drive.errors.slip.powi(2));
         let variances = turns.map(|turn| {
             if !known {
-                // It may go at its limit for about a second in a row.
+                // It may have moved at its limit for about a second.
                 return (drive.max_wheel_speed * drive.wheel_radius).powi(2) * secs;
             }
             let metres = turn * drive.wheel_radius;
@@ -260,13 +260,13 @@ impl Ekf {
         let apart = drive.wheel_separation * (1.0 + self.state[APART]);
         self.reckoned.way += 0.5 * (left + right);
 
-        // How way and turn depend on the parameters and on what each wheel did wrong.
+        // How distance and turn depend on the parameters and on the error of each wheel.
         let mut way_by = RowSVector::<f64, STATES>::zeros();
         let mut turn_by = RowSVector::<f64, STATES>::zeros();
         (way_by[LEFT], way_by[RIGHT]) = (0.5 * left, 0.5 * right);
         let (turn, wheel_turns, own_variance) = match motion.gyro {
             Some((until, rate)) => {
-                // A reading's one error, as a random walk over all the time that it covers.
+                // The error of one reading, as a random walk over the time that it covers.
                 let span = self.gyro.map_or(secs, |since| until.secs_since(since));
                 let noise = model.imu.gyro_noise.powi(2) + model.imu.resolution.powi(2) / 12.0;
                 self.reckoned.turn += rate * secs;
@@ -317,9 +317,9 @@ impl Ekf {
         }
     }
 
-    /// Keeps how long the wheels have stood still.
+    /// Updates how long the wheels have been at rest.
     fn rest(&mut self, model: &RobotModel, secs: f64, wheels: [f64; 2]) {
-        // Against where the wheels stood when they came to rest: a slow creep is no rest.
+        // Compared with the angles when they came to rest: a slow creep is no rest.
         let flicker = 1.01 * model.encoders.resolution + 1e-9;
         let resting = wheels
             .iter()
@@ -332,7 +332,7 @@ impl Ekf {
         }
     }
 
-    /// A gyro that turns while the wheels stand still shows its bias.
+    /// A yaw rate measured while the wheels are at rest is the gyro's bias.
     fn learn_bias_at_rest(&mut self, (model, settings): Known<'_>, rate: f64) {
         if self.still > settings.still_after {
             let noise = SMatrix::<f64, 1, 1>::new((2.0 * model.imu.gyro_noise).powi(2) + 1e-6);
@@ -342,7 +342,7 @@ impl Ekf {
         }
     }
 
-    /// Updates unless the measurement lies too far off; after many such in a row the estimate itself is doubted.
+    /// Updates unless the gate rejects the measurement; after many rejections in a row the estimate itself is doubted.
     fn gated<const N: usize>(
         &mut self,
         settings: &EstimatorSettings,

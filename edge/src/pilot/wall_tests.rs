@@ -1,4 +1,4 @@
-//! What does a robot do that follows walls, or goes home, when nobody commands it? Claims, driven in closed loop in a square room.
+//! Claims about wall following and return to home, driven in closed loop in a square room.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 

@@ -26,23 +26,23 @@ use crate::settings::WallFollowerSettings;
 use beside::{Beside, DistanceController};
 use line::Wall;
 
-/// A wall bends where a return is farther than this from its chord, m, or than so many deviations of the lidar.
+/// A wall bends where a return is farther from its chord than this, m, or than this many standard deviations of the lidar.
 const BEND: (f64, f64) = (0.02, 4.0);
-/// Another wall is approached only where it is nearer by this, m.
+/// Another wall is approached only if it is nearer by this, m.
 const NEARER: f64 = 0.1;
-/// A wall that was approached is the same one within this, m.
+/// Tolerance for recognising the approached wall, m.
 const SAME: f64 = 0.3;
 /// Steering towards a wall, rad/s for each rad.
 const STEERING: f64 = 2.0;
-/// Heading error at which an approach is given up, rad.
+/// Heading error that ends an approach, rad.
 const ASTRAY: f64 = 0.6;
-/// A way ahead is clear when it is free for so many target distances.
+/// The path ahead is clear when it is free for this many target distances.
 const CLEAR: f64 = 2.0;
-/// Directions tried on each side for the better one.
+/// Directions tried on each side.
 const DIRECTIONS: u32 = 36;
 /// The distance to keep changes by at most this share of the speed.
 const WIDENING: f64 = 0.6;
-/// A robot that has turned so far towards its wall, on the whole, goes around an island, rad.
+/// A robot that has turned this far towards its wall in total circles an island, rad.
 const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
 
 /// Inputs of one tick.
@@ -70,7 +70,7 @@ pub struct WallFollower {
     settings: WallFollowerSettings,
     /// Half the width that the robot needs to go straight, m.
     body: f64,
-    /// Off its chord by more a return is another wall's, m.
+    /// A return farther than this from the chord belongs to another wall, m.
     bend: f64,
     /// Deceleration, m/s².
     braking: f64,
@@ -78,25 +78,25 @@ pub struct WallFollower {
     scan: Option<Stamp>,
     /// Filtered returns, odometry frame.
     points: Vec<Point2<f64>>,
-    /// What they show, odometry frame.
+    /// Walls fitted to them, odometry frame.
     walls: Vec<Wall>,
-    /// The nearest point of the wall that is searched or approached, odometry frame.
+    /// Nearest point of the wall that is searched or approached, odometry frame.
     goal: Option<Point2<f64>>,
     /// +1 with the wall on the left, -1 on the right.
     side: f64,
-    /// What is left to turn before the robot gives up, rad.
+    /// Turn left before the robot gives up, rad.
     patience: f64,
     last_yaw: f64,
     distance_controller: DistanceController,
     /// The distance to keep now, m.
     wanted: f64,
     blocked: f64,
-    /// Where it touched something, odometry frame, and in which direction.
+    /// Pose and bearing of the last contact, odometry frame.
     touched: Option<(Pose2, f64)>,
-    /// The turn towards the wall since the following began, rad, and the box of the way, odometry frame.
+    /// The turn towards the wall since following began, rad, and the bounding box of the path, odometry frame.
     turned: f64,
     way: Option<(Point2<f64>, Point2<f64>)>,
-    /// The box of the way around an island that was left: its walls are not approached again.
+    /// Bounding box of the path around an island: its walls are not approached again.
     island: Option<(Point2<f64>, Point2<f64>)>,
     /// The wall that it follows, base frame of that tick carried to the odometry frame.
     followed: Option<Wall>,
@@ -249,8 +249,7 @@ impl WallFollower {
         self.points = runs.concat();
     }
 
-    /// The nearest point of the walls that are worth approaching, base frame; of the wall that was chosen before unless another is
-    /// clearly nearer.
+    /// Nearest point of the walls worth approaching, base frame; of the wall chosen before unless another is clearly nearer.
     fn nearest(&mut self, odom_from_base: Pose2) -> Option<Point2<f64>> {
         let here = odom_from_base.position();
         let of = |wall: &Wall| {
@@ -287,7 +286,7 @@ impl WallFollower {
     fn search(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
         let settings = input.settings;
         let Some(wall) = self.nearest(input.odom_from_base) else {
-            // Nothing to be seen: farther on there may be something.
+            // No wall in view: drive on to find one.
             return Twist2::new(settings.greatest_speed, 0.0);
         };
         let bearing = wall.y.atan2(wall.x);
@@ -306,7 +305,7 @@ impl WallFollower {
             self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;
         };
-        // Something else may stand in the way: then that is followed.
+        // Another obstacle may be in the way: then that is followed.
         let distance = self.ahead(input, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
         let (left, bearing) = (distance - settings.identify_wall_distance, wall.y.atan2(wall.x));
         if left <= 0.0 {

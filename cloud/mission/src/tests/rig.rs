@@ -288,6 +288,8 @@ pub struct Rig {
     pub asked: Vec<Ask>,
     pub published: Vec<GoalState>,
     pub status: Option<MissionStatus>,
+    /// News of the mapper, once.
+    pub mapper_alive: Option<bool>,
     pub planner_up: bool,
     pub smoother_up: bool,
     /// The robot's own motions do not end.
@@ -354,6 +356,7 @@ impl Rig {
             asked: Vec::new(),
             published: Vec::new(),
             status: None,
+            mapper_alive: None,
             planner_up: true,
             smoother_up: true,
             behaviours_run: false,
@@ -488,6 +491,7 @@ impl Rig {
             }),
             events: std::mem::take(&mut self.edge.events),
             requests: std::mem::take(&mut self.requests),
+            mapper_alive: self.mapper_alive.take(),
             ..Inputs::default()
         };
         if self.map_told != self.map.map.revision {

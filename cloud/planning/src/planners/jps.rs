@@ -32,7 +32,9 @@ impl PathSearch for Jps {
     fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
         let revision = map.graph.revision();
         self.prepared = self.prepared.take().filter(|(prepared, _)| *prepared == revision);
-        let (_, jumps) = self.prepared.get_or_insert_with(|| (revision, JumpGrid::new(map.graph)));
+        let (_, jumps) = self
+            .prepared
+            .get_or_insert_with(|| (revision, JumpGrid::new(map.graph)));
         let (start, goal) = query.cells();
         search(map.graph, jumps, start, goal, &mut self.memory, budget).into()
     }

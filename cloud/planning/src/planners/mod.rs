@@ -63,6 +63,14 @@ enum Kind {
 macro_rules! planners {
     ($($(#[$doc:meta])* $variant:ident = $name:ident: $search:ty, $kind:ident;)*) => {
         /// The planners.
+        ///
+        /// ```
+        /// use zenav_planning::Planner;
+        ///
+        /// assert_eq!("jps".parse(), Ok(Planner::Jps));
+        /// assert!("dijkstra".parse::<Planner>().unwrap_err().to_string().contains("astar, jps"));
+        /// assert!(Planner::AStar.keeps_clear() && Planner::RrtStar.grows_trees());
+        /// ```
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Planner {
             $($(#[$doc])* $variant,)*

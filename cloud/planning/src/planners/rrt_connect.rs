@@ -66,11 +66,7 @@ fn meet<S: LineOfSight>(
         let [first, second] = trees;
         let (tree, other) = if side == 0 { (first, second) } else { (second, first) };
         let before = tree.vertices();
-        let sample = if explores {
-            None
-        } else {
-            sampling.sample(ground)
-        };
+        let sample = if explores { None } else { sampling.sample(ground) };
         if let Some(sample) = sample {
             tree.extend(ground, sample);
         } else {

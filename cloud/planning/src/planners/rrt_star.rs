@@ -13,7 +13,7 @@ use super::{Map, PathSearch};
 use crate::budget::Budget;
 use crate::sampling::rewiring::CostTree;
 use crate::sampling::sampler::Ellipse;
-use crate::sampling::shortcut::{length, pull_string};
+use crate::sampling::shortcut::length;
 use crate::sampling::tree::Ground;
 use crate::sampling::{self, Sampling};
 use crate::searcher::{Query, Searched};
@@ -59,15 +59,14 @@ fn improve<S: LineOfSight>(
     let (Some(start), Some(goal)) = (best.first().copied(), best.last().copied()) else {
         return best;
     };
-    let budget = sampling.budget;
-    pull_string(ground.sight, &mut best, || budget.is_cancelled());
+    sampling.pull_string(ground, &mut best);
     let mut bound = length(&best);
     tree.plant(ground.sight.size(), &best);
     sampling.sampler.narrow(Ellipse::new([start, goal], bound));
     let last = sampling.samples.saturating_add(sampling.settings.improving);
     // Nothing is shorter than straight.
     while bound > (goal - start).norm() * (1.0 + 1e-9) && sampling.samples < last && sampling.next().is_ok() {
-        let corner = sampling.sampler.unit() < sampling.settings.corners;
+        let corner = sampling.sampler.unit() < sampling.corners();
         let sample = if corner {
             sampling.sampler.corner(ground.graph)
         } else {
@@ -79,7 +78,7 @@ fn improve<S: LineOfSight>(
         }
         if sampling.samples.is_multiple_of(PERIOD) && tree.cost() < bound * (1.0 - WORTH) {
             let mut path = tree.path();
-            pull_string(ground.sight, &mut path, || budget.is_cancelled());
+            sampling.pull_string(ground, &mut path);
             best = path;
             bound = length(&best);
             let radius = radius(sampling.sampler.free_area(), tree.len()).min(ground.step);

@@ -28,8 +28,8 @@ use crate::cell_cost::{Uniform, costs_along};
 use crate::ends::End;
 use crate::grid_graph::{GridPath, TooManyCells, UNREACHED, octile};
 use crate::node_table::Written;
-use crate::path::Path;
 use crate::options::PlanOptions;
+use crate::path::Path;
 use crate::plan::{between, costs_of};
 use crate::planners::Planner;
 use crate::searcher::{NotFound, Searched, Searcher};
@@ -153,8 +153,9 @@ impl DiscReplanner {
                 }
                 Known::Free { path } => {
                     let start = path.corners.first().copied();
-                    spans
-                        .all(|span| start.is_none_or(|start| span.length(start) + span.length(kept.goal) >= path.length))
+                    spans.all(|span| {
+                        start.is_none_or(|start| span.length(start) + span.length(kept.goal) >= path.length)
+                    })
                 }
             }
         });
@@ -280,7 +281,10 @@ impl DiscReplanner {
         }
         // Around what is in the way now.
         if let Some([from, to]) = cut(&self.searcher, cells) {
-            let [from, to] = [from.saturating_sub(settings.around), (to + settings.around).min(cells.len() - 1)];
+            let [from, to] = [
+                from.saturating_sub(settings.around),
+                (to + settings.around).min(cells.len() - 1),
+            ];
             let new = piece(&mut self.searcher, cells[from], cells[to])?;
             cells.splice(from..=to, new);
             is_mended = true;

@@ -69,6 +69,18 @@ impl Sampling<'_> {
             shortcut::prune(ground.sight, path, || self.budget.is_cancelled());
         }
     }
+
+    /// Pulls the path's string.
+    pub(crate) fn pull_string<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
+        if !self.black_box {
+            shortcut::pull_string(ground.sight, path, || self.budget.is_cancelled());
+        }
+    }
+
+    /// Share of samples at the corners of obstacles.
+    pub(crate) fn corners(&self) -> f64 {
+        if self.black_box { 0.0 } else { self.settings.corners }
+    }
 }
 
 /// A path between two points by `grow`, unless one sees the other; always the same one for the same query, settings and number of samples.

@@ -6,10 +6,10 @@
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
-use crate::grid_graph::GridGraph;
 use super::frontier::{Exit, Frontier};
 use super::nearest::Nearest;
 use super::sampler::Sampler;
+use crate::grid_graph::GridGraph;
 use zenav_space::LineOfSight;
 
 /// The root's parent.

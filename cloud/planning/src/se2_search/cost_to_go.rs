@@ -5,10 +5,10 @@ use std::collections::BinaryHeap;
 
 use zenav_protocol::grid::Cell;
 
+use super::footprint_masks::FootprintMasks;
 use crate::budget::Budget;
 use crate::cell_cost::{CellCost, PARTS};
 use crate::searcher::NotFound;
-use super::footprint_masks::FootprintMasks;
 use zenav_space::BitGrid;
 
 /// Costs are whole numbers of this part of a cell's side.

@@ -100,7 +100,10 @@ fn a_search_without_budget_times_out() {
             max_expansions,
             ..Budget::UNLIMITED
         };
-        assert_eq!(search(&space, &Uniform, &query, &Se2Settings::default(), budget).result, Err(NotFound::TimedOut));
+        assert_eq!(
+            search(&space, &Uniform, &query, &Se2Settings::default(), budget).result,
+            Err(NotFound::TimedOut)
+        );
     }
 }
 

@@ -22,6 +22,13 @@ pub(super) const NONE: u16 = u16::MAX;
 /// `u32::MAX` where nothing is occupied or the number would not fit.
 ///
 /// Cost: one to ten nanoseconds a cell.
+///
+/// ```
+/// use zenav_space::{BitGrid, squared_distances};
+///
+/// let squared = squared_distances(&BitGrid::from_fn(5, 1, |cell| cell.x == 0));
+/// assert_eq!(squared, [0, 1, 9, 25, 49]);
+/// ```
 #[must_use]
 pub fn squared_distances(obstacles: &BitGrid) -> Vec<u32> {
     let mut squared = Vec::with_capacity(obstacles.width() as usize * obstacles.height() as usize);

@@ -8,8 +8,6 @@ mod time;
 use super::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use zenav_protocol::robot;
-
 fn world(body: &str) -> World {
     World::from_toml(
         &format!("size = [20, 20]\norigin = [-10, -10]\n{body}"),
