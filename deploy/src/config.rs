@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, LostPolicy, exit_code};
+use zenav_protocol::settings::Settings as _;
+use zenav_smoothing::SmoothingSettings;
 
 use crate::failure::{Failure, Outcome};
 use crate::output::{Format, table, value};
@@ -37,8 +39,11 @@ pub struct Deployment {
     pub groups: BTreeMap<String, Vec<String>>,
     /// The mapping service.
     pub mapping: MappingSection,
-    /// Planning and smoothing workers.
+    /// Motion workers.
     pub planning: PlanningSection,
+    /// How paths become trajectories.
+    #[serde(default)]
+    pub smoothing: SmoothingSettings,
     /// Zones of the map.
     #[serde(default)]
     pub zones: ZonesSection,
@@ -109,7 +114,7 @@ pub struct MappingSection {
     pub resolution: f64,
 }
 
-/// Planning and smoothing workers.
+/// Motion workers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanningSection {
@@ -258,6 +263,10 @@ pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
     if let Some((_, what)) = checks.iter().find(|(good, _)| !good) {
         return Err(Failure::usage((*what).to_owned()));
     }
+    deployment
+        .smoothing
+        .check()
+        .map_err(|error| Failure::usage(format!("smoothing: {error}")))?;
     deployment.robot_ids()?;
     deployment.group_ids()?;
     Ok(deployment)

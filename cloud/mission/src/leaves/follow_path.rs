@@ -171,7 +171,7 @@ impl Leaf<Context> for FollowPath {
         {
             return self.drive(io, ctx, memory, &route);
         }
-        if let Some(PlanStatus::Refused(why)) = ctx.motion.standing().cloned() {
+        if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
             self.refusals += 1;
             tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
             if self.refusals > MAX_REFUSALS {
@@ -184,7 +184,7 @@ impl Leaf<Context> for FollowPath {
             self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
         }
         if self.search.is_none() {
-            match ctx.motion.standing().cloned() {
+            match ctx.motion.status().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(PlanStatus::Void(why)) => {
                     tracing::info!(goal = ctx.goal.id, why, "plans anew");
@@ -251,18 +251,18 @@ impl FollowPath {
     /// Makes a motion of a path that came without one.
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
         self.stop_search(ctx);
-        let quest = RouteRequest {
+        let request = RouteRequest {
             given: data.points.clone(),
             ..RouteRequest::to(data.goal)
         };
-        self.search = Some(Search::new(ctx, quest, None, ctx.now));
+        self.search = Some(Search::new(ctx, request, None, ctx.now));
     }
 
     /// Whether a route begins where the robot will be.
     fn fits(&self, ctx: &Context, route: &Route) -> bool {
-        match route.course.splice {
+        match route.plan.splice {
             Some(splice) => {
-                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&PlanStatus::Taken)
+                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.status() == Some(&PlanStatus::Taken)
             }
             None => {
                 ctx.robot.is_at_rest()
@@ -278,7 +278,7 @@ impl FollowPath {
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
         if let Some(model) = ctx.robot.model().cloned()
             && let Some(space) = ctx.map.space(&model.footprint)
-            && let Recheck::Blocked(_) = recheck(&route.course.trajectory, &space, 0.0)
+            && let Recheck::Blocked(_) = recheck(&route.plan.trajectory, &space, 0.0)
         {
             // The map has changed since.
             self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
@@ -286,7 +286,7 @@ impl FollowPath {
         }
         self.stop_search(ctx);
         self.blocked_at = None;
-        ctx.drive(route.course.clone());
+        ctx.drive(route.plan.clone());
         self.gathered = ctx.now.plus_secs(GATHER_SECS);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
@@ -295,8 +295,8 @@ impl FollowPath {
 
     /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
     fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
-        let standing = ctx.motion.standing() == Some(&PlanStatus::Taken);
-        if standing && !ctx.motion.is_held() {
+        let taken = ctx.motion.status() == Some(&PlanStatus::Taken);
+        if taken && !ctx.motion.is_held() {
             self.refusals = 0;
         }
         let (time, left) = self.where_it_is(ctx);
@@ -328,7 +328,7 @@ impl FollowPath {
                 }
             }
         }
-        let what = if standing {
+        let what = if taken {
             "drives"
         } else {
             "waits until the robot takes the plan"
@@ -365,7 +365,7 @@ impl FollowPath {
                 }
             }
             Searching::Failed(no_route)
-                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&PlanStatus::Taken) =>
+                if !ctx.robot.is_at_rest() && ctx.motion.status() == Some(&PlanStatus::Taken) =>
             {
                 // Perhaps only not at this speed.
                 ctx.hold();
@@ -397,11 +397,11 @@ impl FollowPath {
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
         self.stop_search(ctx);
         let from = ctx.now.plus_secs(wait);
-        let quest = RouteRequest {
+        let request = RouteRequest {
             via: self.tracking.goals_ahead(),
             ..RouteRequest::to(goal)
         };
-        self.search = Some(Search::new(ctx, quest, None, from));
+        self.search = Some(Search::new(ctx, request, None, from));
     }
 
     fn stop_search(&mut self, ctx: &mut Context) {
