@@ -1,54 +1,55 @@
-//! How does a service keep up with every robot's map? By patches, and by asking for the whole where one was lost.
+//! Map subscriber. How does a service keep a replica of every robot's map?
+//!
+//! By patches; where one was lost, by asking for the whole map.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use tokio::time::{Instant, timeout_at};
 use zenav_protocol::bus::{Bus, BusError, Subscription};
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapPatch, MapRef, MapRequest};
 use zenav_protocol::topics::{MAP, MAP_PATCH};
 
-use zenav_protocol::map_replica::{MapReplica, PatchResult};
-
-/// Patches that wait; when more come in one go, the whole map is asked for.
+/// Most patches that wait; when more arrive at once, the whole map is asked for.
 const QUEUE: usize = 128;
-/// How long a patch may be on its way.
+/// Time that a patch may be on its way.
 const SETTLING: Duration = Duration::from_millis(100);
-/// Robots whose maps are kept; beyond it the first by name goes.
+/// Most robots whose maps are kept; beyond it the first by name is dropped.
 const MAX_ROBOTS: usize = 1024;
 
-/// Copies of the maps of all robots on the bus.
+/// Replicas of the maps of all robots on the bus.
 #[derive(Debug)]
 pub struct MapSubscriber {
     bus: Bus,
     patches: Subscription<MapPatch>,
-    robots: BTreeMap<String, Followed>,
+    robots: BTreeMap<String, RobotReplica>,
 }
 
 #[derive(Debug, Default)]
-struct Followed {
-    mirror: MapReplica,
+struct RobotReplica {
+    replica: MapReplica,
     /// Whether a patch is missing.
     gap: bool,
 }
 
-impl Followed {
+impl RobotReplica {
     fn holds(&self, wanted: &MapRef) -> bool {
         if wanted.id.is_empty() {
-            self.mirror.has_map() && !self.gap
+            self.replica.has_map() && !self.gap
         } else {
-            self.mirror.holds(wanted)
+            self.replica.holds(wanted)
         }
     }
 
-    /// Whether what is missing may just be on its way.
+    /// Whether the missing patch may just be on its way.
     fn is_a_little_behind(&self, wanted: &MapRef) -> bool {
-        !self.gap && self.mirror.map().id == wanted.id && !self.mirror.holds(wanted)
+        !self.gap && self.replica.map().id == wanted.id && !self.replica.holds(wanted)
     }
 }
 
 impl MapSubscriber {
-    /// Begins to follow.
+    /// Subscribes to the maps of all robots.
     ///
     /// # Errors
     /// [`BusError`] when the patches cannot be subscribed to.
@@ -60,7 +61,7 @@ impl MapSubscriber {
         })
     }
 
-    /// Takes in patches for ever; drop the future to go on. `false` when the bus is closed.
+    /// Applies patches for ever; drop the future to stop. `false` after the bus was closed.
     pub async fn follow(&mut self) -> bool {
         while let Some(received) = self.patches.next().await {
             self.take(received.chunks.first(), &received.message);
@@ -70,25 +71,25 @@ impl MapSubscriber {
 
     fn take(&mut self, robot: Option<&String>, patch: &MapPatch) {
         let Some(robot) = robot else { return };
-        let followed = self.robots.entry(robot.clone()).or_default();
-        match followed.mirror.apply(patch) {
-            PatchResult::Applied => followed.gap = false,
+        let robot_replica = self.robots.entry(robot.clone()).or_default();
+        match robot_replica.replica.apply(patch) {
+            PatchResult::Applied => robot_replica.gap = false,
             PatchResult::Old => {}
-            // Healed when somebody asks for this map.
-            PatchResult::Gap => followed.gap = true,
+            // Healed when this map is asked for.
+            PatchResult::Gap => robot_replica.gap = true,
         }
         if self.robots.len() > MAX_ROBOTS {
             self.robots.pop_first();
         }
     }
 
-    /// A robot's map at the wanted revision or a later one; the whole is asked for where the copy is behind.
-    /// Without a name any map will do. `None` when nobody has it in time.
+    /// A robot's map at the wanted revision or a later one; the whole map is asked for where the replica is behind. With an empty id any map
+    /// will do. `None` when the map does not arrive in time.
     pub async fn map(&mut self, robot: &str, wanted: &MapRef, deadline: Duration) -> Option<&mut MapReplica> {
         while let Some(received) = self.patches.try_next() {
             self.take(received.chunks.first(), &received.message);
         }
-        // A patch that others have already is on its way: the whole is asked for only when it does not come.
+        // A patch that others have already is on its way: the whole map is asked for only when it does not arrive.
         let settled = Instant::now() + SETTLING.min(deadline);
         while self
             .robots
@@ -106,12 +107,12 @@ impl MapSubscriber {
                 .ask(&MAP, &[robot], &MapRequest::default(), deadline)
                 .await
                 .ok()?;
-            let followed = self.robots.entry(robot.to_owned()).or_default();
-            followed.gap &= !followed.mirror.replace(&reply);
+            let robot_replica = self.robots.entry(robot.to_owned()).or_default();
+            robot_replica.gap &= !robot_replica.replica.replace(&reply);
         }
         self.robots
             .get_mut(robot)
-            .map(|known| &mut known.mirror)
-            .filter(|mirror| mirror.has_map())
+            .map(|known| &mut known.replica)
+            .filter(|replica| replica.has_map())
     }
 }

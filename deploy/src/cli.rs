@@ -1,4 +1,4 @@
-//! Which commands are there? One enum; each command's arguments and work live in its own module.
+//! Command line. Which commands are there? One enum; each command's arguments and work live in its own module.
 
 use std::process::ExitCode;
 
@@ -14,7 +14,9 @@ use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator, wall
     name = "zenav",
     version,
     about = "Mobile-robot navigation, split between robot and cloud, over Zenoh",
-    propagate_version = true
+    propagate_version = true,
+    after_help = "Exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 cannot connect, 5 timeout, 6 cancelled, 7 rejected, 130 interrupted.\n\
+                  Environment: RUST_LOG sets what is logged; ZENAV_SECTION__KEY sets a value of a deployment (`zenav config show --origin`)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -23,47 +25,47 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run one scenario on this machine over real Zenoh sessions, to its end, and report
+    /// Run a demo scenario on this machine over real Zenoh sessions and print a report
     Demo(demo::DemoArgs),
-    /// Run one goal in lockstep, without a network: repeatable bit for bit from a seed
+    /// Simulate one goal in lockstep without a network; bit-for-bit repeatable from a seed
     Run(lockstep::RunArgs),
     /// Run a deployment on this machine until Ctrl-C
     Up(launch::UpArgs),
     /// Run a router
     Router(launch::RouterArgs),
-    /// Run a robot
+    /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),
     /// Run off-board services: mapping, motion, mission, or all
     Cloud(launch::CloudArgs),
     /// Submit, list, watch and cancel goals
     Goal(goal::GoalArgs),
-    /// Stop a robot; it stays stopped until resumed
+    /// Stop a robot; the stop latches until `zenav resume`
     Stop(operator::StopArgs),
-    /// Allow a stopped robot to take a new plan
+    /// Release a stop; the robot waits for a new plan
     Resume(operator::StopArgs),
-    /// Drive a robot by hand
+    /// Drive a robot from the keyboard
     Teleop(operator::TeleopArgs),
-    /// Show who may command a robot, or take and release the right
+    /// Show, acquire or release the command lease of a robot
     Lease(operator::LeaseArgs),
     /// List, print and measure topics
     Topic(inspect::TopicArgs),
     /// Save, show, convert and build maps
     Map(inspect::MapArgs),
-    /// Behaviour trees: validate, show, watch, simulate
+    /// Validate, show, watch and simulate behaviour trees
     Bt(inspect::BtArgs),
-    /// Check a deployment and say what is wrong
+    /// Check a running deployment: what is wrong, and what to do
     Doctor(inspect::DoctorArgs),
-    /// Plan many queries offline
+    /// Plan a batch of queries offline
     Plan(batch::PlanArgs),
-    /// Smooth many queries offline
+    /// Plan and smooth a batch of queries offline
     Smooth(batch::SmoothArgs),
-    /// Search parameters in simulations; writes a robot file
+    /// Tune gains in simulation; writes a robot file
     Tune(wall_following::TuneArgs),
-    /// The simulator: draw a world, hold one for robots on several machines, measure
+    /// Draw a world, serve one to robots on several machines, measure the simulator
     Sim(batch::SimArgs),
-    /// What this machine holds
+    /// Measure the bus on this machine
     Bench(batch::BenchArgs),
-    /// Print the configuration
+    /// Print the configuration of a deployment
     Config(config::ConfigArgs),
     /// Print shell completions
     Completions {

@@ -1,4 +1,4 @@
-//! How do the parts start and end that share a process?
+//! Components. How do parts that share a process start and end?
 //!
 //! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
 
@@ -182,7 +182,7 @@ impl Parts {
     pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
         let mut config = mapping::MappingConfig::new(id.as_str());
-        config.settings.resolution = deployment.mapping.resolution;
+        config.settings = deployment.mapping.settings.clone();
         config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
@@ -202,10 +202,14 @@ impl Parts {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let name = format!("motion-{worker}");
             let bus = BusConfig::service(&name, &deployment.bus.connect);
-            let (zones, smoothing) = (Arc::clone(&zones), deployment.smoothing);
+            let zones = Arc::clone(&zones);
+            let settings = motion::MotionSettings {
+                smoothing: deployment.smoothing.clone(),
+                ..motion::MotionSettings::default()
+            };
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
                 let clock = Clock::follow(&bus)?;
-                motion::run(bus, clock, worker, zones, smoothing, shutdown)
+                motion::run(bus, clock, worker, zones, settings, shutdown)
                     .await
                     .map_err(|error| Failure::failed(error.to_string()))
             });

@@ -1,4 +1,4 @@
-//! How does a command reach the router, and which robot does it mean?
+//! Connection of a command. How does it reach the router, and which robot does it mean?
 //!
 //! A command is a Zenoh client that fails at once when nobody is there. The robot may be left out when there is one:
 //! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
@@ -16,7 +16,7 @@ use crate::failure::Failure;
 
 /// Where the router is unless told otherwise: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Where the first robot of a machine listens itself unless told otherwise (`single.toml`).
+/// Where the robot of the default deployment listens itself.
 pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// How long to look for a robot that does not show at once: it may just be starting.
@@ -60,7 +60,7 @@ impl LinkArgs {
 /// Where to connect to, and which robot is meant.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RobotArgs {
-    /// Where to connect to.
+    /// Connection.
     #[command(flatten)]
     pub link: LinkArgs,
     /// Robot's name; may be left out when there is one

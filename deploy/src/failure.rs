@@ -1,4 +1,4 @@
-//! How does a command fail? With one clear message on stderr and an exit code.
+//! Failures. How does a command fail? With one message on stderr and an exit code.
 
 use miette::Diagnostic;
 use thiserror::Error;
@@ -46,23 +46,25 @@ impl Failure {
 
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
-        let code = match &error {
-            BusError::CannotConnect { .. } | BusError::Closed => exit_code::CANNOT_CONNECT,
-            BusError::CannotListen { .. } => exit_code::FAILED,
-            BusError::Config { .. } | BusError::Key { .. } => exit_code::USAGE,
-        };
+        let code = error.exit_code();
+        // Zenoh's own words name lines of its source.
+        if let BusError::CannotListen { endpoint, reason } = &error
+            && reason.contains("in use")
+        {
+            return Self::new(
+                code,
+                format!(
+                    "cannot listen on {endpoint}: in use, perhaps by another `zenav up` or `zenav router` (--listen names another endpoint)"
+                ),
+            );
+        }
         Self::new(code, error.to_string())
     }
 }
 
 impl From<AskError> for Failure {
     fn from(error: AskError) -> Self {
-        let code = match &error {
-            AskError::Timeout { .. } => exit_code::TIMEOUT,
-            AskError::Refused(refusal) => refusal.exit_code(),
-            _ => exit_code::FAILED,
-        };
-        Self::new(code, error.to_string())
+        Self::new(error.exit_code(), error.to_string())
     }
 }
 

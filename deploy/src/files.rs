@@ -1,9 +1,10 @@
-//! Which file is meant? Worlds, robots and maps by path or by the name of a shipped one.
+//! Input files. Which one is meant? Worlds, robots and maps by path or by the name of a shipped one.
 
 use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
+use zenav_edge::trackers::Law;
 use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
@@ -127,13 +128,16 @@ fn read_world(name: &str) -> Result<World, Failure> {
 /// Exit code 3 when there is none, 2 when it is bad, with line and key.
 pub fn robot(name: &str) -> Result<RobotModel, Failure> {
     let path = Path::new(name);
-    if path.is_file() {
-        return RobotModel::from_toml(&text(path)?, name).map_err(|error| Failure::usage(error.to_string()));
-    }
-    match robot::shipped(name) {
-        Some(text) => RobotModel::from_toml(text, name).map_err(|error| Failure::failed(error.to_string())),
-        None => Err(unknown("robot", name, robot::SHIPPED.iter().map(|(known, _)| *known))),
-    }
+    let model = if path.is_file() {
+        RobotModel::from_toml(&text(path)?, name).map_err(|error| Failure::usage(error.to_string()))?
+    } else {
+        match robot::shipped(name) {
+            Some(text) => RobotModel::from_toml(text, name).map_err(|error| Failure::failed(error.to_string()))?,
+            None => return Err(unknown("robot", name, robot::SHIPPED.iter().map(|(known, _)| *known))),
+        }
+    };
+    Law::named(&model.controller.tracker).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
+    Ok(model)
 }
 
 /// A map: `map_server` YAML, a bare image, or a Moving AI `.map` (of 1 m cells).

@@ -1,4 +1,4 @@
-//! What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
+//! Launcher. What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ pub struct UpArgs {
     /// World, instead of the deployment's
     #[arg(long)]
     world: Option<String>,
-    /// Simulated seconds a second of wall time, instead of the deployment's
+    /// Simulated time against wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
     /// Folder for what is kept, instead of the deployment's
@@ -76,7 +76,7 @@ pub struct EdgeArgs {
     /// Drive robots of the world that `zenav sim serve` serves
     #[arg(long)]
     attach: bool,
-    /// Simulated seconds a second of wall time, instead of the deployment's
+    /// Simulated time against wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
     /// Seed of the simulated noise, instead of the deployment's

@@ -17,16 +17,16 @@
 //! | `batch` | planning, smoothing and mapping offline |
 //! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
-//! | `canvas` | how something in the world is painted |
+//! | `drawing` | pictures: maps, worlds, films, trees |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod batch;
-pub mod canvas;
 pub mod cli;
 pub mod components;
 pub mod config;
 pub mod connect;
 pub mod demo;
+pub mod drawing;
 pub mod failure;
 pub mod files;
 pub mod goal;

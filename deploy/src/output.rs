@@ -1,4 +1,4 @@
-//! How is data printed? On stdout, as a table for people or as JSON for programs.
+//! Output. How is data printed? On stdout, as a table for people or as JSON for programs.
 
 use std::io::Write as _;
 

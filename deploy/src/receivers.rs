@@ -1,4 +1,4 @@
-//! How many of Zenoh's threads receive, in a process with a router?
+//! Receiver threads. How many does Zenoh need in a process with a router?
 //!
 //! All sessions of a process share Zenoh's receiving threads, two by default. A router's receiving thread waits while the next hop
 //! has not taken a large message, and so does every other one that has something for the same hop. With both waiting the router

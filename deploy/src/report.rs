@@ -1,6 +1,7 @@
-//! How did a scenario go? The report for people and programs, from the simulator's truth.
+//! Report of a scenario. How did it go? The report for people and programs, from the simulator's truth.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use serde::Serialize;
 use zenav_protocol::messages::GoalPoint;
@@ -44,9 +45,9 @@ pub struct DemoReport {
     pub sim_time_s: f64,
     /// Wall time, s.
     pub wall_time_s: f64,
-    /// Motions published.
+    /// Plans published.
     pub plans: u64,
-    /// Motions that replaced another one under way.
+    /// Plans that replaced another one while driving.
     pub replans: u64,
     /// Wall-clock latencies.
     pub latency: Latency,
@@ -59,6 +60,8 @@ pub struct DemoReport {
     pub walls: Option<WallReport>,
     /// What does not hold at this speed of simulation.
     pub notes: Vec<String>,
+    /// What was written.
+    pub files: Vec<PathBuf>,
 }
 
 /// How walls were followed: distances by the simulator's truth.
@@ -155,7 +158,7 @@ pub struct GoalReport {
     pub energy_per_m: f64,
 }
 
-/// Energy for each metre of a way, J/m; zero where nothing was driven.
+/// Energy for each metre of a path, J/m; zero where nothing was driven.
 #[must_use]
 pub fn per_metre(joules: f64, metres: f64) -> f64 {
     if metres > 0.0 { joules / metres } else { 0.0 }
@@ -164,9 +167,9 @@ pub fn per_metre(joules: f64, metres: f64) -> f64 {
 /// Wall-clock latencies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Latency {
-    /// From the arrival of the scan or pose that a motion is based on to the motion's arrival.
+    /// From the arrival of the scan or pose that a plan is based on to the plan's arrival.
     pub scan_to_plan_ms: Percentiles,
-    /// From the beginning of a drive (its planning) to the first motion.
+    /// From the beginning of a drive (its planning) to the robot's first motion.
     pub goal_to_motion_ms: Percentiles,
 }
 
@@ -271,6 +274,7 @@ impl DemoReport {
             millis(latency.goal_to_motion_ms.p99)
         ));
         lines.extend(self.notes.iter().map(|note| format!("note: {note}")));
+        lines.extend(self.files.iter().map(|file| format!("wrote {}", file.display())));
         lines.join("\n")
     }
 }

@@ -1,4 +1,4 @@
-//! Where do all parts of a deployment meet? At this router: Zenoh's, embedded, so that one binary is all there is to install.
+//! Router. Where do all parts of a deployment meet? At Zenoh's router, embedded, so that one binary is all there is to install.
 
 use zenav_protocol::bus::{BusError, Router, RouterConfig, Shutdown};
 

@@ -16,7 +16,7 @@ use zenav_edge::local_obstacles::LocalObstacles;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 const BEAMS: usize = 667;
@@ -33,7 +33,7 @@ const FURNITURE: [(f64, f64, f64); 6] = [
 ];
 
 fn model(name: &str) -> RobotModel {
-    let mut model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+    let mut model = zenav_fixtures::robot(name);
     model.lidar.beams = BEAMS;
     model
 }
@@ -101,7 +101,7 @@ fn decision(criterion: &mut Criterion) {
                 ("turn", Twist2::new(0.0, w)),
                 ("back", Twist2::new(-v, 0.1 * w)),
             ] {
-                let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+                let mut monitor = CollisionMonitor::new(&model, 0.02);
                 monitor.blind_speed = v;
                 criterion.bench_function(&format!("guard/decision/{name}/{with}/{motion}"), |bencher| {
                     bencher.iter(|| {

@@ -11,12 +11,8 @@ use zenav_protocol::messages::{Plan, Revision, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
-/// Largest distance between where a trajectory starts and where the robot will be, m.
-const START_DISTANCE: f64 = 0.25;
-/// The same for the heading, rad.
-const START_YAW: f64 = 0.6;
-/// The same for the wheels' surface speed, m/s.
-const START_SPEED: f64 = 0.35;
+use crate::settings::AcceptanceSettings;
+
 /// Tolerance of speed and acceleration limits for rounding and sampling, as a share.
 const LIMIT_SLACK: f64 = 0.02;
 /// Tolerance of a wheel's speed change between two points, rad/s.
@@ -25,14 +21,8 @@ const STEP_SLACK: f64 = 0.1;
 const END_SPEED: f64 = 0.1;
 /// Most trajectory points and waypoints looked at.
 const MOST_POINTS: usize = 100_000;
-/// Longest goal id.
+/// Longest goal id, bytes.
 const LONGEST_ID: usize = 128;
-/// The footprint checked against the scan is smaller than the true one by this, for range noise, m.
-const SCAN_SLACK: f64 = 0.02;
-/// And by this for each metre from the robot, for heading error.
-const SCAN_SLACK_PER_METRE: f64 = 0.01;
-/// Beyond this distance from the robot the scan is not used, m.
-const SCAN_HORIZON: f64 = 4.0;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
 
@@ -42,9 +32,9 @@ pub enum Rejection {
     /// Of another lease epoch.
     #[error("plan of epoch {got}, the current epoch is {current}")]
     WrongEpoch {
-        /// The plan's.
+        /// Epoch of the plan.
         got: u64,
-        /// The current one.
+        /// Epoch of the current lease.
         current: u64,
     },
     /// Nobody holds a live lease, or an operator does.
@@ -59,7 +49,7 @@ pub enum Rejection {
     /// Not newer than a plan seen before.
     #[error("plan revision {}.{} is not newer than {}.{}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
     Stale {
-        /// The plan's.
+        /// Revision of the plan.
         got: Revision,
         /// The newest seen under this epoch.
         newest: Revision,
@@ -70,9 +60,9 @@ pub enum Rejection {
     /// Based on another boot of this edge.
     #[error("plan based on boot {got}, the edge runs boot {current}")]
     WrongBoot {
-        /// The plan's, shortened.
+        /// Boot id that the plan is based on, shortened.
         got: String,
-        /// This one.
+        /// Boot id of this edge.
         current: String,
     },
     /// Based on a stamp in the future.
@@ -81,7 +71,7 @@ pub enum Rejection {
     /// Based on a time before the last resume.
     #[error("plan based on a stamp from before the robot was resumed")]
     BeforeResume,
-    /// Expired.
+    /// It has expired.
     #[error("plan expired {0:.3} s ago")]
     Expired(f64),
     /// A number that is not finite, or a name that is too long.
@@ -99,23 +89,23 @@ pub enum Rejection {
     /// Over a limit of the robot.
     #[error("{what} at point {point} is {value:.3}, over the limit of {limit:.3}")]
     OverLimit {
-        /// The quantity.
+        /// Name of the quantity.
         what: &'static str,
         /// Index of the point.
         point: usize,
-        /// Its value.
+        /// Value in the plan.
         value: f64,
-        /// The limit.
+        /// Limit of the robot.
         limit: f64,
     },
     /// It does not start where the robot will be.
     #[error("trajectory starts {distance:.2} m, {yaw:.2} rad and {speed:.2} m/s from where the robot will be")]
     Start {
-        /// m.
+        /// Distance from the predicted position, m.
         distance: f64,
-        /// rad.
+        /// Difference of heading, rad.
         yaw: f64,
-        /// m/s.
+        /// Difference of wheel surface speed, m/s.
         speed: f64,
     },
     /// It does not end at rest.
@@ -128,7 +118,7 @@ pub enum Rejection {
         x: f64,
         /// Obstacle, map frame, m.
         y: f64,
-        /// Plan time, s.
+        /// Plan time of the collision, s.
         time: f64,
     },
     /// The same id for another trajectory.
@@ -141,9 +131,9 @@ pub enum Rejection {
 pub struct Grant<'a> {
     /// Now, on the edge's clock.
     pub now: Stamp,
-    /// This boot.
+    /// Id of this boot.
     pub boot_id: &'a str,
-    /// The current epoch.
+    /// Epoch of the current lease.
     pub epoch: u64,
     /// Whether a mission's lease is live.
     pub mission_live: bool,
@@ -309,11 +299,12 @@ pub fn judge_start(
     predicted: Pose2,
     velocity: Twist2,
     drive: &Drive,
+    settings: &AcceptanceSettings,
 ) -> Result<(), Rejection> {
     let distance = predicted.distance(&start.pose());
     let yaw = wrap_angle(start.yaw - predicted.yaw).abs();
     let speed = crate::limiter::wheel_surface_speed(drive, Twist2::new(start.v - velocity.v, start.w - velocity.w));
-    if distance > START_DISTANCE || yaw > START_YAW || speed > START_SPEED {
+    if distance > settings.start_distance || yaw > settings.start_yaw || speed > settings.start_speed {
         Err(Rejection::Start { distance, yaw, speed })
     } else {
         Ok(())
@@ -330,12 +321,13 @@ pub fn judge_free(
     model: &RobotModel,
     map_from_base: Pose2,
     obstacles: &[Point2<f64>],
+    settings: &AcceptanceSettings,
 ) -> Result<(), Rejection> {
     let footprint = &model.footprint;
     let reach = footprint.circumscribed_radius();
     let mut last: Option<Pose2> = None;
     // Only obstacles near the checked part.
-    let horizon = SCAN_HORIZON + reach;
+    let horizon = settings.scan_horizon + reach;
     let near: Vec<_> = obstacles
         .iter()
         .filter(|point| (*point - map_from_base.position()).norm() < horizon)
@@ -346,11 +338,11 @@ pub fn judge_free(
             last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1
         };
         let distance = pose.distance(&map_from_base);
-        if distance > SCAN_HORIZON || !last.is_none_or(spaced) {
+        if distance > settings.scan_horizon || !last.is_none_or(spaced) {
             continue;
         }
         last = Some(pose);
-        let slack = SCAN_SLACK + SCAN_SLACK_PER_METRE * distance;
+        let slack = settings.scan_tolerance + settings.scan_tolerance_per_metre * distance;
         let base_from_map = pose.inverse();
         let hit = near.iter().find(|obstacle| {
             (**obstacle - pose.position()).norm_squared() < reach * reach

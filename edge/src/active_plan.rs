@@ -1,4 +1,4 @@
-//! How is an accepted plan driven, renewed and ended? The plan in force, its tracker, and its expiry.
+//! Active plan. How is an accepted plan driven, renewed and ended? The plan in force, its tracker, and its expiry.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Marker, Plan, PlanProgress};
@@ -7,14 +7,8 @@ use zenav_protocol::time::Stamp;
 
 use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
 use crate::local_obstacles::LocalObstacles;
-use crate::trackers::{Progress, Tracker, TrackerInput, along_trajectory, through_waypoints};
-
-/// Share of the normal deceleration that braking for the expiry reckons with.
-const BRAKING_SHARE: f64 = 0.9;
-/// A splice may lie so far behind when the plan arrives, s.
-const LATE_SPLICE: f64 = 1.5;
-/// Farther from where it should be than this the robot no longer follows the plan: something moved the map, m.
-const LOST_TRACK: f64 = 0.6;
+use crate::settings::{EdgeSettings, PlanSettings};
+use crate::trackers::{Law, Progress, Tracker, TrackerInput};
 
 /// The plan in force.
 #[derive(Clone, Debug)]
@@ -22,63 +16,61 @@ pub struct ActivePlan {
     plan: Plan,
     expiry: Stamp,
     tracker: Box<dyn Tracker>,
-    expiry_told: bool,
-    end_told: bool,
+    settings: PlanSettings,
+    expiry_reported: bool,
+    end_reported: bool,
 }
 
 /// Where the robot is and what it sees, when a plan is judged.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene<'a> {
-    /// The robot.
+    /// Footprint and limits of the robot.
     pub model: &'a RobotModel,
-    /// The estimate.
+    /// The estimated pose.
     pub map_from_base: Pose2,
     /// The correction of odometry.
     pub map_from_odom: Pose2,
     /// Measured velocity.
     pub velocity: Twist2,
-    /// What the lidar sees.
-    pub around: &'a LocalObstacles,
+    /// Obstacles around the robot.
+    pub obstacles: &'a LocalObstacles,
+    /// Tunables of acceptance and following.
+    pub settings: &'a EdgeSettings,
 }
 
-/// What became of a plan that was taken.
+/// Outcome of an accepted plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// The same motion goes on for longer.
+    /// The same trajectory is valid for longer.
     Renewed,
-    /// A new motion begins.
+    /// A new trajectory begins.
     Begun,
 }
 
 impl ActivePlan {
-    /// Takes a plan whose head has been judged: renews the course in force, or replaces it. A rejection changes nothing.
+    /// Takes a plan whose header has been checked: renews the active plan, or replaces it. A rejection changes nothing.
     ///
     /// # Errors
     /// [`Rejection`].
     pub fn take(current: &mut Option<Self>, plan: Plan, expiry: Stamp, scene: &Scene<'_>) -> Result<Taken, Rejection> {
-        if let Some(course) = current
+        if let Some(active) = current
             .as_mut()
-            .filter(|course| course.plan.trajectory_id == plan.trajectory_id)
+            .filter(|active| active.plan.trajectory_id == plan.trajectory_id)
         {
-            if course.plan.trajectory != plan.trajectory || course.plan.waypoints != plan.waypoints {
+            if active.plan.trajectory != plan.trajectory || active.plan.waypoints != plan.waypoints {
                 return Err(Rejection::Changed(plan.trajectory_id));
             }
-            course.plan.goal_id = plan.goal_id;
-            course.plan.epoch = plan.epoch;
-            course.plan.revision = plan.revision;
-            course.expiry = expiry;
-            course.expiry_told = false;
+            active.plan.goal_id = plan.goal_id;
+            active.plan.epoch = plan.epoch;
+            active.plan.revision = plan.revision;
+            active.expiry = expiry;
+            active.expiry_reported = false;
             return Ok(Taken::Renewed);
         }
         judge_course(&plan, &scene.model.drive)?;
         let tracker = if plan.trajectory.is_empty() {
             let model = scene.model;
-            through_waypoints(
-                model.controller.tracker,
-                &model.drive,
-                scene.map_from_base,
-                plan.waypoints.clone(),
-            )
+            Law::of(&model.controller).through_waypoints(&model.drive, scene.map_from_base, plan.waypoints.clone())
         } else {
             Self::begin(current.as_ref(), &plan, scene)?
         };
@@ -86,8 +78,9 @@ impl ActivePlan {
             plan,
             expiry,
             tracker,
-            expiry_told: false,
-            end_told: false,
+            settings: scene.settings.plan.clone(),
+            expiry_reported: false,
+            end_reported: false,
         });
         Ok(Taken::Begun)
     }
@@ -108,23 +101,47 @@ impl ActivePlan {
         let (trajectory, time) = match splice {
             Some((until, old, now)) => {
                 let planned = old.sample(until);
-                judge_start(first, planned.pose(), planned.twist(), drive)?;
+                judge_start(
+                    first,
+                    planned.pose(),
+                    planned.twist(),
+                    drive,
+                    &scene.settings.acceptance,
+                )?;
                 let late = now - until;
                 if late > 0.0 {
-                    let there = plan.trajectory.sample(late.min(LATE_SPLICE));
-                    judge_start(&there, scene.map_from_base, old.sample(now).twist(), drive)?;
+                    let there = plan.trajectory.sample(late.min(scene.settings.plan.late_splice));
+                    judge_start(
+                        &there,
+                        scene.map_from_base,
+                        old.sample(now).twist(),
+                        drive,
+                        &scene.settings.acceptance,
+                    )?;
                 }
                 (old.spliced(now, until, &plan.trajectory), late)
             }
             None => {
-                judge_start(first, scene.map_from_base, scene.velocity, drive)?;
+                judge_start(
+                    first,
+                    scene.map_from_base,
+                    scene.velocity,
+                    drive,
+                    &scene.settings.acceptance,
+                )?;
                 (plan.trajectory.clone(), 0.0)
             }
         };
-        let obstacles: Vec<_> = scene.around.seen_in(scene.map_from_odom).collect();
-        judge_free(&trajectory, scene.model, scene.map_from_base, &obstacles)?;
-        let kind = scene.model.controller.tracker;
-        Ok(along_trajectory(kind, drive, trajectory, time, &plan.waypoints))
+        let obstacles: Vec<_> = scene.obstacles.seen_in(scene.map_from_odom).collect();
+        judge_free(
+            &trajectory,
+            scene.model,
+            scene.map_from_base,
+            &obstacles,
+            &scene.settings.acceptance,
+        )?;
+        let law = Law::of(&scene.model.controller);
+        Ok(law.along_trajectory(drive, trajectory, time, &plan.waypoints))
     }
 
     /// Whether it has not expired.
@@ -147,7 +164,7 @@ impl ActivePlan {
             dt,
             map_from_base,
             velocity,
-            speed_cap: speed_cap(drive, self.expiry.secs_since(now), dt),
+            speed_cap: self.speed_cap(drive, self.expiry.secs_since(now), dt),
         };
         self.tracker.step(&view, gains)
     }
@@ -155,30 +172,30 @@ impl ActivePlan {
     /// Why the plan can no longer be followed, if so.
     #[must_use]
     pub fn lost(&self) -> Option<&'static str> {
-        (self.tracker.off_track() > LOST_TRACK).then_some("too far from where the plan has the robot")
+        (self.tracker.off_track() > self.settings.off_track).then_some("too far off the trajectory")
     }
 
     /// True once, when the end has been reached.
     pub fn ends(&mut self, map_from_base: &Pose2) -> bool {
-        let ends = self.raw_progress(map_from_base).finished && !self.end_told;
-        self.end_told |= ends;
+        let ends = self.raw_progress(map_from_base).finished && !self.end_reported;
+        self.end_reported |= ends;
         ends
     }
 
-    /// True once for each validity, when it is over before the end was reached.
+    /// True once for each validity, when the plan expires before its end was reached.
     pub fn expires(&mut self, now: Stamp) -> bool {
-        let expires = !self.is_valid(now) && !self.expiry_told && !self.end_told;
-        self.expiry_told |= expires;
+        let expires = !self.is_valid(now) && !self.expiry_reported && !self.end_reported;
+        self.expiry_reported |= expires;
         expires
     }
 
     /// Whether the robot is at rest at the end.
     #[must_use]
     pub fn is_finished(&self) -> bool {
-        self.end_told
+        self.end_reported
     }
 
-    /// The plan.
+    /// The plan as received.
     #[must_use]
     pub fn plan(&self) -> &Plan {
         &self.plan
@@ -188,7 +205,7 @@ impl ActivePlan {
         self.tracker.progress(map_from_base)
     }
 
-    /// How far it is.
+    /// Progress along the plan.
     #[must_use]
     pub fn progress(&self, now: Stamp, map_from_base: &Pose2) -> PlanProgress {
         let progress = self.raw_progress(map_from_base);
@@ -197,17 +214,17 @@ impl ActivePlan {
             epoch: self.plan.epoch,
             revision: self.plan.revision,
             trajectory_id: self.plan.trajectory_id,
-            // Negative while what is left of the motion before a splice is driven.
+            // Negative while the rest of the trajectory before a splice is driven.
             time: progress.time,
             waypoint: progress.waypoint,
             distance_left: progress.distance_left,
             time_left: progress.time_left,
             valid_for: self.expiry.secs_since(now).max(0.0),
-            finished: self.end_told,
+            finished: self.end_reported,
         }
     }
 
-    /// What to draw: the waypoint or the place that the robot drives to now.
+    /// Marker of the waypoint or reference that the robot drives to now.
     #[must_use]
     pub fn marker(&self, now: Stamp) -> Option<Marker> {
         let (name, point) = self.tracker.target()?;
@@ -217,10 +234,10 @@ impl ActivePlan {
             points: vec![point],
         })
     }
-}
 
-/// Largest wheel surface speed from which the robot comes to rest within `left` seconds, the motors' lag included.
-fn speed_cap(drive: &Drive, left: f64, tick: f64) -> f64 {
-    let usable = left - 4.0 * drive.motor_lag - 2.0 * tick;
-    (BRAKING_SHARE * drive.acceleration() * usable).max(0.0)
+    /// Largest wheel surface speed from which the robot comes to rest within `left` seconds, the motors' lag included.
+    fn speed_cap(&self, drive: &Drive, left: f64, tick: f64) -> f64 {
+        let usable = left - 4.0 * drive.motor_lag - 2.0 * tick;
+        (self.settings.braking_share * drive.acceleration() * usable).max(0.0)
+    }
 }

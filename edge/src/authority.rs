@@ -2,6 +2,8 @@
 //!
 //! A stop needs no lease, latches across restarts, and discards the plan; so does every change of the lease's holder.
 
+use std::time::Duration;
+
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
     EventKind, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, LeaseState, Link, LostPolicy, ModeRequest,
@@ -14,6 +16,7 @@ use crate::config::EdgeConfig;
 use crate::control_io::Persisted;
 use crate::event_log::EventLog;
 use crate::link;
+use crate::settings::LeaseSettings;
 use crate::teleop::Dropped;
 
 /// Longest name of a holder or request, bytes.
@@ -32,7 +35,7 @@ pub struct Authority {
     policy: LostPolicy,
     link: Link,
     live: bool,
-    config: EdgeConfig,
+    settings: LeaseSettings,
     first_answers: std::collections::VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
     stored: Persisted,
 }
@@ -63,13 +66,17 @@ impl Authority {
     #[must_use]
     pub fn new(config: &EdgeConfig, stored: Persisted) -> Self {
         Self {
-            arbiter: LeaseArbiter::new(config.lease_ttl, stored.epoch, stored.leader.clone()),
+            arbiter: LeaseArbiter::new(
+                Duration::from_secs_f64(config.settings.lease.ttl),
+                stored.epoch,
+                stored.leader.clone(),
+            ),
             stopped: stored.stopped,
             resumed: None,
             policy: config.on_lost,
             link: Link::Lost,
             live: false,
-            config: config.clone(),
+            settings: config.settings.lease.clone(),
             first_answers: std::collections::VecDeque::new(),
             stored,
         }
@@ -227,7 +234,11 @@ impl Authority {
             );
         }
         self.live = live;
-        let link = link::link(self.arbiter.age(now), self.config.stale_after, self.config.lost_after);
+        let link = link::link(
+            self.arbiter.age(now),
+            Duration::from_secs_f64(self.settings.stale_after),
+            Duration::from_secs_f64(self.settings.lost_after),
+        );
         if link != self.link {
             self.link = link;
             events.record(now, EventKind::LinkChanged { link });

@@ -231,16 +231,16 @@ mod tests {
     use std::f64::consts::PI;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::RobotModel;
     use zenav_protocol::time::Stamp;
 
     fn jackal() -> RobotModel {
-        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+        zenav_fixtures::robot("jackal")
     }
 
     #[test]
     fn what_was_never_seen_is_unknown_and_what_was_seen_stays_known() {
-        let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
+        let lidar = zenav_fixtures::robot("tiago").lidar;
         let mut grid = BlindSpotGrid::new(&lidar, &jackal().footprint);
         let sweep = Sweep {
             stamp: Stamp(1),
@@ -259,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_range_that_is_no_number_frees_nothing() {
-        let lidar = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar;
+        let lidar = zenav_fixtures::robot("tiago").lidar;
         let mut grid = BlindSpotGrid::new(&lidar, &jackal().footprint);
         let sweep = Sweep {
             stamp: Stamp(1),
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn a_lidar_with_a_full_circle_of_view_has_no_blind_spot() {
-        let lidar = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap().lidar;
+        let lidar = zenav_fixtures::robot("neato").lidar;
         assert!(!BlindSpotGrid::new(&lidar, &Footprint::Radius(0.17)).has_blind_spot());
     }
 }

@@ -14,23 +14,21 @@ use zenav_protocol::time::Stamp;
 use crate::limiter::wheel_surface_speed;
 use crate::local_obstacles::LocalObstacles;
 use crate::passive_safety::{LEAST_CLEARANCE, Motion, approaches, closing_speed, contact_point};
+use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
 
 /// Scaled to less than this share of the wanted twist, the motion counts as stopped.
 const STOPPED: f64 = 0.02;
 /// Scaled to more than this share of the wanted twist, the motion counts as clear.
 const CLEAR: f64 = 0.95;
-/// In contact, the robot must move away from what it touches at this share of its speed at least.
-const AWAY: f64 = 0.2;
-/// A zone must last this long before it is left for a milder one, s.
-const HYSTERESIS: f64 = 0.3;
 
 /// Judges every twist before it goes to the wheels.
 #[derive(Clone, Debug)]
 pub struct CollisionMonitor {
     model: RobotModel,
     tick: f64,
-    scan_timeout: f64,
+    settings: CollisionMonitorSettings,
+    passive_safety: PassiveSafetySettings,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
     /// Largest speed into the lidar's blind spot, m/s.
@@ -53,19 +51,28 @@ pub struct Verdict {
 }
 
 impl CollisionMonitor {
-    /// Monitors a robot with this control period; a scan older than `scan_timeout` stops it. Both in s.
+    /// Monitors a robot with this control period, s.
     #[must_use]
-    pub fn new(model: &RobotModel, tick: f64, scan_timeout: f64) -> Self {
+    pub fn new(model: &RobotModel, tick: f64) -> Self {
         Self {
             model: model.clone(),
             tick,
-            scan_timeout,
+            settings: CollisionMonitorSettings::default(),
+            passive_safety: PassiveSafetySettings::default(),
             margin: model.controller.guard_margin,
             blind_speed: model.controller.blind_speed,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
             reported: ("", Stamp::ZERO),
         }
+    }
+
+    /// The same with other tunables than the defaults.
+    #[must_use]
+    pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
+        self.settings = settings.collision_monitor.clone();
+        self.passive_safety = settings.passive_safety.clone();
+        self
     }
 
     /// The zone of the last verdict.
@@ -135,7 +142,7 @@ impl CollisionMonitor {
             return (0.0, "the command is not finite");
         }
         let age = match obstacles.age(now) {
-            Some(age) if age <= self.scan_timeout => age.max(0.0),
+            Some(age) if age <= self.settings.scan_timeout => age.max(0.0),
             Some(_) => return (0.0, "lidar scan too old"),
             None => return (0.0, "no lidar scan yet"),
         };
@@ -149,6 +156,7 @@ impl CollisionMonitor {
             age,
             self.tick,
             self.margin,
+            &self.passive_safety,
         );
         if motion.speed < 1e-6 {
             return (1.0, "");
@@ -178,7 +186,7 @@ impl CollisionMonitor {
         let touched = contact_point(&self.model.footprint, bump);
         let closing = closing_speed(&self.model.footprint, wanted, touched);
         // Sliding along the contact is not moving away from it.
-        closing < 1e-6 && (wanted.v.abs() < 1e-3 || closing < -AWAY * wanted.v.abs())
+        closing < 1e-6 && (wanted.v.abs() < 1e-3 || closing < -self.settings.departure_share * wanted.v.abs())
     }
 
     /// Enters a zone; returns the reason when it is to be reported. A worse zone is entered at once, a milder one or another reason after
@@ -192,11 +200,11 @@ impl CollisionMonitor {
         if rank(zone) >= rank(self.zone) {
             self.since = now;
         }
-        let leaves = rank(zone) < rank(self.zone) && now.secs_since(self.since) >= HYSTERESIS;
+        let leaves = rank(zone) < rank(self.zone) && now.secs_since(self.since) >= self.settings.hysteresis;
         let differs = rank(zone) == rank(self.zone)
             && zone != GuardZone::Clear
             && reason != self.reported.0
-            && now.secs_since(self.reported.1) >= HYSTERESIS;
+            && now.secs_since(self.reported.1) >= self.settings.hysteresis;
         if rank(zone) > rank(self.zone) || leaves || differs {
             self.zone = zone;
             self.since = now;

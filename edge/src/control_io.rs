@@ -8,7 +8,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
-/// Names a request, so that its reply finds the way back.
+/// Identifies a request, so that its reply finds the asker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
@@ -45,12 +45,12 @@ pub struct Persisted {
     pub leader: Option<Leader>,
 }
 
-/// Something to publish.
+/// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
     /// A scan with the poses at its own stamp.
     Scan(Scan),
-    /// Dead reckoning.
+    /// Odometry by dead reckoning.
     Odometry(Odometry),
     /// Gyro and compass.
     Imu(Imu),

@@ -1,4 +1,4 @@
-//! Where was the robot at an earlier stamp? Odometry of the last seconds, interpolated.
+//! Pose history. Where was the robot at an earlier stamp? Odometry of the last seconds, interpolated.
 
 use std::collections::VecDeque;
 

@@ -1,7 +1,7 @@
 //! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
 //!
 //! [`Pilot`] is the whole of it, pure: readings and messages in, wheel speeds and messages out. [`service::run`] connects it to the bus
-//! and to a [`Body`], on a thread of its own. In the order of the data way:
+//! and to a [`Body`], on a thread of its own. In the order of the data flow:
 //!
 //! | module | answers |
 //! |---|---|
@@ -16,7 +16,8 @@
 //! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
 //! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, record and publish? |
-//! | [`pilot`], [`control_io`], [`config`] | what does it do in one tick? |
+//! | [`pilot`], [`control_io`] | what does it do in one tick? |
+//! | [`config`], [`settings`] | what can be set and tuned? |
 //! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
 //! | [`service`], [`state_file`] | how is it connected to the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
@@ -51,6 +52,7 @@ pub mod requests;
 pub mod return_home;
 mod scan_reprojection;
 pub mod service;
+pub mod settings;
 #[cfg(feature = "sim")]
 pub mod sim_body;
 pub mod state_file;
@@ -67,5 +69,6 @@ pub use control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
 pub use pilot::Pilot;
 pub use remote_body::{AttachError, Attached, RemoteBody};
 pub use service::{EdgeError, ServiceConfig, run};
+pub use settings::EdgeSettings;
 #[cfg(feature = "sim")]
 pub use sim_body::{Referee, SimBody};

@@ -26,7 +26,7 @@ pub struct Limiter {
 }
 
 impl Limiter {
-    /// At rest.
+    /// Starts at rest.
     #[must_use]
     pub fn new(drive: &Drive) -> Self {
         Self {
@@ -64,12 +64,12 @@ impl Limiter {
         }
     }
 
-    /// On the way to `limited` with an acceleration that changes by at most `jerk` (rad/s³), and is gone when `target` is reached.
+    /// Towards `limited` with an acceleration that changes by at most `jerk` (rad/s³) and is zero when `target` is reached.
     fn eased(&self, limited: [f64; 2], target: [f64; 2], dt: f64, jerk: f64) -> [f64; 2] {
         let rate = self.drive.max_wheel_acceleration;
         let wheel = |side: usize| {
             let left = target[side] - self.last[side];
-            // The greatest acceleration a from which a²/2j of speed brings it to nothing, in whole ticks.
+            // The greatest acceleration `a` that can still fall to zero over a²/2j of speed, in whole ticks.
             let greatest = (2.0 * jerk * left.abs() + 0.25 * (jerk * dt).powi(2)).sqrt() - 0.5 * jerk * dt;
             let wanted = ((limited[side] - self.last[side]) / dt).clamp(-greatest, greatest);
             let gained = self.gained[side];
@@ -120,10 +120,9 @@ pub fn wheel_surface_speed(drive: &Drive, twist: Twist2) -> f64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn tiago() -> Drive {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive
+        zenav_fixtures::robot("tiago").drive
     }
 
     proptest! {

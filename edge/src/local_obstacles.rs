@@ -14,6 +14,7 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
+use crate::settings::EdgeSettings;
 
 /// Remembered points beyond this distance are dropped, m.
 pub(crate) const MEMORY_RANGE: f64 = 3.0;
@@ -30,6 +31,8 @@ pub struct LocalObstacles {
     lidar: LidarModel,
     view: FieldOfView,
     projector: ScanProjector,
+    /// Top speed of the robot, m/s.
+    fastest: f64,
     stamp: Option<Stamp>,
     seen: Vec<Point2<f64>>,
     /// Points that are in the blind spot now, until they are seen again or left behind.
@@ -46,12 +49,20 @@ impl LocalObstacles {
             lidar: lidar.clone(),
             view: FieldOfView::new(lidar),
             projector: ScanProjector::new(lidar),
+            fastest,
             stamp: None,
             seen: Vec::new(),
             remembered: VecDeque::new(),
             moving: MovingObstacles::new(lidar, footprint, fastest),
             blind_spots: BlindSpotGrid::new(lidar, footprint),
         }
+    }
+
+    /// The same with other tunables than the defaults.
+    #[must_use]
+    pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
+        self.moving = self.moving.with_settings(settings, self.fastest);
+        self
     }
 
     /// Takes a scan with the robot's odometry at the scan's stamp. Returns whether it was used: not with another number of beams, or not
@@ -166,10 +177,9 @@ fn remember(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn tiago() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+        zenav_fixtures::robot("tiago").lidar
     }
 
     fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {

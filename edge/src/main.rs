@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use zenav_edge::{Attached, Body, EdgeConfig, RemoteBody, ServiceConfig};
-use zenav_protocol::bus::{Bus, BusConfig, Shutdown};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{LostPolicy, exit_code};
@@ -24,7 +24,7 @@ struct Arguments {
     /// Routers to connect to; the edge also works without one.
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
     connect: Vec<String>,
-    /// The edge's own endpoint: whoever reaches it can stop the robot with no router; port 0 takes a free one.
+    /// The edge's own endpoint: it can be stopped there without a router; port 0 takes a free one.
     #[arg(long, default_value = "tcp/127.0.0.1:7448")]
     listen: Vec<String>,
     /// Folder of the stored epoch and stop latch.
@@ -39,6 +39,9 @@ struct Arguments {
     /// Drive the robot of this name in the world of `zenav sim serve`.
     #[arg(long)]
     attach: bool,
+    /// Who drives the motors: `bus`, a process that publishes readings and obeys wheel speeds.
+    #[arg(long, conflicts_with = "attach")]
+    body: Option<BodyKind>,
     #[cfg(feature = "sim")]
     #[command(flatten)]
     simulation: SimulationArguments,
@@ -49,7 +52,7 @@ struct Arguments {
 #[derive(Debug, clap::Args)]
 struct SimulationArguments {
     /// Drive a simulated robot in this world: a shipped one's name, or a TOML file.
-    #[arg(long, conflicts_with = "attach")]
+    #[arg(long, conflicts_with_all = ["attach", "body"])]
     world: Option<String>,
     /// Simulated time against wall time.
     #[arg(long, default_value_t = 1.0)]
@@ -57,6 +60,13 @@ struct SimulationArguments {
     /// Seed of the simulation's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+/// Where the body is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum BodyKind {
+    /// On the bus: `zenav/{robot}/body/readings` in, `zenav/{robot}/edge/wheels` out.
+    Bus,
 }
 
 fn lost_policy(text: &str) -> Result<LostPolicy, String> {
@@ -121,8 +131,8 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
     };
     let model = model.map_err(Failure::usage)?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
-    // Bad files are told before anybody waits for a router.
-    let here = if arguments.attach {
+    // Bad files are reported before waiting for a router.
+    let here = if arguments.attach || arguments.body.is_some() {
         None
     } else {
         Some(simulated(&arguments, &model, &id)?)
@@ -148,6 +158,7 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
                     here,
                 )
             }
+            None if arguments.body == Some(BodyKind::Bus) => on_the_bus(bus, &id, arguments.start).await?,
             None => attached(&bus, &id, &model, arguments.start).await?,
         };
         tracing::info!(endpoints = ?bus.endpoints().await, "listening");
@@ -201,6 +212,20 @@ struct Started {
     speed: f64,
 }
 
+/// A body of somebody's own. It has nothing to say before its first readings.
+async fn on_the_bus(bus: BusConfig, robot: &Id, start: Option<Pose2>) -> Result<(Bus, Started), Failure> {
+    let failed = |error: BusError| Failure::new(error.exit_code(), error);
+    let bus = Bus::open(bus).await.map_err(failed)?;
+    let body = RemoteBody::new(&bus, robot.as_str(), u64::from(std::process::id())).map_err(failed)?;
+    let started = Started {
+        body: Box::new(body),
+        start: start.unwrap_or_default(),
+        tick: None,
+        speed: 1.0,
+    };
+    Ok((bus, started))
+}
+
 async fn attached(
     bus: &BusConfig,
     robot: &Id,
@@ -225,8 +250,7 @@ fn simulated(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Start
     use zenav_sim::{RobotSpec, Simulation, World, world};
     let simulation = &arguments.simulation;
     let Some(name) = &simulation.world else {
-        let reason =
-            "no driver for a real body is built in: name a simulated `--world`, or `--attach` to one that is served";
+        let reason = "no driver for a real body is built in: name a simulated `--world`, `--attach` to one that is served, or `--body bus` for a process of your own";
         return Err(Failure::usage(reason));
     };
     let world = if world::shipped(name).is_some() {
@@ -254,6 +278,6 @@ fn simulated(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Start
 
 #[cfg(not(feature = "sim"))]
 fn simulated(_: &Arguments, _: &RobotModel, _: &Id) -> Result<Started, Failure> {
-    let reason = "no driver for a real body is built in, and this binary was built without the feature `sim`: `--attach` to a served world";
+    let reason = "no driver for a real body is built in, and this binary was built without the feature `sim`: `--attach` to a served world, or `--body bus` for a process of your own";
     Err(Failure::usage(reason))
 }

@@ -17,33 +17,16 @@ use zenav_protocol::time::Stamp;
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
 use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::scan_reprojection::ScanReprojection;
+use crate::settings::{EdgeSettings, MovingObstacleSettings};
 
-/// Returns beyond this range are ignored, m.
-const RANGE: f64 = 3.5;
-/// Reference scans, and the least time between two of them, s.
-const REFERENCES: (usize, f64) = (3, 0.32);
-/// A moving obstacle is at least this wide, m, and this many beam spacings at its range: an earlier scan may have missed a thinner one.
-const WIDTH: (f64, f64) = (0.04, 2.5);
-/// Departed returns are looked for in a reference scan at least this old, s: by then the obstacle is clearly farther away.
-const GONE_AFTER: f64 = 0.3;
 /// Beams through neighbouring points are at most this far apart, in beams.
 const APART: usize = 8;
-/// A return this near (m) to where something moved within this time (s) counts as moving, too: an obstacle that turns round seems to rest.
-const STILL: (f64, f64) = (0.2, 1.0);
 /// Least spacing of the points of moving obstacles, m.
 const SPACING: f64 = 0.02;
 /// Most places kept where something moved.
 const MOVED_PLACES: usize = 48;
-/// An obstacle last seen this near to the blind spot (m, plus its motion between two scans) may have entered it.
-const BESIDE: f64 = 0.3;
-/// An obstacle that needs longer than this to reach the robot, s, is not followed into the blind spot.
-const NEAR_SECS: f64 = 0.75;
-/// An obstacle that entered the blind spot is remembered for this long, s.
-const OCCLUDED_SECS: f64 = 10.0;
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 32;
-/// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one, m.
-const SURFACE: f64 = 0.1;
 
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
@@ -53,10 +36,12 @@ pub struct MovingObstacles {
     reprojection: ScanReprojection,
     /// Up to which range each beam of the newest scan saw free space, m.
     free: Vec<f32>,
-    /// Assumed speed of moving obstacles, m/s.
+    settings: MovingObstacleSettings,
+    /// Assumed speed of moving obstacles in view and out of sight, m/s.
     fastest: f64,
-    /// Obstacles beyond this distance from the lidar are not followed into the blind spot, m.
-    near: f64,
+    fastest_out_of_sight: f64,
+    /// Circumscribed radius of the robot, m.
+    circumscribed_radius: f64,
     references: VecDeque<ReferenceScan>,
     /// Points of moving obstacles in the newest scan, odometry frame.
     points: Vec<Point2<f64>>,
@@ -101,8 +86,10 @@ impl MovingObstacles {
             view,
             reprojection: ScanReprojection::new(lidar, !view.has_blind_spot()),
             free: Vec::new(),
+            settings: MovingObstacleSettings::default(),
             fastest,
-            near: 2.0 * footprint.circumscribed_radius() + NEAR_SECS * fastest,
+            fastest_out_of_sight: fastest,
+            circumscribed_radius: footprint.circumscribed_radius(),
             references: VecDeque::new(),
             points: Vec::new(),
             departed: Vec::new(),
@@ -112,15 +99,36 @@ impl MovingObstacles {
         }
     }
 
+    /// The same with other tunables than the defaults, for a robot with this top speed, m/s.
+    #[must_use]
+    pub(crate) fn with_settings(mut self, settings: &EdgeSettings, top_speed: f64) -> Self {
+        self.settings = settings.moving_obstacles.clone();
+        self.fastest = settings.passive_safety.speed_in_view(top_speed);
+        self.fastest_out_of_sight = settings.passive_safety.speed_out_of_sight(top_speed);
+        self
+    }
+
+    /// Obstacles beyond this distance from the lidar are not followed into the blind spot, m.
+    fn near(&self) -> f64 {
+        2.0 * self.circumscribed_radius + self.settings.near_secs * self.fastest_out_of_sight
+    }
+
+    /// Least width of a moving obstacle at a range, m.
+    fn least_width(&self, range: f64) -> f64 {
+        let spacing = self.lidar.angle_increment() * range;
+        self.settings.least_width.max(self.settings.least_beams * spacing)
+    }
+
     /// Takes a scan.
     pub(crate) fn insert(&mut self, scan: &ProjectedScan<'_>) {
         self.points.clear();
         self.reprojection.free_ranges(scan.ranges, &mut self.free);
         self.find_departed(scan);
         self.find_appeared(scan);
-        self.moved.retain(|place| scan.stamp.secs_since(place.stamp) <= STILL.1);
+        self.moved
+            .retain(|place| scan.stamp.secs_since(place.stamp) <= self.settings.turning_secs);
         let laser = scan.laser();
-        let (low, high) = self.moved.bounds(STILL.0);
+        let (low, high) = self.moved.bounds(self.settings.turning_distance);
         let (mut begun, mut still) = (0, Vec::new());
         for (beam, (range, ray)) in scan.ranges.iter().zip(scan.rays).enumerate() {
             let range = f64::from(*range);
@@ -135,7 +143,7 @@ impl MovingObstacles {
                 continue;
             }
             self.end_run(&mut begun, laser);
-            if point >= low && point <= high && self.moved.any_within(STILL.0, point) {
+            if point >= low && point <= high && self.moved.any_within(self.settings.turning_distance, point) {
                 still.push(point);
             }
         }
@@ -153,13 +161,13 @@ impl MovingObstacles {
 
     /// Whether a range is a return near enough to matter.
     fn is_near(&self, range: f64) -> bool {
-        range >= self.lidar.range_min && range <= RANGE.min(self.lidar.range_max)
+        range >= self.lidar.range_min && range <= self.settings.range.min(self.lidar.range_max)
     }
 
     /// Finds the beams whose return lies just behind a departed one.
     fn find_departed(&mut self, scan: &ProjectedScan<'_>) {
         self.departed.clear();
-        let old = |reference: &&ReferenceScan| scan.stamp.secs_since(reference.stamp) >= GONE_AFTER;
+        let old = |reference: &&ReferenceScan| scan.stamp.secs_since(reference.stamp) >= self.settings.departed_after;
         let Some(reference) = self.references.iter().rev().find(old) else {
             return;
         };
@@ -197,7 +205,7 @@ impl MovingObstacles {
 
     /// Marks the returns just behind a departed run.
     fn mark(&mut self, gone: &DepartedRun, ranges: &[f32], gone_for: f64) {
-        let least = WIDTH.0.max(WIDTH.1 * self.lidar.angle_increment() * gone.depth);
+        let least = self.least_width(gone.depth);
         if (gone.ends[1] - gone.ends[0]).norm() < least {
             return;
         }
@@ -210,10 +218,13 @@ impl MovingObstacles {
 
     /// Remembers obstacles that may enter the blind spot before the next scan, and forgets those that are too old or have left it again.
     fn track_occlusions(&mut self, scan: &ProjectedScan<'_>) {
-        let (beside, near) = (BESIDE + self.fastest / self.lidar.rate_hz, self.near);
+        let (beside, near) = (
+            self.settings.beside_blind_spot + self.fastest / self.lidar.rate_hz,
+            self.near(),
+        );
         let (now, laser_from_odom) = (scan.stamp, scan.odom_from_laser.inverse());
         // Motion in a single scan may be a false detection: it is not worth waiting for.
-        let since = STILL.0 + self.fastest / self.lidar.rate_hz;
+        let since = self.settings.turning_distance + self.fastest / self.lidar.rate_hz;
         let goes = |place: &&Point2<f64>| {
             let local = (laser_from_odom * **place).coords;
             self.view.distance_to_blind_spot(local) <= beside
@@ -221,12 +232,12 @@ impl MovingObstacles {
                 && self.moved.any_within(since, **place)
         };
         let places: Vec<_> = self.points.iter().filter(goes).copied().collect();
-        let (fastest, points) = (self.fastest, &self.points);
+        let (fastest, points, settings) = (self.fastest_out_of_sight, &self.points, &self.settings);
         self.occluded.retain(|occluded| {
             let age = now.secs_since(occluded.stamp);
-            let reach = fastest * age + SURFACE;
+            let reach = fastest * age + settings.reappearance_tolerance;
             let is_out = places.is_empty() && points.iter().any(|place| occluded.is_within(reach, *place));
-            age <= OCCLUDED_SECS && !is_out
+            age <= settings.memory && !is_out
         });
         for place in places {
             self.note_occlusion(place, now);
@@ -246,9 +257,7 @@ impl MovingObstacles {
     /// Drops a run of neighbouring returns that is too narrow to be trusted.
     fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>) {
         if let [first, .., last] = self.points.get(*begun..).unwrap_or_default() {
-            let least = WIDTH
-                .0
-                .max(WIDTH.1 * self.lidar.angle_increment() * (first - laser).norm());
+            let least = self.least_width((first - laser).norm());
             if (last - first).norm() >= least {
                 *begun = self.points.len();
             }
@@ -277,11 +286,11 @@ impl MovingObstacles {
         let due = self
             .references
             .back()
-            .is_none_or(|last| scan.stamp.secs_since(last.stamp) >= REFERENCES.1);
+            .is_none_or(|last| scan.stamp.secs_since(last.stamp) >= self.settings.reference_period);
         if !due {
             return;
         }
-        let oldest = (self.references.len() == REFERENCES.0)
+        let oldest = (self.references.len() == self.settings.references)
             .then(|| self.references.pop_front())
             .flatten();
         let (mut ranges, mut free) = oldest
@@ -323,10 +332,9 @@ mod tests {
     use super::*;
     use crate::field_of_view::ScanProjector;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn lidar() -> LidarModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().lidar
+        zenav_fixtures::robot("tiago").lidar
     }
 
     /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
@@ -350,7 +358,7 @@ mod tests {
 
     #[test]
     fn a_departed_return_at_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
-        let robot = RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap();
+        let robot = zenav_fixtures::robot("neato");
         let lidar = robot.lidar;
         let mut tracked = MovingObstacles::new(&lidar, &robot.footprint, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {

@@ -17,22 +17,15 @@ use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::limiter::wheel_surface_speed;
 use crate::local_obstacles::LocalObstacles;
+use crate::settings::PassiveSafetySettings;
 use crate::time_to_contact::SweptFootprint;
 
-/// Least time to contact while creeping inside the margin, s.
-const CREEP_TIME: f64 = 1.0;
 /// No obstacle nearer than this is approached, m.
 pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
 /// Shares of the wanted twist that are tried against moving obstacles.
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
-/// Motors respond with a first-order lag: this many time constants after braking the robot is at rest.
-const LAGS_TO_REST: f64 = 3.0;
-/// An obstacle that recedes faster than this share of the robot's speed is left behind: it could only chase the robot.
-const LEFT_BEHIND: f64 = 0.3;
 /// Spacing of the samples of the outline, and of the poses that they are checked at, m.
 const SAMPLE: f64 = 0.04;
-/// Distance kept from unseen floor beyond the margin, m: odometry drifts, and cells are coarse.
-const UNSEEN_MARGIN: f64 = 0.03;
 /// Most poses that are checked along the stopping distance.
 const MAX_POSES: f64 = 100.0;
 /// Contact at this speed is no harm, m/s.
@@ -53,16 +46,28 @@ pub struct Motion<'a> {
     pub braking: f64,
     /// Time constant of the motors, s.
     pub lag: f64,
-    /// Assumed speed of moving obstacles, m/s.
-    pub others: f64,
+    /// Assumed speed of moving obstacles in view, m/s.
+    pub speed_in_view: f64,
+    /// Assumed speed of moving obstacles out of sight, m/s.
+    pub speed_out_of_sight: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
+    /// Tunables.
+    pub settings: &'a PassiveSafetySettings,
 }
 
 impl<'a> Motion<'a> {
     /// A twist of this robot, with the age of its newest scan and its control period, s.
     #[must_use]
-    pub fn new(footprint: &'a Footprint, drive: &Drive, twist: Twist2, age: f64, tick: f64, margin: f64) -> Self {
+    pub fn new(
+        footprint: &'a Footprint,
+        drive: &Drive,
+        twist: Twist2,
+        age: f64,
+        tick: f64,
+        margin: f64,
+        settings: &'a PassiveSafetySettings,
+    ) -> Self {
         Self {
             footprint,
             twist,
@@ -70,8 +75,10 @@ impl<'a> Motion<'a> {
             reaction: age + tick + drive.motor_lag,
             braking: drive.hard_braking,
             lag: drive.motor_lag,
-            others: drive.top_speed(),
+            speed_in_view: settings.speed_in_view(drive.top_speed()),
+            speed_out_of_sight: settings.speed_out_of_sight(drive.top_speed()),
             margin,
+            settings,
         }
     }
 
@@ -83,7 +90,7 @@ impl<'a> Motion<'a> {
 
     /// Time until rest at a share of the speed, s.
     fn stopping_time(&self, share: f64) -> f64 {
-        self.reaction + share * self.speed / self.braking + LAGS_TO_REST * self.lag
+        self.reaction + share * self.speed / self.braking + self.settings.lags_to_rest * self.lag
     }
 
     /// The largest share that stops within a free distance (m).
@@ -121,7 +128,9 @@ impl<'a> Motion<'a> {
                     1.0
                 }
             } else {
-                inner.time_to_contact(point).map_or(1.0, |time| time / CREEP_TIME)
+                inner
+                    .time_to_contact(point)
+                    .map_or(1.0, |time| time / self.settings.creep_time)
             };
             share = share.min(stopping.max(creeping));
         }
@@ -134,10 +143,12 @@ impl<'a> Motion<'a> {
         let mut shares = SHARES.iter();
         let mut share = shares.next().copied().unwrap_or(0.0);
         let mut reach = self.reach(share);
-        let near = self.footprint.circumscribed_radius() + self.protective_distance(1.0) + self.stopping_distance(1.0);
+        let near = self.footprint.circumscribed_radius()
+            + self.protective_distance(1.0, self.speed_in_view)
+            + self.stopping_distance(1.0);
         for point in obstacles.moving().in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near
-                || closing_speed(self.footprint, self.twist, point) < -LEFT_BEHIND * self.speed
+                || closing_speed(self.footprint, self.twist, point) < -self.settings.left_behind * self.speed
             {
                 continue;
             }
@@ -149,9 +160,9 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Distance that a moving obstacle covers until the robot is at rest, plus the margin, m (ISO 13855's separation distance).
-    fn protective_distance(&self, share: f64) -> f64 {
-        self.margin + self.others * self.stopping_time(share)
+    /// Distance that an obstacle of this speed covers until the robot is at rest, plus the margin, m (ISO 13855's separation distance).
+    fn protective_distance(&self, share: f64, speed: f64) -> f64 {
+        self.margin + speed * self.stopping_time(share)
     }
 
     /// Where a moving obstacle may reach the robot before it is at rest.
@@ -159,7 +170,7 @@ impl<'a> Motion<'a> {
         let secs = self.stopping_distance(share) / (share * self.speed).max(1e-9);
         let twist = Twist2::new(share * self.twist.v, share * self.twist.w);
         Reach {
-            protective_distance: self.protective_distance(share),
+            protective_distance: self.protective_distance(share, self.speed_in_view),
             there_from_here: [0.0, 0.5, 1.0].map(|part| rigid(Pose2::IDENTITY.advance(twist, part * secs).inverse())),
         }
     }
@@ -179,7 +190,7 @@ impl<'a> Motion<'a> {
         let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
         let step = way / outline_speed / poses;
         let mut fastest: f64 = 0.0;
-        let samples: Vec<_> = outline_samples(self.footprint, self.margin + UNSEEN_MARGIN)
+        let samples: Vec<_> = outline_samples(self.footprint, self.margin + self.settings.unseen_margin)
             .into_iter()
             .filter(|(at, normal)| {
                 // A point that moves outwards this slowly does no harm.
@@ -187,7 +198,12 @@ impl<'a> Motion<'a> {
                 fastest = fastest.max(outward);
                 outward > GENTLE
             })
-            .map(|(at, normal)| (at, at - normal * (self.margin + UNSEEN_MARGIN - LEAST_CLEARANCE)))
+            .map(|(at, normal)| {
+                (
+                    at,
+                    at - normal * (self.margin + self.settings.unseen_margin - LEAST_CLEARANCE),
+                )
+            })
             .collect();
         let mut share: f64 = 1.0;
         'poses: for pose in 1..=poses as u32 {
@@ -219,7 +235,9 @@ impl<'a> Motion<'a> {
         for occluded in obstacles.moving().occluded() {
             let age = now.secs_since(occluded.stamp).max(0.0);
             let distance = self.footprint.distance(base_from_odom * occluded.place);
-            while share > 0.0 && distance <= self.protective_distance(share) + self.others * age {
+            while share > 0.0
+                && distance <= self.protective_distance(share, self.speed_out_of_sight) + self.speed_out_of_sight * age
+            {
                 share = shares.next().copied().unwrap_or(0.0);
             }
         }

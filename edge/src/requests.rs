@@ -127,6 +127,7 @@ impl Pilot {
             now,
             odom_from_base,
             &self.config.model.drive,
+            &self.config.settings.maneuvers,
             escape,
         )
         .map_err(Refusal::bad_request)?;

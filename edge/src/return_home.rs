@@ -5,10 +5,9 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::RobotModel;
 
-use crate::trackers::{Tracker, TrackerInput, through_waypoints};
+use crate::settings::ReturnHomeSettings;
+use crate::trackers::{Law, Tracker, TrackerInput};
 
-/// Spacing of the recorded trail, m; where the trail comes this near to itself the loop is cut off.
-const SPACING: f64 = 0.2;
 /// Most places recorded: a longer trail keeps every other place.
 const MOST: usize = 4096;
 
@@ -22,17 +21,17 @@ pub struct ReturnHome {
     tracker: Option<Box<dyn Tracker>>,
 }
 
-impl Default for ReturnHome {
-    fn default() -> Self {
+impl ReturnHome {
+    /// No trail yet.
+    #[must_use]
+    pub fn new(settings: &ReturnHomeSettings) -> Self {
         Self {
             trail: Vec::new(),
-            spacing: SPACING,
+            spacing: settings.spacing,
             tracker: None,
         }
     }
-}
 
-impl ReturnHome {
     /// Records where the robot is while something else moves it; ends a return.
     pub fn record(&mut self, place: Point2<f64>) {
         self.tracker = None;
@@ -56,9 +55,8 @@ impl ReturnHome {
             return Twist2::ZERO;
         }
         let back = || {
-            let kind = model.controller.tracker;
             let path = self.trail.iter().rev().copied().collect();
-            through_waypoints(kind, &model.drive, view.map_from_base, path)
+            Law::of(&model.controller).through_waypoints(&model.drive, view.map_from_base, path)
         };
         let tracker = self.tracker.get_or_insert_with(back);
         tracker.step(view, &model.controller)
@@ -81,7 +79,7 @@ mod tests {
 
     #[test]
     fn loops_are_cut_off_and_a_long_trail_is_thinned() {
-        let mut return_home = ReturnHome::default();
+        let mut return_home = ReturnHome::new(&ReturnHomeSettings::default());
         for step in 0..100 {
             return_home.record(Point2::new(0.05 * f64::from(step), 0.0));
         }

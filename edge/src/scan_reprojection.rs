@@ -125,7 +125,6 @@ mod tests {
     use super::*;
     use nalgebra::Vector2;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn bearings_are_accurate_to_2e_5_rad() {
@@ -143,7 +142,7 @@ mod tests {
             shift in (-1.0..1.0, -1.0..1.0, -3.0..3.0),
             ranges in prop::collection::vec((0.2_f32..6.0, 0.2_f32..6.0, 0_u8..20), 40),
         ) {
-            let mut lidar = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap().lidar;
+            let mut lidar = zenav_fixtures::robot(name).lidar;
             lidar.beams = ranges.len();
             let (here, there): (Vec<f32>, Vec<f32>) = ranges
                 .iter()

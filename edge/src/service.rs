@@ -11,9 +11,11 @@ use thiserror::Error;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
+use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
     Battery, Bump, EdgeState, Event, Gps, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
 };
+use zenav_protocol::settings::Settings as _;
 use zenav_protocol::topics::{self, EdgeRequest, Topic};
 
 use crate::body::Body;
@@ -23,6 +25,7 @@ use crate::control_io::{Inbox, Publication};
 use crate::handoff::{Bundle, Handoff};
 use crate::pilot::Pilot;
 use crate::state_file::{StateError, StateFile};
+use crate::trackers::{Law, UnknownTracker};
 
 /// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
@@ -54,6 +57,12 @@ pub enum EdgeError {
     /// The control thread could not be started.
     #[error("no control thread: {0}")]
     Thread(std::io::Error),
+    /// A setting is out of its bounds.
+    #[error("settings: {0}")]
+    Settings(#[from] OutOfBounds),
+    /// The robot file names an unknown tracker.
+    #[error(transparent)]
+    Tracker(#[from] UnknownTracker),
     /// The speed is not a positive number.
     #[error("speed {0}: expected a positive number")]
     Speed(f64),
@@ -62,8 +71,8 @@ pub enum EdgeError {
     Panicked,
 }
 
-/// Runs an edge until shutdown: the robot is stopped first, then the last messages go out. Needs no router: whoever
-/// reaches the bus's own endpoint is served.
+/// Runs an edge until shutdown: the robot is stopped first, then the last messages go out. Needs no router: clients that
+/// reach the bus's own endpoint are served.
 ///
 /// # Errors
 /// [`EdgeError`].
@@ -71,6 +80,8 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     if !(config.speed.is_finite() && config.speed > 0.0) {
         return Err(EdgeError::Speed(config.speed));
     }
+    config.edge.settings.check()?;
+    Law::named(&config.edge.model.controller.tracker)?;
     let robot = config.edge.robot.to_string();
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;

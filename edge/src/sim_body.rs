@@ -35,7 +35,7 @@ struct Shared {
 
 struct SharedWorld {
     simulation: Simulation,
-    /// Steps made.
+    /// Number of steps so far.
     steps: u64,
     /// Robots that are driven.
     driven: usize,
@@ -149,7 +149,7 @@ impl Drop for SimBody {
 }
 
 impl Referee {
-    /// The truth now.
+    /// Ground truth now.
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.shared.lock().simulation.truth(self.robot)
@@ -167,13 +167,12 @@ impl Referee {
 mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::id::Id;
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::{RobotSpec, World};
 
     use super::*;
 
     fn bodies(count: usize) -> Vec<(SimBody, Referee)> {
-        let model = RobotModel::from_toml(shipped("turtlebot3_waffle").unwrap(), "robot").unwrap();
+        let model = zenav_fixtures::robot("turtlebot3_waffle");
         let robot = |i: usize| RobotSpec {
             id: Id::new(format!("robot{i}")).unwrap(),
             model: model.clone(),
@@ -226,7 +225,7 @@ mod tests {
     const ROBOTS: usize = 8;
     const TICKS: usize = 120;
 
-    /// Everything that each robot reads in a drive, as bytes, when as many threads as told take turns at its robots, the last first if so told.
+    /// Everything that each robot reads in a drive, as bytes, driven by this many threads, in reverse order if asked.
     fn driven_by(threads: usize, reversed: bool) -> Vec<String> {
         let bodies: Vec<_> = bodies(ROBOTS).into_iter().enumerate().collect();
         let referee = bodies.first().unwrap().1.1.clone();

@@ -11,7 +11,7 @@ use zenav_protocol::id::Id;
 
 use crate::control_io::Persisted;
 
-/// The file.
+/// The state file of one robot, locked while it is open.
 #[derive(Clone, Debug)]
 pub struct StateFile {
     path: PathBuf,
@@ -25,9 +25,9 @@ pub enum StateError {
     /// The folder or the file cannot be used.
     #[error("{path}: {source}")]
     Io {
-        /// Which.
+        /// The path that failed.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// Another edge uses the robot's state.
@@ -39,7 +39,7 @@ pub enum StateError {
     /// The file holds something else.
     #[error("{path} holds no edge state ({source}); remove it only if nobody can still hold an old lease")]
     Malformed {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
         /// Where it goes wrong.
         source: serde_json::Error,

@@ -8,19 +8,15 @@ use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
 use crate::estimator::{Estimator, Tally};
+use crate::settings::TelemetrySettings;
 
-/// Period of the state, s.
-const STATE: f64 = 0.1;
-/// Period of markers, s.
-const MARKER: f64 = 0.2;
-/// Period of what changes slowly (battery, bumper), s.
-const SLOW: f64 = 1.0;
 /// Least time between two events about dropped inputs, s.
 const DROPPED: f64 = 10.0;
 
 /// When each message is due.
 #[derive(Clone, Debug, Default)]
 pub struct Telemetry {
+    settings: TelemetrySettings,
     state: Due,
     marker: Due,
     slow: Due,
@@ -45,6 +41,15 @@ impl Due {
 }
 
 impl Telemetry {
+    /// Everything is due at once.
+    #[must_use]
+    pub fn new(settings: &TelemetrySettings) -> Self {
+        Self {
+            settings: settings.clone(),
+            ..Self::default()
+        }
+    }
+
     /// The messages of sensors and estimator of one tick.
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
         let now = readings.stamp;
@@ -63,7 +68,7 @@ impl Telemetry {
         }));
         out.extend(readings.imu.clone().map(Publication::Imu));
         out.extend(readings.gps.clone().map(Publication::Gps));
-        let slow = self.slow.now(now, SLOW);
+        let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;
             out.push(Publication::Bump(readings.bump.clone()));
@@ -85,12 +90,12 @@ impl Telemetry {
 
     /// Whether the state is due.
     pub fn state_due(&mut self, now: Stamp) -> bool {
-        self.state.now(now, STATE)
+        self.state.now(now, self.settings.state_period)
     }
 
     /// Whether markers are due.
     pub fn marker_due(&mut self, now: Stamp) -> bool {
-        self.marker.now(now, MARKER)
+        self.marker.now(now, self.settings.marker_period)
     }
 }
 

@@ -20,9 +20,9 @@ pub enum Dropped {
     /// It is of another epoch than the current one.
     #[error("epoch {got} is not the current epoch {current}")]
     WrongEpoch {
-        /// The message's.
+        /// Epoch of the message.
         got: u64,
-        /// The robot's.
+        /// Epoch of the current lease.
         current: u64,
     },
     /// No operator holds the lease.

@@ -10,7 +10,7 @@ use zenav_protocol::robot::Drive;
 #[derive(Clone, Debug)]
 pub struct WheelCoordination {
     lag: f64,
-    /// Limits, rad/s².
+    /// Limits of the motors, rad/s².
     acceleration: f64,
     deceleration: f64,
     /// Predicted speed (left, right; rad/s). Not measured: a failing encoder must not keep a robot moving.
@@ -18,7 +18,7 @@ pub struct WheelCoordination {
 }
 
 impl WheelCoordination {
-    /// At rest.
+    /// Starts at rest.
     #[must_use]
     pub fn new(drive: &Drive) -> Self {
         Self {
@@ -68,7 +68,6 @@ mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_sim::drive::Motors as Real;
 
     use crate::limiter::wheel_surface_speed;
@@ -76,12 +75,10 @@ mod tests {
     const TICK: f64 = 0.02;
 
     fn jackal() -> Drive {
-        RobotModel::from_toml(shipped("jackal").unwrap(), "jackal")
-            .unwrap()
-            .drive
+        zenav_fixtures::robot("jackal").drive
     }
 
-    /// Where a robot that was told to rest on its curve does so, and after which way of its faster wheel, m.
+    /// Where a robot that brakes on its curve comes to rest, and the distance that its faster wheel rolled, m.
     fn rest(twist: Twist2, mut command: impl FnMut([f64; 2]) -> [f64; 2]) -> (Pose2, f64) {
         let drive = jackal();
         let mut real = Real::at_rest();

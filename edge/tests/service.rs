@@ -11,7 +11,6 @@ use zenav_protocol::bus::{AskError, Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_protocol::topics;
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -29,7 +28,7 @@ struct Edge {
 impl Edge {
     async fn start(state_dir: &Path) -> Self {
         let world = World::shipped("kitchen").unwrap();
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let id = Id::robot("tiago").unwrap();
         let spec = RobotSpec {
             id: id.clone(),

@@ -12,7 +12,7 @@
 //! let bytes = encode(&pose, Encoding::Json).unwrap();
 //! assert_eq!(bytes, br#"{"x":1.0,"y":2.0,"yaw":0.5}"#);
 //! assert_eq!(decode::<Pose2>(&bytes, Encoding::Json, 1024).unwrap(), pose);
-//! assert_eq!(decode::<Pose2>(&bytes, Encoding::Json, 8).unwrap_err().to_string(), "28 bytes, at most 8 here");
+//! assert_eq!(decode::<Pose2>(&bytes, Encoding::Json, 8).unwrap_err().to_string(), "27 bytes, at most 8 here");
 //! ```
 
 use std::fmt;
@@ -33,7 +33,7 @@ pub enum Encoding {
     /// `application/json`, exactly, without a schema suffix.
     #[default]
     Json,
-    /// `application/cbor`.
+    /// `application/cbor`, for bulk.
     Cbor,
 }
 

@@ -1,30 +1,11 @@
 //! Gains of the trackers. How does a robot follow its plan? Part of the robot's file; the bounds are the same for the file and for
 //! `ask/edge/param` while the robot runs.
 
-use serde::{Deserialize, Serialize};
-
-/// The law that follows a plan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TrackerKind {
-    /// The trajectory's own time law as feed-forward, feedback on the pose error.
-    #[default]
-    TimeLaw,
-    /// Wheel speeds in proportion to bearing and distance of the next waypoint.
-    WheelLaw,
-    /// Turns to the next waypoint, then drives at it.
-    HeadingFirst,
-    /// PID on the distance from the path.
-    Pid,
-    /// Regulated pure pursuit.
-    PurePursuit,
-}
-
 crate::settings! {
     /// Gains of the trackers.
     pub struct ControllerGains {
-        /// The law that follows a plan.
-        pub tracker: TrackerKind = TrackerKind::TimeLaw;
+        /// The law that follows a plan, by name: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `heading_first`. The edge checks it.
+        pub tracker: String = "time_law".to_owned();
         /// Waypoint law: wheel speed for each radian of heading error.
         pub heading_gain: f64 = 4.0, "1/s", 0.0..=20.0;
         /// Waypoint law: wheel speed for each metre of distance.

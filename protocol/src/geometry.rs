@@ -53,7 +53,7 @@ impl Pose2 {
         }
     }
 
-    /// The position alone.
+    /// Position of the pose, without its yaw.
     #[must_use]
     pub fn position(&self) -> Point2<f64> {
         Point2::new(self.x, self.y)
@@ -165,14 +165,14 @@ impl From<Isometry2<f64>> for Pose2 {
 /// Velocity of a differential-drive base in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist2 {
-    /// Forward speed, m/s.
+    /// Forward speed of the base, m/s.
     pub v: f64,
     /// Yaw rate, rad/s, counter-clockwise positive.
     pub w: f64,
 }
 
 impl Twist2 {
-    /// At rest.
+    /// The twist of a base at rest.
     pub const ZERO: Self = Self { v: 0.0, w: 0.0 };
 
     /// A twist from m/s and rad/s.

@@ -30,7 +30,7 @@ pub struct InvalidId {
 }
 
 impl Id {
-    /// Checks a name.
+    /// Checks a name from outside.
     ///
     /// # Errors
     /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`.

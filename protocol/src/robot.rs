@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config_text::{Pair, pair};
 use crate::energy::MotorModel;
-pub use crate::gains::{ControllerGains, TrackerKind};
+pub use crate::gains::ControllerGains;
 use crate::geometry::Pose2;
 pub use crate::robot_check::RobotError;
 use crate::wall_following::WallFollowing;

@@ -136,6 +136,27 @@ fn every_message_looks_as_it_always_did() {
 }
 
 #[test]
+fn what_a_person_types_is_enough() {
+    for (name, json) in [
+        ("GoalRequest", r#"{"x": 0.88, "y": 0.09}"#),
+        ("GoalRequest", r#"{"place": "sink"}"#),
+        ("CancelRequest", "{}"),
+        ("MapRequest", r#"{"action": "reset", "epoch": 7}"#),
+        ("StopRequest", "{}"),
+        (
+            "BehaviourRequest",
+            r#"{"id": "e1", "action": {"spin": {"angle": 1.57}}, "epoch": 7}"#,
+        ),
+        (
+            "LeaseRequest",
+            r#"{"holder": "anna", "role": "operator", "request_id": "r1", "mood": "calm"}"#,
+        ),
+    ] {
+        assert!(round_trips_of(name, json).is_ok(), "{name} {json}");
+    }
+}
+
+#[test]
 fn the_cells_of_a_tile_are_one_byte_string_in_cbor() {
     let tile = Tile {
         x: 1,

@@ -13,7 +13,6 @@ use parry2d_f64::math::{Pose, Vector};
 use parry2d_f64::query::{Ray, RayCast};
 use parry2d_f64::shape::Polyline;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::robot::{RobotModel, shipped};
 use zenav_sim::bench::{office, polygons, scatter};
 use zenav_sim::lidar::AngularBuffer;
 use zenav_sim::world::World;
@@ -26,7 +25,7 @@ fn world(text: &str) -> World {
 }
 
 fn sweeps(criterion: &mut Criterion) {
-    let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    let mut model = zenav_fixtures::robot("tiago");
     model.lidar.beams = BEAMS;
     model.lidar.range_max = 25.0;
     for (name, world) in [

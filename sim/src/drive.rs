@@ -90,12 +90,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::robot::{self, RobotModel};
 
     fn tiago() -> Drive {
-        RobotModel::from_toml(robot::shipped("tiago").unwrap(), "tiago")
-            .unwrap()
-            .drive
+        zenav_fixtures::robot("tiago").drive
     }
 
     #[test]
@@ -135,9 +132,7 @@ mod tests {
 
     #[test]
     fn a_base_that_may_not_go_as_fast_as_its_wheels_keeps_the_curvature() {
-        let drive = RobotModel::from_toml(robot::shipped("jackal").unwrap(), "jackal")
-            .unwrap()
-            .drive;
+        let drive = zenav_fixtures::robot("jackal").drive;
         let mut motors = Motors::at_rest();
         motors.command(&drive, drive.wheels(Twist2::new(1.0, 5.0)));
         for _ in 0..1000 {

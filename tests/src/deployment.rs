@@ -1,7 +1,7 @@
-//! How do a router, a robot and a cloud stand, each as a process of its own, as on three machines?
+//! Deployments. How do a router, a robot and a cloud run, each as a process of its own, as on three machines?
 //!
-//! Endpoints are free ones, chosen once, so that a part that is killed comes back where the others look for it. Robot and cloud keep
-//! their files in folders of their own.
+//! Endpoints are free ones, chosen once, so that a part that was killed comes back where the others look for it. Robot and cloud keep
+//! their files in separate folders.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
 
@@ -47,7 +47,7 @@ x = 15.0
 y = 0.0
 "#;
 
-/// Where the parts of one deployment meet and keep their files.
+/// Endpoints and files of one deployment.
 #[derive(Debug)]
 pub struct Deployment {
     binary: PathBuf,
@@ -61,7 +61,7 @@ pub struct Deployment {
 }
 
 impl Deployment {
-    /// Nothing runs yet. `world` is a shipped name, or the text of a world file; `speed` is simulated seconds a second.
+    /// Starts nothing yet. `world` is a shipped name, or the text of a world file; `speed` is simulated seconds a second.
     ///
     /// # Panics
     /// When the machine gives no folder or port.
@@ -85,7 +85,7 @@ impl Deployment {
         }
     }
 
-    /// The folder of everything that is kept.
+    /// The folder of all files.
     #[must_use]
     pub fn folder(&self) -> &Path {
         self.folder.path()

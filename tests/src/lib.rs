@@ -1,12 +1,12 @@
-//! The rig that tests and benches across parts stand on: processes of the binary under test, on free ports.
+//! What tests, benches and acceptance runs across parts stand on: processes of the binary under test on free ports, and simulated rigs.
 //!
-//! | module | answers |
+//! | module | holds |
 //! |---|---|
-//! | [`process`] | how does a test start and end real processes? |
-//! | [`deployment`] | how do a router, a robot and a cloud stand, each as a process of its own? |
-//! | [`observer`] | what does a test see of a robot, and how does it wait for it? |
-//! | [`acceptance`] | how does the robot's side fare in many simulated worlds, and a mission under many kills? |
-//! | [`usage`] | what do processes use of the machine? |
+//! | [`process`] | real processes, started, paused and killed |
+//! | [`deployment`] | a router, a robot and a cloud, each as a process of its own |
+//! | [`observer`] | what a robot publishes, and how to wait for it |
+//! | [`acceptance`] | the long runs: many worlds, many kills |
+//! | [`usage`] | processor time and memory of a process |
 
 pub mod acceptance;
 pub mod deployment;

@@ -1,4 +1,4 @@
-//! What does a test see of a robot, and how does it wait for it? Every state and event in order, as any client may; never a pause.
+//! Observer. What does a test see of a robot? Every state and event in order, as any client does, waited for with a deadline.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
 
@@ -11,7 +11,7 @@ use zenav_protocol::messages::{EdgeState, Event, EventKind, Plan, PoseEstimate};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-/// Slower than this is rest, m/s (what the wheels' encoders tell of noise is less).
+/// Slower than this is rest, m/s; encoder noise is below it.
 const REST_V: f64 = 0.01;
 /// Slower than this is rest, rad/s.
 const REST_W: f64 = 0.05;
@@ -57,12 +57,12 @@ impl Observer {
     /// When none comes within `limit` (wall time).
     pub async fn next(&mut self, limit: Duration) -> EdgeState {
         let next = tokio::time::timeout(limit, self.states.next()).await;
-        next.expect("the robot says how it is")
+        next.expect("the robot publishes its state")
             .expect("the bus is open")
             .message
     }
 
-    /// The first state from now on of which `fits` holds.
+    /// The first state from now on for which `fits` holds.
     ///
     /// # Panics
     /// When there is none within `limit` (wall time).
@@ -121,18 +121,18 @@ impl Observer {
         &self.written
     }
 
-    /// Where the robot believes to be.
+    /// The estimated pose.
     ///
     /// # Panics
-    /// When it never said.
+    /// When none was published.
     pub fn pose(&mut self) -> PoseEstimate {
         self.poses.borrow().expect("a pose").clone()
     }
 
-    /// That nothing was touched so far.
+    /// Asserts that the robot has touched nothing so far.
     ///
     /// # Panics
-    /// When something was.
+    /// When it has.
     pub fn assert_untouched(&mut self) {
         assert!(
             !self.events().contains(&EventKind::Bumped),
@@ -141,7 +141,7 @@ impl Observer {
     }
 }
 
-/// That a robot rests in all these states.
+/// Asserts that the robot is at rest in all these states.
 ///
 /// # Panics
 /// When it moves in one.

@@ -1,4 +1,4 @@
-//! How does a test start and end real processes? As a user would, on ports that nobody else has.
+//! Processes. How does a test start and end real processes? As a user does, on free ports.
 
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read};
@@ -17,7 +17,7 @@ pub struct Process {
     seen: Vec<String>,
 }
 
-/// A loopback endpoint that nobody listens on just now.
+/// A free loopback endpoint.
 ///
 /// # Panics
 /// When the machine has no free port.
@@ -66,30 +66,30 @@ impl Process {
         }
     }
 
-    /// Its number.
+    /// Process id.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Kills it at once, as `kill -9` does.
+    /// Kills it at once (`SIGKILL`).
     pub fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 
-    /// Holds it, as `kill -STOP` does.
+    /// Pauses it (`SIGSTOP`).
     ///
     /// # Errors
-    /// When the system does not.
+    /// When the signal cannot be sent.
     pub fn pause(&self) -> Result<(), String> {
         self.signal(rustix::process::Signal::STOP)
     }
 
-    /// Lets it go on.
+    /// Resumes it (`SIGCONT`).
     ///
     /// # Errors
-    /// When the system does not.
+    /// When the signal cannot be sent.
     pub fn resume(&self) -> Result<(), String> {
         self.signal(rustix::process::Signal::CONT)
     }
@@ -98,7 +98,7 @@ impl Process {
         let id = i32::try_from(self.child.id())
             .ok()
             .and_then(rustix::process::Pid::from_raw);
-        let id = id.ok_or_else(|| format!("`zenav {}` has no number", self.name))?;
+        let id = id.ok_or_else(|| format!("`zenav {}` has no process id", self.name))?;
         rustix::process::kill_process(id, signal).map_err(|error| error.to_string())
     }
 
@@ -108,7 +108,7 @@ impl Process {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// That it still runs.
+    /// Asserts that it still runs.
     ///
     /// # Panics
     /// With its log, when it does not.
@@ -116,7 +116,7 @@ impl Process {
         assert!(self.is_running(), "`zenav {}` has ended", self.name);
     }
 
-    /// What it has logged so far.
+    /// Its log so far.
     pub fn log(&mut self) -> String {
         self.seen.extend(self.log.try_iter());
         self.seen.join("\n")
@@ -127,7 +127,7 @@ impl Drop for Process {
     fn drop(&mut self) {
         self.kill();
         if std::thread::panicking() {
-            // Its end closes the pipe: nothing of the log is missed.
+            // Its end closes the pipe: the log is whole.
             self.seen.extend(self.log.iter());
             eprintln!("--- zenav {} ---\n{}", self.name, self.seen.join("\n"));
         }

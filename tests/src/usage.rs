@@ -1,13 +1,13 @@
-//! What do processes use of the machine? From Linux's `/proc`.
+//! Resource usage. What do processes use of the machine? From Linux's `/proc`.
 
 use thiserror::Error;
 
 /// Clock ticks a second in `/proc` (`USER_HZ`, the same on every Linux architecture in use).
 const CLOCK_TICKS: f64 = 100.0;
 
-/// A file of `/proc` that does not say what it should.
+/// A file of `/proc` that cannot be read.
 #[derive(Debug, Error)]
-#[error("{0}: it tells nothing of the use of the machine")]
+#[error("{0}: no resource usage in it")]
 pub struct Unknown(String);
 
 fn read(path: &str) -> Result<String, Unknown> {
@@ -42,7 +42,7 @@ pub fn busy_secs() -> Result<f64, Unknown> {
     }
 }
 
-/// Memory that is resident now, bytes.
+/// Resident memory, bytes.
 ///
 /// # Errors
 /// Without such a process, or without `/proc`.
@@ -50,7 +50,7 @@ pub fn memory(process: u32) -> Result<u64, Unknown> {
     status(process, "VmRSS:")
 }
 
-/// Most memory that was ever resident, bytes.
+/// Peak resident memory, bytes.
 ///
 /// # Errors
 /// Without such a process, or without `/proc`.

@@ -1,4 +1,4 @@
-//! Where do nodes leave values for one another? Typed entries in scopes, one scope a SubTree.
+//! Blackboard. Where do nodes leave values for one another? Typed entries in scopes, one scope per SubTree.
 //!
 //! Names are resolved to slots when the tree is built, so a tick reads and writes by index.
 //! A SubTree sees its own names, those remapped to its parent (`inner="{outer}"`, or all that are
@@ -82,7 +82,7 @@ impl Blackboard {
         self.find(0, key).and_then(|slot| self.read(slot))
     }
 
-    /// Forgets value and type of an entry of the root scope.
+    /// Removes an entry's value and type, root scope.
     pub fn unset(&mut self, key: &str) {
         if let Some(slot) = self.find(0, key) {
             self.clear(slot);

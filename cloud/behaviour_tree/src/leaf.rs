@@ -1,4 +1,4 @@
-//! How does code outside the engine become a node? By one trait for leaves and one for decorators.
+//! Leaves and decorators from outside. How does code outside the engine become a node? By one trait for each.
 //!
 //! The engine has no clock, no I/O and no robot: a leaf gets the time and its ports through
 //! [`LeafIo`], and everything else through the context `C` that the tree is ticked with.
@@ -54,7 +54,7 @@ pub trait Leaf<C>: Send {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status;
 
     /// Called on every later tick while `Running`. Unless overridden, asks `start` again, which
-    /// suits a leaf that only looks.
+    /// suits a condition.
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
         self.start(io, ctx)
     }
@@ -279,18 +279,18 @@ impl LeafIo<'_> {
         self.board.write(slot, value.into())
     }
 
-    /// Says in words what the node is doing; kept until it is started again.
+    /// Sets the node's feedback text; kept until it is started again.
     pub fn say(&mut self, feedback: impl Into<String>) {
         self.memory.feedback = feedback.into();
     }
 
-    /// Says why and fails: `return io.fail("no path")`.
+    /// Sets the feedback and fails: `return io.fail("no path")`.
     pub fn fail(&mut self, why: impl Into<String>) -> Status {
         self.say(why);
         Status::Failure
     }
 
-    /// Ends the whole tree with an error: for what no recovery in the tree can mend.
+    /// Ends the whole tree with an error: for what no recovery in the tree can fix.
     pub fn abort(&mut self, why: impl Into<String>) -> Status {
         let why = why.into();
         self.memory.feedback.clone_from(&why);

@@ -1,4 +1,4 @@
-//! How is a tree shown? A line a node: for publishing, and drawn for a terminal.
+//! Report. How is a tree shown? One record per node for publishing, and a drawing for a terminal.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! What would a tree do if its leaves answered so? A tree is ticked against a script, in simulated
+//! Simulation. What would a tree do if its leaves answered so? A tree is ticked against a script, in simulated
 //! time, without a robot.
 //!
 //! The script says how each leaf answers, by registration id or by `name`: which of its starts
@@ -29,7 +29,7 @@ pub struct Script {
     pub leaves: BTreeMap<String, LeafScript>,
     /// Entries of the root blackboard before the first tick.
     pub blackboard: BTreeMap<String, serde_json::Value>,
-    /// What happens meanwhile.
+    /// Writes to the blackboard that a leaf's start triggers.
     pub events: Vec<Event>,
 }
 
@@ -55,11 +55,11 @@ pub struct LeafScript {
     pub run_ms: u64,
     /// Output ports to write when it fails.
     pub set: BTreeMap<String, serde_json::Value>,
-    /// What the other starts end with; `Success` unless said. `RUNNING` never ends.
+    /// What the other starts end with, `Success` by default; `RUNNING` never ends.
     pub status: Option<Status>,
 }
 
-/// Something that happens once.
+/// A write to the blackboard that happens once.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Event {
@@ -69,7 +69,7 @@ pub struct Event {
     pub set: BTreeMap<String, serde_json::Value>,
 }
 
-/// A moment: a leaf has been started so often.
+/// The nth start of a leaf.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct When {
@@ -220,7 +220,7 @@ fn run(
             Err(error) => return (Status::Failure, ticks, now, Some(error.to_string())),
             Ok(Status::Running) if now.saturating_add(period) <= script.timeout_ms => now += period,
             Ok(status) => {
-                // A script of the tree that fails while it is halted changes nothing any more.
+                // A script that fails on halting no longer changes the outcome.
                 let halted = tree.halt(Duration::from_millis(now), simulation);
                 return (status, ticks, now, halted.err().map(|error| error.to_string()));
             }
@@ -236,7 +236,7 @@ struct Scripted {
     ports: Vec<String>,
 }
 
-/// A start that has not ended: when it began, ns, and the how-manieth it was.
+/// A start that has not ended: when it began, ns, and its number.
 type Begun = (u64, u64);
 
 impl Leaf<Simulation> for Scripted {
@@ -251,7 +251,7 @@ impl Leaf<Simulation> for Scripted {
             true => by_id,
             false => count(&mut simulation.by_name, io.name()),
         };
-        simulation.happen(io, by_id, by_name);
+        simulation.trigger(io, by_id, by_name);
         let start = if simulation.script.leaves.contains_key(io.name()) {
             by_name
         } else {
@@ -265,7 +265,7 @@ impl Leaf<Simulation> for Scripted {
             };
         }
         let now = super::node::nanos(io.now());
-        simulation.doubt(io, &self.ports);
+        simulation.check_ports(io, &self.ports);
         if let Err(wrong) = io.remember::<Begun>(&(now, start)) {
             return io.abort(wrong.to_string());
         }
@@ -318,7 +318,7 @@ impl Simulation {
         }
     }
 
-    /// What the script says of a leaf.
+    /// The script of a leaf.
     fn of(&self, io: &LeafIo<'_>) -> Option<&LeafScript> {
         self.script
             .leaves
@@ -332,8 +332,8 @@ impl Simulation {
         }
     }
 
-    /// Warns of what the script sets on ports that the leaf does not have.
-    fn doubt(&mut self, io: &LeafIo<'_>, ports: &[String]) {
+    /// Warns if the script sets ports that the leaf does not have.
+    fn check_ports(&mut self, io: &LeafIo<'_>, ports: &[String]) {
         let named: Option<Vec<String>> = self.of(io).map(|script| script.set.keys().cloned().collect());
         for port in named.unwrap_or_default() {
             if !ports.contains(&port) && !io.ports().any(|known| known == port) {
@@ -343,7 +343,7 @@ impl Simulation {
     }
 
     /// Sets what the events of this start set.
-    fn happen(&mut self, io: &mut LeafIo<'_>, by_id: u64, by_name: u64) {
+    fn trigger(&mut self, io: &mut LeafIo<'_>, by_id: u64, by_name: u64) {
         for (event, happened) in self.script.events.iter().zip(&mut self.happened) {
             let now = (event.when.leaf == io.name() && event.when.starts == by_name)
                 || (event.when.leaf == io.id() && event.when.starts == by_id);

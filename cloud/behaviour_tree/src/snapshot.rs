@@ -1,4 +1,4 @@
-//! How does a running tree survive the end of its process? As plain data: the state of every node,
+//! Snapshot. How does a running tree survive the end of its process? As plain data: the state of every node,
 //! the blackboard, what the leaves remember.
 //!
 //! Time in a snapshot is the time the tree was ticked with; whoever restores it goes on with the
@@ -73,7 +73,7 @@ impl<C> Tree<C> {
         }
     }
 
-    /// Goes on where the snapshot was taken. Leaves that were `Running` are asked to
+    /// Continues where the snapshot was taken. Leaves that were `Running` are asked to
     /// [`resume`](super::Leaf::resume) in the next tick, not to start.
     ///
     /// # Errors

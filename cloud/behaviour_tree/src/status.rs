@@ -1,4 +1,4 @@
-//! What can a node answer? The five statuses of BehaviorTree.CPP v4.
+//! Status. What can a node answer? The five statuses of BehaviorTree.CPP v4.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! How does a tree run? A tick asks the root, and asks again at once while a node wants to be
+//! Tree. How does it run? A tick asks the root, and asks again at once while a node wants to be
 //! woken (BehaviorTree.CPP's `tickOnce`).
 
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! What can stand in a blackboard entry or a port? Four scalars and structured data.
+//! Value. What can a blackboard entry or a port hold? Four scalars and structured data.
 //!
 //! Conversions follow BehaviorTree.CPP: text is read as what the reader wants, numbers are cast
 //! only where nothing is lost.

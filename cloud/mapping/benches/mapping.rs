@@ -15,12 +15,12 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Point2, Vector2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
+use zenav_fixtures::thread_time;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
 use zenav_mapping::{BeamSettings, InsertMode, build as maps};
 use zenav_protocol::geometry::Pose2;
@@ -160,12 +160,6 @@ fn inputs() -> Vec<Input> {
         }));
     }
     inputs
-}
-
-fn thread_time() -> Duration {
-    rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime)
-        .try_into()
-        .unwrap()
 }
 
 fn insertion(criterion: &mut Criterion) {

@@ -13,7 +13,7 @@ use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 
 /// Half the width and the height of the room, m.
-const ROOM: [f64; 2] = [3.0, 1.6];
+const ROOM: [f64; 2] = [3.05, 1.65];
 /// Centre and radius of a pillar, m.
 const PILLAR: [f64; 3] = [0.4, 0.3, 0.25];
 const BEAMS: usize = 720;
@@ -59,9 +59,12 @@ fn main() {
         mapper.insert(&scan);
     }
     let (info, map) = (mapper.info(), mapper.grid());
-    let is_known = |y: &u32| (0..info.spec.width).any(|x| map[Cell::new(x, *y)] >= 0);
-    for y in (0..info.spec.height).rev().filter(is_known) {
-        let row: String = (0..info.spec.width)
+    let is_known = |x: u32, y: u32| map[Cell::new(x, y)] >= 0;
+    let (columns, rows) = (0..info.spec.width, 0..info.spec.height);
+    // Only what is known of the grid, which grows by whole tiles.
+    let left = columns.clone().find(|x| rows.clone().any(|y| is_known(*x, y)));
+    for y in rows.rev().filter(|y| columns.clone().any(|x| is_known(x, *y))) {
+        let row: String = (left.unwrap_or_default()..columns.end)
             .map(|x| match Occupancy::of(map[Cell::new(x, y)]) {
                 Occupancy::Occupied => '#',
                 Occupancy::Free => '.',

@@ -99,21 +99,17 @@ impl BeamReader {
 #[cfg(test)]
 mod tests {
     use zenav_protocol::geometry::Pose2;
-    use zenav_protocol::time::Stamp;
 
     use super::*;
 
     fn scan(angle_increment: f64, ranges: Vec<f32>) -> Scan {
         Scan {
-            stamp: Stamp(1),
             angle_min: 0.0,
             angle_increment,
             range_min: 0.1,
             range_max: 5.0,
-            ranges,
             base_from_laser: Pose2::new(1.0, 0.0, 0.0),
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2),
+            ..zenav_fixtures::scan(1, Pose2::new(0.0, 2.0, std::f64::consts::FRAC_PI_2), ranges)
         }
     }
 

@@ -34,7 +34,7 @@ pub enum BuildError {
 /// A map built from scans.
 #[derive(Clone, Debug)]
 pub struct Built {
-    /// The map.
+    /// The map, with the log-odds of every cell.
     pub map: LogOddsGrid,
     /// Number of beams inserted.
     pub beams: u64,

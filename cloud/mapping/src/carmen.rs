@@ -39,7 +39,7 @@ pub enum CarmenError {
     Io {
         /// Number of lines read before.
         line: u64,
-        /// The system's error.
+        /// Error of the file system.
         source: std::io::Error,
     },
 }
@@ -69,7 +69,7 @@ pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> 
 }
 
 impl<R: BufRead> CarmenReader<R> {
-    /// Reads plain text.
+    /// Reads scans from plain text.
     pub fn new(input: R) -> Self {
         Self {
             input,

@@ -27,23 +27,23 @@ pub enum MapFileError {
     /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
-        /// The system's error.
+        /// Error of the file system.
         source: std::io::Error,
     },
     /// The file is larger than any map.
     #[error("{}: larger than {limit} bytes", path.display())]
     TooLarge {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
-        /// The limit.
+        /// Largest size that is read, bytes.
         limit: u64,
     },
     /// The description is malformed.
     #[error("{}: {source}", path.display())]
     Yaml {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
         /// What was expected, and where.
         source: MapYamlError,
@@ -51,15 +51,15 @@ pub enum MapFileError {
     /// The image is malformed.
     #[error("{}: {source}", path.display())]
     Image {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
-        /// What was expected.
+        /// What was expected of the image.
         source: ImageError,
     },
     /// The Moving AI map is malformed.
     #[error("{}: {source}", path.display())]
     MovingAi {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
         /// What was expected, and where.
         source: MovingAiError,
@@ -67,7 +67,7 @@ pub enum MapFileError {
     /// The grid is out of bounds.
     #[error("{}: {source}", path.display())]
     Grid {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
         /// What is wrong with it.
         source: GridError,
@@ -75,7 +75,7 @@ pub enum MapFileError {
     /// The file's extension is not that of a map.
     #[error("{}: expected a map: .yaml, .pgm, .png or .map", path.display())]
     Kind {
-        /// The file.
+        /// Path of the file that failed.
         path: PathBuf,
     },
 }
@@ -203,6 +203,18 @@ impl Tag {
 ///
 /// # Errors
 /// [`MapFileError::Io`].
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::{read_map, write_map};
+/// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+///
+/// let spec = GridSpec { origin: Point2::new(-1.0, -2.0), resolution: 0.05, width: 20, height: 10 };
+/// let map = OccupancyGrid::filled(spec, Occupancy::FREE);
+/// let folder = tempfile::tempdir().unwrap();
+/// let yaml = write_map(folder.path(), "kitchen", &map, "revision 1").unwrap();
+/// assert_eq!(read_map(&yaml, 1.0).unwrap(), map);
+/// ```
 pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -> Result<PathBuf, MapFileError> {
     std::fs::create_dir_all(folder).map_err(|source| MapFileError::Io {
         path: folder.to_owned(),

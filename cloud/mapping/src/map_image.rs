@@ -130,6 +130,16 @@ pub fn to_pgm(grid: &OccupancyGrid) -> Vec<u8> {
 ///
 /// # Errors
 /// [`ImageError::Png`] when the encoder fails.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::{image, map_image};
+/// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 3, height: 2 };
+/// let png = map_image::to_png(&OccupancyGrid::filled(spec, Occupancy::FREE)).unwrap();
+/// assert_eq!(image::decode(png).unwrap().gray, [254; 6]);
+/// ```
 pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
     let mut picture = to_image(grid, MapMode::Trinary);
     if picture.gray.is_empty() {

@@ -30,7 +30,7 @@ impl MapMode {
     }
 }
 
-/// A map's description.
+/// Description of a map: the YAML file beside its image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapYaml {
     /// File of the image, relative to the description.
@@ -41,9 +41,9 @@ pub struct MapYaml {
     pub origin: Point2<f64>,
     /// Whether bright pixels are occupied.
     pub negate: bool,
-    /// See [`MapMode`].
+    /// Above this probability a pixel is occupied (see [`MapMode`]).
     pub occupied_thresh: f64,
-    /// See [`MapMode`].
+    /// Below this probability a pixel is free (see [`MapMode`]).
     pub free_thresh: f64,
     /// How brightness becomes occupancy.
     pub mode: MapMode,
@@ -112,7 +112,7 @@ impl MapYaml {
         }
     }
 
-    /// Reads a description.
+    /// Parses the text of a description.
     ///
     /// # Errors
     /// [`MapYamlError`] with the line, for malformed text, missing keys and values out of bounds. A rotated map (`origin` with a yaw) is

@@ -124,7 +124,7 @@ impl Mapper {
         self
     }
 
-    /// Inserts a scan.
+    /// Inserts a scan, and says what became of it.
     pub fn insert(&mut self, scan: &Scan) -> Insertion {
         if self.held {
             return Insertion::Held;
@@ -261,7 +261,7 @@ impl Mapper {
         self.held = true;
     }
 
-    /// Inserts scans again.
+    /// Resumes a held map: scans are inserted again.
     pub fn resume(&mut self) {
         self.held = false;
     }
@@ -330,15 +330,8 @@ mod tests {
 
     fn scan(stamp: u64, x: f64) -> Scan {
         Scan {
-            stamp: Stamp(stamp),
-            angle_min: -1.0,
-            angle_increment: 0.02,
-            range_min: 0.02,
-            range_max: 5.0,
-            ranges: vec![2.0; 100],
             base_from_laser: Pose2::new(0.1, 0.0, 0.0),
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::new(x, 0.0, 0.0),
+            ..zenav_fixtures::scan(stamp, Pose2::new(x, 0.0, 0.0), vec![2.0; 100])
         }
     }
 

@@ -16,9 +16,9 @@ pub enum MovingAiError {
     Line {
         /// Number of the line, from 1.
         line: usize,
-        /// What was expected.
+        /// What was expected on this line.
         expected: String,
-        /// What was found.
+        /// What was found on this line.
         found: String,
     },
     /// The size is out of bounds.
@@ -128,7 +128,7 @@ pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAi
     Ok(grid)
 }
 
-/// Reads a `.scen`.
+/// Reads the queries of a `.scen`.
 ///
 /// # Errors
 /// [`MovingAiError`] with the line.

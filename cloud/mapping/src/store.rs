@@ -35,7 +35,7 @@ pub struct MapRecord {
 /// A map and its record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredMap {
-    /// The map.
+    /// Occupancy of every cell.
     pub grid: OccupancyGrid,
     /// The map's record; empty where another tool wrote the files.
     pub record: MapRecord,

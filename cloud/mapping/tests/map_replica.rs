@@ -9,20 +9,10 @@ use zenav_protocol::grid::Occupancy;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapPatch, MapRef, Scan};
 use zenav_protocol::padding::Extent;
-use zenav_protocol::time::Stamp;
 
 fn scan(stamp: u64, x: f64, y: f64) -> Scan {
-    Scan {
-        stamp: Stamp(stamp),
-        angle_min: -3.0,
-        angle_increment: 0.1,
-        range_min: 0.02,
-        range_max: 8.0,
-        ranges: (0..60).map(|beam| 0.5 + 0.1 * beam as f32).collect(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
-        odom_from_base: Pose2::new(x, y, 0.0),
-    }
+    let ranges = (0..60).map(|beam| 0.5 + 0.1 * beam as f32).collect();
+    zenav_fixtures::scan(stamp, Pose2::new(x, y, 0.0), ranges)
 }
 
 proptest! {

@@ -1,4 +1,4 @@
-//! What can be set at a mission? Every tunable in one place.
+//! Mission settings. What can be tuned? Every setting of the mission in one place.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -8,6 +8,9 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPoint};
 
 use zenav_space::Zones;
+
+/// How far ahead on the active plan a replan starts by default, s: the time from a request for a plan to its arrival at the robot.
+pub const LATENCY_BUDGET: f64 = 0.3;
 
 /// Settings of one robot's mission.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,9 +25,9 @@ pub struct MissionConfig {
     pub planner: String,
     /// Time a search may take, ms.
     pub search_budget_ms: u64,
-    /// Whether ways may lead through unknown cells. Cells that turn out to be occupied lead to another plan.
+    /// Whether paths may lead through unknown cells; the robot replans when they turn out to be occupied.
     pub unknown_is_free: bool,
-    /// Goals may lie so far outside a map that is still growing, m.
+    /// How far outside a growing map a goal may be, m.
     pub explore: f64,
     /// How far ahead of the robot a replan begins, s.
     pub latency_budget: f64,
@@ -32,17 +35,19 @@ pub struct MissionConfig {
     pub plan_valid: f64,
     /// Age at which a plan is rechecked and renewed, s.
     pub renew_period: f64,
+    /// Time without a live mapper after which plans are no longer renewed, s: the map says nothing new.
+    pub map_patience: f64,
     /// Distance that counts as reached where a goal does not say, m.
     pub tolerance: f64,
-    /// What motions are to be good at where a goal does not say.
+    /// Driving profile where a goal does not say.
     pub profile: DrivingProfile,
-    /// Without this much progress (m or rad) …
+    /// Progress (m or rad) that a drive must make …
     pub progress: (f64, f64),
-    /// … within this time a drive has failed, s.
+    /// … within this time, s, or it fails.
     pub progress_secs: f64,
     /// Zones of the map.
     pub zones: Arc<Zones>,
-    /// The file that keeps goals; used by the service alone.
+    /// The store's file; used by the service alone.
     pub store: PathBuf,
 }
 
@@ -58,9 +63,10 @@ impl MissionConfig {
             search_budget_ms: 2000,
             unknown_is_free: true,
             explore: 20.0,
-            latency_budget: 0.5,
+            latency_budget: LATENCY_BUDGET,
             plan_valid: 5.0,
             renew_period: 1.0,
+            map_patience: 10.0,
             tolerance: 0.15,
             profile: DrivingProfile::default(),
             progress: (0.2, 0.2),

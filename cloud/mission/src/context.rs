@@ -1,4 +1,4 @@
-//! What do the leaves of a tree act on? One robot, its map, its lease, the plan in force, the goal in hand.
+//! Leaf context. What do the leaves of a tree act on? One robot, its map, its lease, the plan in force, the active goal.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -15,14 +15,14 @@ use super::records::Restored;
 use super::robot::RobotView;
 use super::route::Route;
 
-/// Asks that wait for their answers; beyond that the oldest is given up.
+/// Pending requests; beyond that the oldest is dropped.
 const MAX_ASKS: usize = 256;
-/// Routes that are kept for whoever follows them.
+/// Routes kept for the leaves that follow them.
 const MAX_ROUTES: usize = 16;
-/// Drives of a goal that are kept.
+/// Drives kept per goal.
 const MAX_LEGS: usize = 64;
 
-/// Tickets of asks and their answers.
+/// Pending requests and their answers.
 #[derive(Debug)]
 pub struct Asks {
     incarnation: u64,
@@ -32,7 +32,7 @@ pub struct Asks {
 }
 
 impl Asks {
-    /// None yet.
+    /// No request is pending.
     #[must_use]
     pub fn new(incarnation: u64) -> Self {
         Self {
@@ -43,7 +43,7 @@ impl Asks {
         }
     }
 
-    /// Asks.
+    /// Sends a request.
     pub fn ask(&mut self, ask: Ask) -> Ticket {
         self.count += 1;
         let ticket = Ticket(newer(self.incarnation, self.count));
@@ -55,17 +55,19 @@ impl Asks {
         ticket
     }
 
-    /// Takes an answer in; one that nobody waits for is dropped.
+    /// Takes an answer; one to an unknown ticket is dropped.
     pub fn answer(&mut self, ticket: Ticket, answer: Result<Answer, NoAnswer>) {
         if let Some(slot) = self.waiting.get_mut(&ticket) {
             *slot = Some(answer);
         }
     }
 
-    /// The answer, once; `None` while it is awaited. A ticket that is not known (given up) counts as not answered.
+    /// Takes the answer; `None` while it is pending. A dropped ticket counts as unanswered.
     pub fn take(&mut self, ticket: Ticket) -> Option<Result<Answer, NoAnswer>> {
         match self.waiting.get_mut(&ticket) {
-            None => Some(Err(NoAnswer::Silent("the ask was given up".to_owned()))),
+            None => Some(Err(NoAnswer::Silent(
+                "the request was dropped: too many are pending".to_owned(),
+            ))),
             Some(slot) => {
                 let answer = slot.take()?;
                 self.waiting.remove(&ticket);
@@ -74,33 +76,33 @@ impl Asks {
         }
     }
 
-    /// Waits no longer.
+    /// Drops a request.
     pub fn forget(&mut self, ticket: Ticket) {
         self.waiting.remove(&ticket);
     }
 
-    /// What is to be sent, once.
+    /// Takes the requests to send.
     pub fn take_new(&mut self) -> Vec<(Ticket, Ask)> {
         std::mem::take(&mut self.new)
     }
 }
 
-/// The goal whose tree runs, as far as its leaves write to it.
+/// The active goal, as far as its leaves write to it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct GoalInHand {
-    /// Its name.
+pub struct ActiveGoal {
+    /// Its id.
     pub id: String,
     /// Distance that counts as reached, m.
     pub tolerance: f64,
-    /// What its motions are to be good at.
+    /// The driving profile of its motions.
     pub profile: DrivingProfile,
-    /// How it goes.
+    /// Its feedback.
     pub feedback: GoalFeedback,
     /// Its drives.
     pub legs: Vec<Leg>,
     /// Counts the changes of the drives.
     pub leg_changes: u64,
-    /// What failed last, in words.
+    /// What failed last.
     pub failure: Option<String>,
 }
 
@@ -109,23 +111,23 @@ pub struct GoalInHand {
 pub struct Context {
     /// Settings.
     pub config: Arc<MissionConfig>,
-    /// Now.
+    /// The mission's time.
     pub now: Stamp,
     /// The robot.
     pub robot: RobotView,
     /// Its map.
     pub map: RobotMap,
-    /// The right to command it.
+    /// The robot's lease.
     pub lease: LeaseClient,
     /// The plan in force.
     pub motion: MotionKeeper,
-    /// Questions to others.
+    /// Requests to other parts.
     pub asks: Asks,
-    /// The goal in hand; an empty one between goals.
-    pub goal: GoalInHand,
+    /// The active goal; empty between goals.
+    pub goal: ActiveGoal,
     /// Plans to publish, in order.
     pub plans: Vec<Plan>,
-    /// How many trees the leaf being ticked stands inside of, besides the goal's own.
+    /// Depth of nested trees of the leaf being ticked; 0 in the goal's own.
     pub nested: u32,
     /// How often a tree has asked to cancel what leaves of this registration id do.
     cancels: BTreeMap<&'static str, u64>,
@@ -148,20 +150,20 @@ impl Context {
         self.cancels.get(id).copied().unwrap_or(0)
     }
 
-    /// Knows nothing yet.
+    /// A context before the first observation.
     #[must_use]
     pub fn new(config: MissionConfig, restored: &Restored) -> Self {
         let incarnation = restored.incarnation;
         let map = RobotMap::new(Arc::clone(&config.zones));
         Self {
-            lease: LeaseClient::new(&config.holder, incarnation, restored.store.clone(), restored.standing),
+            lease: LeaseClient::new(&config.holder, incarnation, restored.store.clone(), restored.leadership),
             motion: MotionKeeper::new(incarnation),
             asks: Asks::new(incarnation),
             config: Arc::new(config),
             now: Stamp::ZERO,
             robot: RobotView::default(),
             map,
-            goal: GoalInHand::default(),
+            goal: ActiveGoal::default(),
             plans: Vec::new(),
             nested: 0,
             cancels: BTreeMap::new(),
@@ -172,14 +174,14 @@ impl Context {
         }
     }
 
-    /// A name for an execution that no other execution has: of this robot or another, of this life, store or another.
+    /// An execution id that is unique over robots, stores and restarts.
     pub fn execution_id(&mut self) -> String {
         self.route_count += 1;
         let (robot, store) = (&self.config.robot, self.store.as_deref().unwrap_or("unstored"));
         format!("{robot}-{store}-{}-{}", self.incarnation, self.route_count)
     }
 
-    /// Keeps a route for whoever follows it; returns its name.
+    /// Keeps a route for the leaf that follows it; returns its id.
     pub fn keep_route(&mut self, mut route: Route) -> u64 {
         self.route_count += 1;
         route.id = newer(self.incarnation, self.route_count);
@@ -191,30 +193,30 @@ impl Context {
         id
     }
 
-    /// A route by its name; routes do not outlive a restart.
+    /// A route by its id; routes do not survive a restart.
     #[must_use]
     pub fn route(&self, id: u64) -> Option<Arc<Route>> {
         self.routes.iter().find(|route| route.id == id).cloned()
     }
 
-    /// Why the robot cannot be driven now, if so.
+    /// Why the robot cannot be driven now, if it cannot.
     #[must_use]
     pub fn obstacle_to_driving(&self) -> Option<String> {
         if self.lease.epoch().is_none() {
-            return Some(format!("waits for the lease: {}", self.lease.why_not()));
+            return Some(format!("waiting for the lease: {}", self.lease.why_not()));
         }
         if !self.robot.is_heard(self.now) || self.robot.pose().is_none() {
-            return Some("waits for the robot".to_owned());
+            return Some("waiting for the robot".to_owned());
         }
         match self.robot.state().map(|state| state.mode) {
-            Some(Mode::Stopped) => Some("the robot is stopped by hand".to_owned()),
-            Some(Mode::Teleop) => Some("the robot is driven by hand".to_owned()),
-            Some(Mode::Behaviour) => Some("a behaviour of the robot's own runs".to_owned()),
+            Some(Mode::Stopped) => Some("the robot is stopped".to_owned()),
+            Some(Mode::Teleop) => Some("the robot is in teleoperation".to_owned()),
+            Some(Mode::Behaviour) => Some("the robot runs a manoeuvre".to_owned()),
             _ => None,
         }
     }
 
-    /// Publishes a new motion for the goal in hand.
+    /// Publishes a new plan for the active goal.
     pub fn drive(&mut self, draft: super::motion::PlanDraft) {
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
             return;
@@ -242,7 +244,7 @@ impl Context {
         }
     }
 
-    /// Lets the plan in force run out as soon as the robot can brake: it comes to rest on the way that was checked.
+    /// Shortens the plan in force to the time that braking takes: the robot comes to rest on the path that was checked.
     pub fn hold(&mut self) {
         if let (Some(epoch), Some(based_on), Some(model)) =
             (self.lease.epoch(), self.robot.based_on(), self.robot.model())

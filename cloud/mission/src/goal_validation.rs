@@ -1,4 +1,4 @@
-//! Is this a goal, and can it be reached? Answered when it is asked for, with the reason and the nearest place that would do.
+//! Goal validation. Is this a goal, and can it be reached? Checked when it is submitted; a rejection has a reason and the nearest free place.
 
 use nalgebra::Point2;
 use zenav_protocol::config_text::Number;
@@ -11,17 +11,17 @@ use super::trees;
 use zenav_protocol::padding::Extent;
 use zenav_space::reach;
 
-/// Waypoints of a goal.
+/// Most waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
-/// Largest map on which a goal's connection to the robot is looked at before it is accepted, cells: some 50 ms.
+/// Largest map on which a goal's connection to the robot is checked before it is accepted, cells: some 50 ms.
 const MAX_FLOODED: usize = 4_000_000;
-/// Entries for a tree's blackboard.
+/// Most blackboard entries of a goal.
 const MAX_ENTRIES: usize = 256;
-/// Longest name of an entry, bytes.
+/// Longest name of a blackboard entry, bytes.
 const MAX_NAME: usize = 256;
-/// Coordinates beyond this are taken for a mistake, m.
+/// Coordinates beyond this are a mistake, m.
 const FARTHEST: f64 = 1e6;
-/// What tolerance may be, m.
+/// Bounds of a goal's tolerance, m.
 const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
 /// Longest deadline, s.
 const LONGEST_DEADLINE: f64 = 1e7;
@@ -29,18 +29,18 @@ const LONGEST_DEADLINE: f64 = 1e7;
 /// What a goal asks for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
-    /// Be there.
+    /// Reach a pose.
     Pose(GoalPoint),
-    /// Pass these, in order.
+    /// Pass waypoints in order.
     Waypoints(Vec<GoalPoint>),
-    /// Whatever the request's tree does by itself.
+    /// Run the request's tree.
     Tree,
 }
 
-/// What a request asks for, if it is well formed.
+/// The target of a well-formed request.
 ///
 /// # Errors
-/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for a place that there is not.
+/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place.
 pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     let bad = |reason: String| Err(Refusal::BadRequest { reason });
     if let Some(id) = &request.id
@@ -148,10 +148,10 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
     }
 }
 
-/// Whether the robot could be at the target by what the map knows; what it does not know speaks for the goal.
+/// Whether the robot can reach the target on the known map; unknown space counts for the goal.
 ///
 /// # Errors
-/// [`Refusal::Rejected`] for a place outside the map, on an obstacle or closed off, with the nearest place that is not.
+/// [`Refusal::Rejected`] for a goal outside the map, in an obstacle or unreachable, with the nearest reachable place.
 pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let points: Vec<GoalPoint> = match target {
         Target::Pose(point) => vec![*point],
@@ -164,21 +164,21 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let Some(spec) = ctx.map.spec() else { return Ok(()) };
     let explore = ctx.config.explore;
     let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
-    let stands = ctx.robot.pose().map(|pose| pose.position());
+    let position = ctx.robot.pose().map(|pose| pose.position());
     let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
     let places = points.iter().map(|goal| Point2::new(goal.x, goal.y));
-    let outlook = if ctx.config.unknown_is_free {
+    let extent = if ctx.config.unknown_is_free {
         Extent::of(&model.footprint, places.filter(near).collect())
     } else {
         Extent::default()
     };
-    let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &outlook) else {
+    let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &extent) else {
         return Ok(());
     };
     let zones = &ctx.config.zones;
-    let reached = stands
+    let reached = position
         .filter(|_| space.spec().len() <= MAX_FLOODED)
-        .and_then(|stands| reach::flood(&space, stands));
+        .and_then(|position| reach::flood(&space, position));
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
         let outside = spec.cell_at(point).is_none() && !near(&point);
@@ -189,15 +189,15 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         if fits && connected {
             continue;
         }
-        let kept_out = zones.keep_out(point);
-        let what = if let Some(zone) = kept_out {
-            &format!("lies in a zone that is closed to robots: {zone}")
+        let zone = zones.keep_out(point);
+        let what = if let Some(zone) = zone {
+            &format!("is in a keep-out zone: {zone}")
         } else if outside {
-            "lies outside the map"
+            "is outside the map"
         } else if fits {
-            "cannot be reached: by the map it is closed off from the robot"
+            "cannot be reached: obstacles on the map separate it from the robot"
         } else {
-            "is occupied: the robot does not fit there"
+            "is occupied: the footprint does not fit"
         };
         let seen_free = |cell| {
             known

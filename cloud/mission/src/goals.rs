@@ -1,4 +1,8 @@
-//! Which goals are there, and how do they end? Every change becomes a record; an end comes once.
+//! Goal table. Which goals are there, and how do they end? Every change becomes a record; a goal ends once.
+//!
+//! A goal sent again under the same id is the same goal, and a request repeated under its id gets its first answer. Both are
+//! remembered within a window: all open goals, the last [`MAX_ENDED`] ended ones and the last [`MAX_ANSWERS`] answers. An id
+//! from before that is a new goal, so a client should not resend one after a thousand others have ended.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -8,15 +12,15 @@ use zenav_protocol::time::Stamp;
 
 use super::records::{Record, StoredGoal};
 
-/// Ended goals that are kept.
+/// Ended goals that are kept: the window within which a goal's id is known again.
 const MAX_ENDED: usize = 1000;
-/// Goals that may wait.
+/// Goals that may be queued.
 const MAX_WAITING: usize = 100;
-/// First answers that are kept.
+/// First answers that are kept: the window within which a request's id is known again.
 const MAX_ANSWERS: usize = 256;
-/// Ended goals that are told again at the start: an end may have been stored and not told.
+/// Ended goals that are published again at the start: an end may have been stored and not published.
 const TOLD_AGAIN: usize = 32;
-/// Goals in one answer where the asker does not say.
+/// Goals in one answer unless the request says otherwise.
 const DEFAULT_LIMIT: usize = 100;
 
 /// All goals of one robot.
@@ -32,7 +36,7 @@ pub struct GoalTable {
 }
 
 impl GoalTable {
-    /// As they were stored.
+    /// The goals and answers that were stored.
     #[must_use]
     pub fn new(goals: Vec<StoredGoal>, answers: Vec<(String, GoalReply)>) -> Self {
         let goals: BTreeMap<u64, StoredGoal> = goals.into_iter().map(|goal| (goal.sequence, goal)).collect();
@@ -57,20 +61,20 @@ impl GoalTable {
         }
     }
 
-    /// A goal by its name.
+    /// A goal by its id.
     #[must_use]
     pub fn get(&self, id: &str) -> Option<&StoredGoal> {
         self.by_id.get(id).and_then(|sequence| self.goals.get(sequence))
     }
 
-    /// The goal that runs or is held by a pause.
+    /// The goal that is active or paused.
     #[must_use]
     pub fn active(&self) -> Option<&StoredGoal> {
         self.open()
             .find(|goal| matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused))
     }
 
-    /// The goal whose turn is next.
+    /// The first goal of the queue: preempting goals first, then by priority, then by age.
     #[must_use]
     pub fn next(&self) -> Option<&StoredGoal> {
         self.waiting()
@@ -86,13 +90,13 @@ impl GoalTable {
         self.open.iter().filter_map(|sequence| self.goals.get(sequence))
     }
 
-    /// How many goals wait.
+    /// The length of the queue.
     #[must_use]
     pub fn queued(&self) -> usize {
         self.waiting().count()
     }
 
-    /// Whether no more goals can wait.
+    /// Whether the queue is full.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.queued() >= MAX_WAITING
@@ -106,7 +110,7 @@ impl GoalTable {
             .map_or(1, |(last, _)| last.saturating_add(1))
     }
 
-    /// Takes a goal that has been checked.
+    /// Accepts a validated goal.
     pub fn accept(&mut self, robot: &str, id: String, request: GoalRequest, urgent: bool, now: Stamp) {
         let sequence = self.next_sequence();
         let state = GoalState {
@@ -148,7 +152,7 @@ impl GoalTable {
         }
     }
 
-    /// Changes how a goal goes; published, not stored.
+    /// Updates a goal's feedback; published, not stored.
     pub fn feed_back(&mut self, id: &str, feedback: &GoalFeedback) {
         let Some(sequence) = self.by_id.get(id).copied() else {
             return;
@@ -159,7 +163,7 @@ impl GoalTable {
         }
     }
 
-    /// Ends a goal; `false` when it has ended before (or never was): an end comes once.
+    /// Ends a goal; `false` if it has ended already or is unknown.
     pub fn end(&mut self, id: &str, state: GoalPhase, reason: Option<String>, now: Stamp) -> bool {
         let ends = self.get(id).is_some_and(|goal| !goal.state.state.is_end()) && state.is_end();
         if ends {
@@ -196,7 +200,7 @@ impl GoalTable {
         }
     }
 
-    /// The first answer to a request, if it was answered before.
+    /// The first answer to a request, if it is remembered.
     #[must_use]
     pub fn answered(&self, request_id: &str) -> Option<&GoalReply> {
         self.answers
@@ -205,7 +209,7 @@ impl GoalTable {
             .map(|(_, reply)| reply)
     }
 
-    /// Keeps the first answer to a request.
+    /// Remembers the first answer to a request.
     pub fn keep_answer(&mut self, request_id: String, reply: GoalReply) {
         if self.answers.len() >= MAX_ANSWERS
             && let Some((old, _)) = self.answers.pop_front()
@@ -216,12 +220,12 @@ impl GoalTable {
         self.answers.push_back((request_id, reply));
     }
 
-    /// What is to be stored, once.
+    /// Takes what is to be stored.
     pub fn take_records(&mut self) -> Vec<Record> {
         std::mem::take(&mut self.records)
     }
 
-    /// The goals that are to be published, once.
+    /// Takes the goals to publish.
     pub fn take_changed(&mut self) -> Vec<GoalState> {
         let changed = std::mem::take(&mut self.changed);
         changed
@@ -231,10 +235,10 @@ impl GoalTable {
             .collect()
     }
 
-    /// Goals that a question asks for, newest first.
+    /// Goals by state or id, newest first.
     ///
     /// # Errors
-    /// [`Refusal::NotFound`] for a goal by a name that there is not.
+    /// [`Refusal::NotFound`] for an unknown id.
     pub fn list(&self, request: &GoalsRequest) -> Result<GoalsReply, Refusal> {
         if let Some(id) = &request.id
             && self.get(id).is_none()
@@ -260,7 +264,7 @@ impl GoalTable {
     }
 }
 
-/// Where a goal stands, as its asker is told.
+/// A goal's state as a reply.
 #[must_use]
 pub fn reply(goal: &GoalState) -> GoalReply {
     GoalReply {
@@ -276,56 +280,57 @@ pub fn reply(goal: &GoalState) -> GoalReply {
 mod tests {
     use super::*;
 
-    fn book(ids: &[&str]) -> GoalTable {
-        let mut book = GoalTable::default();
+    fn table(ids: &[&str]) -> GoalTable {
+        let mut table = GoalTable::default();
         for id in ids {
             let request = GoalRequest {
                 x: Some(1.0),
                 y: Some(2.0),
                 ..GoalRequest::default()
             };
-            book.accept("r", (*id).to_owned(), request, false, Stamp(1));
+            table.accept("r", (*id).to_owned(), request, false, Stamp(1));
         }
-        book
+        table
     }
 
     #[test]
     fn an_end_comes_once() {
-        let mut book = book(&["a"]);
-        assert!(book.end("a", GoalPhase::Succeeded, None, Stamp(2)));
-        assert!(!book.end("a", GoalPhase::Aborted, Some("late".into()), Stamp(3)));
-        assert_eq!(book.get("a").unwrap().state.state, GoalPhase::Succeeded);
-        let ends = book
+        let mut table = table(&["a"]);
+        assert!(table.end("a", GoalPhase::Succeeded, None, Stamp(2)));
+        assert!(!table.end("a", GoalPhase::Aborted, Some("late".into()), Stamp(3)));
+        assert_eq!(table.get("a").unwrap().state.state, GoalPhase::Succeeded);
+        let ends = table
             .take_records()
             .into_iter()
             .filter(|record| matches!(record, Record::Goal(goal) if goal.state.state.is_end()));
         assert_eq!(ends.count(), 1);
-        assert!(!book.end("a", GoalPhase::Active, None, Stamp(3)));
+        assert!(!table.end("a", GoalPhase::Active, None, Stamp(3)));
     }
 
     #[test]
-    fn goals_take_their_turn_by_urgency_priority_and_age() {
-        let mut book = book(&["a", "b"]);
-        assert_eq!(book.next().unwrap().state.id, "a");
-        book.accept("r", "c".into(), GoalRequest::default(), true, Stamp(2));
-        assert_eq!(book.next().unwrap().state.id, "c");
-        assert_eq!(book.queued(), 3);
+    fn the_queue_is_ordered_by_preemption_priority_and_age() {
+        let mut table = table(&["a", "b"]);
+        assert_eq!(table.next().unwrap().state.id, "a");
+        table.accept("r", "c".into(), GoalRequest::default(), true, Stamp(2));
+        assert_eq!(table.next().unwrap().state.id, "c");
+        assert_eq!(table.queued(), 3);
         let first = GoalRequest {
             priority: 5,
             ..GoalRequest::default()
         };
-        book.accept("r", "d".into(), first, false, Stamp(3));
-        assert_eq!(book.next().unwrap().state.id, "c", "urgent goes before any priority");
-        assert!(book.end("c", GoalPhase::Canceled, None, Stamp(4)));
-        assert_eq!(book.next().unwrap().state.id, "d", "then the greatest priority");
+        table.accept("r", "d".into(), first, false, Stamp(3));
+        assert_eq!(table.next().unwrap().state.id, "c", "urgent goes before any priority");
+        assert!(table.end("c", GoalPhase::Canceled, None, Stamp(4)));
+        assert_eq!(table.next().unwrap().state.id, "d", "then the greatest priority");
     }
 
     #[test]
     fn lists_are_newest_first_filtered_and_bounded() {
-        let mut book = book(&["a", "b", "c"]);
-        book.end("b", GoalPhase::Canceled, None, Stamp(2));
+        let mut table = table(&["a", "b", "c"]);
+        table.end("b", GoalPhase::Canceled, None, Stamp(2));
         let ids = |request: &GoalsRequest| {
-            book.list(request)
+            table
+                .list(request)
                 .unwrap()
                 .goals
                 .into_iter()
@@ -348,7 +353,7 @@ mod tests {
             ["c"]
         );
         assert!(matches!(
-            book.list(&GoalsRequest {
+            table.list(&GoalsRequest {
                 id: Some("x".into()),
                 ..GoalsRequest::default()
             }),
@@ -358,13 +363,13 @@ mod tests {
 
     #[test]
     fn old_ended_goals_are_forgotten_but_never_open_ones() {
-        let mut book = book(&["open"]);
+        let mut table = table(&["open"]);
         for number in 0..MAX_ENDED + 50 {
             let id = format!("g{number}");
-            book.accept("r", id.clone(), GoalRequest::default(), false, Stamp(1));
-            book.end(&id, GoalPhase::Succeeded, None, Stamp(2));
+            table.accept("r", id.clone(), GoalRequest::default(), false, Stamp(1));
+            table.end(&id, GoalPhase::Succeeded, None, Stamp(2));
         }
-        book.accept("r", "last".into(), GoalRequest::default(), false, Stamp(1));
-        assert!(book.goals.len() <= MAX_ENDED + 2 && book.get("open").is_some() && book.get("g0").is_none());
+        table.accept("r", "last".into(), GoalRequest::default(), false, Stamp(1));
+        assert!(table.goals.len() <= MAX_ENDED + 2 && table.get("open").is_some() && table.get("g0").is_none());
     }
 }

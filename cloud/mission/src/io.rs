@@ -1,4 +1,4 @@
-//! What goes into a mission's step, and what comes out? Already typed, already decoded: no bus in here.
+//! Step I/O. What goes into a mission's step, and what comes out? Typed and decoded: no bus in here.
 
 use thiserror::Error;
 use zenav_protocol::messages::*;
@@ -6,52 +6,54 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::records::Record;
 
-/// Names an ask of the mission's, so that its answer finds the way back.
+/// Identifies a request of the mission's, so that its answer can be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Ticket(pub u64);
 
-/// Names a client's request until it is answered; chosen by whoever feeds the mission.
+/// Identifies a client's request until it is answered; chosen by the caller of [`Mission::step`](crate::Mission::step).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Client(pub u64);
 
 /// What arrived since the last step.
 #[derive(Clone, Debug, Default)]
 pub struct Inputs {
-    /// The newest state of the robot, if there is a new one.
+    /// The robot's newest state, if new.
     pub state: Option<EdgeState>,
-    /// The newest estimate of where it is, if there is a new one.
+    /// The robot's newest pose estimate, if new.
     pub pose: Option<PoseEstimate>,
-    /// What happened on the robot, in order.
+    /// The robot's events, in order.
     pub events: Vec<Event>,
-    /// The newest description of the map, if there is a new one.
+    /// The newest map description, if new.
     pub map_info: Option<MapInfo>,
-    /// Changes of the map, in order.
+    /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
-    /// Answers to asks.
+    /// Whether the mapper is alive, if that has changed; it counts as alive until reported gone.
+    pub mapper_alive: Option<bool>,
+    /// Answers to the mission's requests.
     pub answers: Vec<(Ticket, Result<Answer, NoAnswer>)>,
-    /// What clients ask for.
+    /// Clients' requests.
     pub requests: Vec<(Client, MissionRequest)>,
 }
 
-/// A question of the mission's.
+/// A request of the mission's to another part.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ask {
-    /// To the robot: may I command?
+    /// To the robot: the lease.
     Lease(LeaseRequest),
-    /// To the robot: who are you?
+    /// To the robot: its identity and model.
     EdgeInfo(InfoRequest),
-    /// To the robot: a motion of its own.
+    /// To the robot: a manoeuvre.
     Behaviour(BehaviourRequest),
     /// To a motion worker.
     Motion(Box<MotionRequest>),
     /// To mapping.
     Map(MapRequest),
-    /// To a program that does an action, on its key.
+    /// To a program that runs a remote action, on its key.
     Remote(String, Box<RemoteRequest>),
 }
 
 impl Ask {
-    /// For how long whoever carries the ask out tries to get an answer, s of wall time.
+    /// How long the service tries to get an answer, s of wall time.
     #[must_use]
     pub fn patience_secs(&self) -> f64 {
         match self {
@@ -71,38 +73,38 @@ pub enum Answer {
     Lease(LeaseReply),
     /// The robot.
     EdgeInfo(Box<InfoReply>),
-    /// How a behaviour goes.
+    /// A manoeuvre's progress.
     Behaviour(BehaviourReply),
     /// A path, a trajectory, or both; or why there is none.
     Motion(Box<MotionReply>),
     /// A map.
     Map(Box<MapReply>),
-    /// How an action goes.
+    /// A remote action's progress.
     Remote(Box<RemoteReply>),
 }
 
-/// Why an ask has no answer.
+/// Why a request has no answer.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NoAnswer {
-    /// The server said no.
+    /// The server refused.
     #[error("{0}")]
     Refused(Refusal),
-    /// Nobody answered in time, or nothing that could be read.
+    /// No server answered in time with something that could be decoded.
     #[error("{0}")]
     Silent(String),
 }
 
-/// What a step gave, in order. Whoever carries effects out stores what is to be stored, here and in the stores of those that have caught up,
-/// **before** anything else of the step but the sign of life, which promises nothing.
+/// What a step asks its caller to do, in order. [`Persist`](Effect::Persist) is on disk, here and with every standby that has caught up,
+/// **before** any other effect of the step but the heartbeat, which promises nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
-    /// Store, all or nothing. At most one a step, and the first.
+    /// Store, all or nothing. At most one per step, and the first.
     Persist(Vec<Record>),
-    /// Publish the sign of life.
+    /// Publish the heartbeat.
     Heartbeat(Heartbeat),
     /// Publish the plan.
     Plan(Box<Plan>),
-    /// Publish what the mission does.
+    /// Publish the mission's status.
     Status(Box<MissionStatus>),
     /// Publish a goal's state.
     Goal(Box<GoalState>),
@@ -110,8 +112,8 @@ pub enum Effect {
     Ask(Ticket, Ask),
     /// Answer a client.
     Reply(Client, Result<MissionReply, Refusal>),
-    /// Another mission leads: this one is to be dropped, and what its leader stores to be taken in, until it may lead again.
+    /// Another mission leads: drop this one, and follow the leader's journal until this store may lead again.
     StandBy,
-    /// Stop for good: this mission and the robot do not speak the same language.
+    /// Stop for good: this mission and the robot speak different schema versions.
     Fatal(String),
 }

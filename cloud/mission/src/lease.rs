@@ -1,8 +1,8 @@
-//! Does this mission command the robot, and does it keep its goals? It asks until it does, sends signs of life, and believes the robot, not
-//! itself.
+//! Lease client. Does this mission command the robot, and does it keep the robot's goals? It asks for the lease until it has it, renews it with
+//! heartbeats, and believes the robot, not itself.
 //!
 //! To command is to hold the lease; to lead is to keep the goals, which goes on while an operator commands. Where another store may hold
-//! newer goals than this mission's, it leads only once the robot has said so since it began or woke.
+//! newer goals, this mission leads only once the robot has confirmed it since the mission started or woke.
 
 use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;
@@ -11,11 +11,11 @@ use super::context::Asks;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::records::Leadership;
 
-/// Time between two signs of life, s.
+/// Time between two heartbeats, s.
 const BEAT: f64 = 0.1;
-/// Time between two asks while somebody else commands, s.
+/// Time between two requests while another holder commands, s.
 const RETRY: f64 = 0.5;
-/// A mission that has slept for longer than its lease lives believes nothing that it knew before.
+/// After a pause longer than the lease's TTL (s) nothing known before is trusted.
 const SLEPT: f64 = 1.0;
 
 /// What this mission was granted.
@@ -25,7 +25,7 @@ struct Grant {
     boot_id: String,
 }
 
-/// Gets and keeps the lease.
+/// Acquires and renews the lease.
 #[derive(Debug)]
 pub struct LeaseClient {
     holder: String,
@@ -37,33 +37,33 @@ pub struct LeaseClient {
     beats: u64,
     next_beat: Stamp,
     last_step: Option<Stamp>,
-    /// Why there is no lease, in words.
+    /// Why there is no lease.
     why_not: String,
-    /// Another mission that holds a live lease, by the robot's newest word.
+    /// Another mission that holds a live lease, by the robot's newest state.
     other: Option<String>,
     /// The store of this mission, if it keeps goals.
     store: Option<String>,
     /// Epoch of the newest grant to that store.
     term: u64,
-    /// Whether the robot has said that this mission leads, since it began or woke.
+    /// Whether the robot has confirmed that this mission leads, since it started or woke.
     confirmed: bool,
-    /// Whether another store may hold all goals of this one, and by now newer ones.
+    /// Whether another store may hold all of this store's goals, and by now newer ones.
     shared: bool,
     /// Whether another mission leads now.
     deposed: bool,
-    /// Whether the robot has been asked once, whatever came of it.
+    /// Whether the robot has been asked once, with whatever result.
     heard_out: bool,
 }
 
 impl LeaseClient {
-    /// Nothing granted yet. `incarnation` makes requests and signs of life newer than those of every life before.
+    /// Nothing granted yet. `incarnation` makes requests and heartbeats newer than those of every earlier run.
     #[must_use]
-    pub fn new(holder: &str, incarnation: u64, store: Option<String>, standing: Leadership) -> Self {
+    pub fn new(holder: &str, incarnation: u64, store: Option<String>, leadership: Leadership) -> Self {
         Self {
             holder: holder.to_owned(),
-            term: standing.epoch,
+            term: leadership.epoch,
             confirmed: false,
-            shared: standing.shared,
+            shared: leadership.shared,
             deposed: false,
             heard_out: store.is_none(),
             store,
@@ -92,13 +92,13 @@ impl LeaseClient {
         &self.why_not
     }
 
-    /// Whether this mission keeps the robot's goals; where no other can, also without the robot's word.
+    /// Whether this mission keeps the robot's goals; where no other store can, also without the robot's confirmation.
     #[must_use]
     pub fn leads(&self) -> bool {
         self.claims() && (self.confirmed || self.heard_out)
     }
 
-    /// Whether it will lead unless the robot says otherwise: a new mission leaves the lead to one that does.
+    /// Whether it will lead unless the robot says otherwise: a new mission yields to one that leads.
     #[must_use]
     pub fn claims(&self) -> bool {
         !self.deposed && (self.confirmed || !self.shared)
@@ -110,13 +110,13 @@ impl LeaseClient {
         self.deposed
     }
 
-    /// Whether this mission promises nothing to anybody: it does not lead, or another one commands.
+    /// Whether this mission is a standby: it does not lead, or another mission commands.
     #[must_use]
     pub fn stands_by(&self) -> bool {
         !self.leads() || self.other.is_some() && self.grant.is_none()
     }
 
-    /// Epoch under which it leads; `None` before the robot has said so.
+    /// Epoch under which it leads; `None` before the robot has confirmed it.
     #[must_use]
     pub fn term(&self) -> Option<u64> {
         (self.confirmed && !self.deposed).then_some(self.term)
@@ -127,7 +127,7 @@ impl LeaseClient {
         self.shared = shared;
     }
 
-    /// Takes the robot's word.
+    /// Takes the robot's newest state.
     pub fn observe(&mut self, now: Stamp, state: &EdgeState) {
         let led = state.lease.live && state.lease.role == Some(LeaseRole::Mission);
         let other = state
@@ -144,7 +144,7 @@ impl LeaseClient {
             self.deposed = true;
         }
         let Some(grant) = &self.grant else {
-            // Nobody commands: no need to wait for the next try.
+            // Nobody commands: the next request need not wait.
             if !state.lease.live && self.asking.is_none() {
                 self.next_ask = self.next_ask.min(now);
             }
@@ -154,7 +154,7 @@ impl LeaseClient {
         let leads = |store: &String| lease.leader.as_ref().is_none_or(|leader| leader.store == *store);
         let ours = lease.holder.as_deref() == Some(self.holder.as_str()) && self.store.as_ref().is_none_or(leads);
         if state.boot_id != grant.boot_id {
-            self.lose(now, "the robot has started anew".to_owned());
+            self.lose(now, "the robot has restarted".to_owned());
         } else if lease.epoch > grant.epoch || (lease.epoch == grant.epoch && !ours) {
             let holder = lease.holder.as_deref().unwrap_or("nobody");
             self.lose(now, format!("{holder} holds the lease now"));
@@ -164,25 +164,32 @@ impl LeaseClient {
         // A state of an older epoch was sent before the grant.
     }
 
+    /// Heartbeats went out until now, though no step was made.
+    pub fn was_kept_alive(&mut self, now: Stamp) {
+        if let Some(last) = &mut self.last_step {
+            *last = now.max(*last);
+        }
+    }
+
     fn lose(&mut self, now: Stamp, why: String) {
         self.grant = None;
         self.why_not = why;
         self.next_ask = now;
     }
 
-    /// Asks where there is no lease; the sign of life that is due, if one is.
+    /// Requests the lease where there is none; returns the heartbeat that is due, if one is.
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Option<Heartbeat> {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
         {
-            // Where others could have taken over meanwhile, the robot must say who leads, and not by an answer from before.
+            // Another mission may have taken over: the robot must confirm who leads, and not by an earlier answer.
             self.confirmed &= !self.shared;
             if let Some(ticket) = self.asking.take() {
                 asks.forget(ticket);
                 self.next_ask = now;
             }
             if self.grant.is_some() {
-                self.lose(now, "this mission has slept".to_owned());
+                self.lose(now, "this mission was suspended".to_owned());
             }
         }
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
@@ -199,7 +206,7 @@ impl LeaseClient {
             self.asking = Some(asks.ask(Ask::Lease(request)));
         }
         let epoch = self.epoch()?;
-        // At even times, whatever else makes for a step; one that is missed is not made up for.
+        // At even times, whatever else triggers a step; a missed one is not caught up.
         let late = now.secs_since(self.next_beat);
         if late < -1e-6 {
             return None;
@@ -224,7 +231,7 @@ impl LeaseClient {
                 self.next_beat = Stamp::ZERO;
                 self.why_not.clear();
             }
-            Ok(_) => self.why_not = "the robot's answer was not about the lease".to_owned(),
+            Ok(_) => self.why_not = "the robot's reply was not a lease".to_owned(),
             Err(NoAnswer::Refused(Refusal::Held { holder, leader, .. })) => {
                 self.why_not = format!("{holder} holds the lease");
                 if let (Some(store), Some(leader)) = (&self.store, leader) {
@@ -243,7 +250,7 @@ impl LeaseClient {
     }
 }
 
-/// A counter that grows over restarts: this life's number above, this life's count below.
+/// A counter that grows over restarts: the incarnation in the upper 32 bits, its count below.
 #[must_use]
 pub fn newer(incarnation: u64, count: u64) -> u64 {
     (incarnation << 32) | (count & 0xffff_ffff)
@@ -256,11 +263,11 @@ mod tests {
     use zenav_protocol::messages::Leader;
 
     fn granted(now: f64) -> (LeaseClient, Asks) {
-        let (mut keeper, mut asks) = (
+        let (mut client, mut asks) = (
             LeaseClient::new("me", 3, Some("mine".into()), Leadership::default()),
             Asks::new(3),
         );
-        assert_eq!(keeper.step(Stamp::from_secs(now), &mut asks), None);
+        assert_eq!(client.step(Stamp::from_secs(now), &mut asks), None);
         let (ticket, ask) = asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::Lease(LeaseRequest { ref holder, .. }) if holder == "me"));
         asks.answer(
@@ -271,14 +278,14 @@ mod tests {
                 boot_id: "b".into(),
             })),
         );
-        (keeper, asks)
+        (client, asks)
     }
 
     #[test]
-    fn signs_of_life_come_ten_times_a_second_and_grow_over_restarts() {
-        let (mut keeper, mut asks) = granted(1.0);
+    fn heartbeats_come_ten_times_a_second_and_grow_over_restarts() {
+        let (mut client, mut asks) = granted(1.0);
         let beats: Vec<_> = (0..21)
-            .filter_map(|i| keeper.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks))
+            .filter_map(|i| client.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks))
             .collect();
         assert_eq!(beats.len(), 11);
         assert!(beats.windows(2).all(|pair| pair[0].counter < pair[1].counter));
@@ -287,22 +294,31 @@ mod tests {
 
     #[test]
     fn a_mission_that_has_slept_does_not_command_before_it_has_asked_again() {
-        let (mut keeper, mut asks) = granted(1.0);
-        assert!(keeper.step(Stamp::from_secs(1.05), &mut asks).is_some());
-        assert_eq!(keeper.step(Stamp::from_secs(21.0), &mut asks), None);
-        assert_eq!(keeper.epoch(), None);
+        let (mut client, mut asks) = granted(1.0);
+        assert!(client.step(Stamp::from_secs(1.05), &mut asks).is_some());
+        assert_eq!(client.step(Stamp::from_secs(21.0), &mut asks), None);
+        assert_eq!(client.epoch(), None);
         assert_eq!(asks.take_new().len(), 1);
+    }
+
+    #[test]
+    fn a_mission_that_was_busy_while_heartbeats_went_out_keeps_its_lease() {
+        let (mut client, mut asks) = granted(1.0);
+        assert!(client.step(Stamp::from_secs(1.05), &mut asks).is_some());
+        client.was_kept_alive(Stamp::from_secs(9.0));
+        assert!(client.step(Stamp::from_secs(9.05), &mut asks).is_some());
+        assert_eq!((client.epoch(), asks.take_new().len()), (Some(7), 0));
     }
 
     #[test]
     fn a_leader_that_has_slept_while_others_could_take_over_leads_again_on_the_robot_s_word_alone() {
         for shared in [false, true] {
-            let (mut keeper, mut asks) = granted(1.0);
-            keeper.step(Stamp::from_secs(1.05), &mut asks);
-            assert_eq!((keeper.leads(), keeper.term()), (true, Some(7)));
-            keeper.share(shared);
-            keeper.step(Stamp::from_secs(21.0), &mut asks);
-            assert_eq!(keeper.leads(), !shared);
+            let (mut client, mut asks) = granted(1.0);
+            client.step(Stamp::from_secs(1.05), &mut asks);
+            assert_eq!((client.leads(), client.term()), (true, Some(7)));
+            client.share(shared);
+            client.step(Stamp::from_secs(21.0), &mut asks);
+            assert_eq!(client.leads(), !shared);
             let (ticket, _) = asks.take_new().pop().unwrap();
             let held = |leader: &str| Refusal::Held {
                 holder: "operator".into(),
@@ -316,29 +332,29 @@ mod tests {
                 }),
             };
             asks.answer(ticket, Err(NoAnswer::Refused(held("mine"))));
-            keeper.step(Stamp::from_secs(21.05), &mut asks);
-            assert!(keeper.leads(), "it leads while an operator commands");
-            keeper.step(Stamp::from_secs(21.6), &mut asks);
+            client.step(Stamp::from_secs(21.05), &mut asks);
+            assert!(client.leads(), "it leads while an operator commands");
+            client.step(Stamp::from_secs(21.6), &mut asks);
             let (ticket, _) = asks.take_new().pop().unwrap();
             asks.answer(ticket, Err(NoAnswer::Refused(held("another"))));
-            keeper.step(Stamp::from_secs(21.65), &mut asks);
-            assert!(keeper.is_deposed() && !keeper.leads());
+            client.step(Stamp::from_secs(21.65), &mut asks);
+            assert!(client.is_deposed() && !client.leads());
         }
     }
 
     #[test]
     fn a_mission_whose_goals_another_store_may_have_newer_leads_only_once_it_was_granted() {
-        let standing = Leadership { epoch: 5, shared: true };
-        let mut keeper = LeaseClient::new("me", 3, Some("mine".into()), standing);
+        let leadership = Leadership { epoch: 5, shared: true };
+        let mut client = LeaseClient::new("me", 3, Some("mine".into()), leadership);
         let mut asks = Asks::new(3);
-        keeper.step(Stamp::from_secs(1.0), &mut asks);
-        assert!(!keeper.leads() && !keeper.is_deposed());
+        client.step(Stamp::from_secs(1.0), &mut asks);
+        assert!(!client.leads() && !client.is_deposed());
         let (ticket, _) = asks.take_new().pop().unwrap();
         let refusal = Refusal::NotCaughtUp {
             caught_up: vec!["other".into()],
         };
         asks.answer(ticket, Err(NoAnswer::Refused(refusal)));
-        keeper.step(Stamp::from_secs(1.05), &mut asks);
-        assert!(keeper.is_deposed());
+        client.step(Stamp::from_secs(1.05), &mut asks);
+        assert!(client.is_deposed());
     }
 }

@@ -1,12 +1,18 @@
-//! What is the robot to do next, and how does nobody lose it? Goals, their behaviour trees, the lease, the plan in force.
+//! Goals that cannot be lost: one robot's orchestrator on behaviour trees.
 //!
-//! A mission is one robot's orchestrator: it holds the robot's lease, and it alone publishes the plan that moves it.
+//! A goal is acknowledged only once it is on disk, survives a restart of any process, and ends in exactly one of `Succeeded`,
+//! `Aborted`, `Canceled`, `Rejected`. The mission holds the robot's lease, and it alone publishes the plan that moves the robot; it rechecks
+//! that plan against the newest map and renews it before it expires. [`Mission::step`] is pure: time and messages in, [`Effect`]s out, the
+//! first of which is what to persist before anything else is done. A thin service carries the effects out (`zenav-cloud`), or a test
+//! does (`examples/by_hand.rs`).
+//!
+//! Requests are idempotent by id within a window: see [`goals`].
 //!
 //! | file | answers |
 //! |---|---|
 //! | [`config`] | what can be set? |
 //! | [`io`] | what goes into a step, and what comes out? |
-//! | [`orchestrator`] | what happens in a step? |
+//! | [`orchestrator`], `publishing` | what happens in a step, and what does it store and publish? |
 //! | `requests`, [`goal_validation`], [`goals`] | what are clients told, which goals are taken, which are there? |
 //! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
@@ -64,6 +70,7 @@ pub mod leaves;
 pub mod map;
 pub mod motion;
 pub mod orchestrator;
+mod publishing;
 pub mod records;
 mod requests;
 pub mod robot;

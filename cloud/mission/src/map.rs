@@ -1,4 +1,4 @@
-//! What is known of the robot's map? A copy kept by patches, and where the robot may be by it.
+//! Robot map. What is known of the robot's map? A replica kept by patches, and the configuration space of it.
 
 use std::sync::Arc;
 
@@ -14,25 +14,27 @@ use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::padding::Extent;
 use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
-/// Time between two asks for the whole map, s.
+/// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
-/// For so long patches are waited for before the whole is asked for, s.
+/// How long a missing patch is waited for before the whole map is requested, s.
 const PATIENCE: f64 = 0.5;
 
 /// The robot's map as the mission knows it.
 #[derive(Debug, Default)]
 pub struct RobotMap {
     info: Option<MapInfo>,
-    mirror: MapReplica,
-    /// Since when the copy has been behind.
+    replica: MapReplica,
+    /// Since when the replica has been behind.
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
+    /// Since when there has been no mapper.
+    mapper_gone: Option<Stamp>,
     spaces: SpaceCache,
 }
 
 impl RobotMap {
-    /// Nothing is known yet of a map with these zones.
+    /// An empty map with these zones.
     #[must_use]
     pub fn new(zones: Arc<Zones>) -> Self {
         Self {
@@ -41,12 +43,12 @@ impl RobotMap {
         }
     }
 
-    /// Takes in what mapping says.
+    /// Takes what the mapper has published.
     pub fn observe(&mut self, now: Stamp, info: Option<MapInfo>, patches: &[MapPatch]) {
         let mut gap = false;
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
-            gap = match self.mirror.apply(patch) {
+            gap = match self.replica.apply(patch) {
                 PatchResult::Applied => false,
                 PatchResult::Old => gap,
                 PatchResult::Gap => true,
@@ -55,17 +57,36 @@ impl RobotMap {
         if info.is_some() {
             self.info = info;
         }
-        let behind = gap || self.info.as_ref().is_some_and(|info| !self.mirror.holds(&info.map));
+        let behind = gap || self.info.as_ref().is_some_and(|info| !self.replica.holds(&info.map));
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }
 
-    /// Asks for the whole map where patches are missing.
+    /// Takes whether a mapper is alive.
+    pub fn observe_mapper(&mut self, now: Stamp, alive: bool) {
+        self.mapper_gone = match alive {
+            true => None,
+            false => Some(self.mapper_gone.unwrap_or(now)),
+        };
+    }
+
+    /// Why the replica cannot vouch for free space: there is none, or no mapper has kept it up to date for longer than
+    /// `patience`, s.
+    #[must_use]
+    pub fn unusable(&self, now: Stamp, patience: f64) -> Option<String> {
+        if self.spec().is_none_or(|spec| spec.is_empty()) {
+            return Some("no map has come yet".to_owned());
+        }
+        let gone = self.mapper_gone.map(|since| now.secs_since(since))?;
+        (gone > patience).then(|| format!("the mapper has been gone for {gone:.0} s"))
+    }
+
+    /// Requests the whole map where patches are missing.
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
             self.next_ask = now.plus_secs(RETRY);
             if let Ok(Answer::Map(reply)) = answer
-                && self.mirror.replace(&reply)
+                && self.replica.replace(&reply)
             {
                 self.behind = None;
                 self.info = Some(reply.info);
@@ -80,50 +101,50 @@ impl RobotMap {
         }
     }
 
-    /// Its description.
+    /// The map's description.
     #[must_use]
     pub fn info(&self) -> Option<&MapInfo> {
         self.info.as_ref()
     }
 
-    /// Where the map itself lies; `None` while there is no copy.
+    /// The map's grid; `None` while there is no replica.
     #[must_use]
     pub fn spec(&self) -> Option<GridSpec> {
-        self.mirror.has_map().then(|| *self.mirror.grid().spec())
+        self.replica.has_map().then(|| *self.replica.grid().spec())
     }
 
-    /// The copy's map and revision; `None` while there is no copy.
+    /// The replica's map id and revision; `None` while there is no replica.
     #[must_use]
     pub fn newest(&self) -> Option<MapRef> {
-        self.mirror.has_map().then(|| self.mirror.map().clone())
+        self.replica.has_map().then(|| self.replica.map().clone())
     }
 
-    /// Where the robot may be as far as an outlook goes, and a copy of the map that reaches there; `None` without a map.
+    /// The configuration space padded to an extent, and the replica padded alike; `None` without a map.
     pub fn space_reaching(
         &mut self,
         footprint: &Footprint,
-        outlook: &Extent,
+        extent: &Extent,
     ) -> Option<(Arc<ConfigurationSpace>, MapReplica)> {
-        if !self.mirror.has_map() || self.mirror.grid().spec().is_empty() {
+        if !self.replica.has_map() || self.replica.grid().spec().is_empty() {
             return None;
         }
-        let mut mirror = self.mirror.clone();
-        mirror.reach(outlook);
-        Some((self.spaces.get(&mirror, footprint, UnknownPolicy::Free), mirror))
+        let mut replica = self.replica.clone();
+        replica.reach(extent);
+        Some((self.spaces.get(&replica, footprint, UnknownPolicy::Free), replica))
     }
 
-    /// What the map has at a point; `None` without a map. Outside of it nothing is known.
+    /// Occupancy at a point, `Unknown` outside the map; `None` without a map.
     #[must_use]
     pub fn occupancy(&self, point: Point2<f64>) -> Option<Occupancy> {
-        let grid = self.mirror.has_map().then(|| self.mirror.grid())?;
+        let grid = self.replica.has_map().then(|| self.replica.grid())?;
         let value = grid.spec().cell_at(point).and_then(|cell| grid.get(cell));
         Some(value.map_or(Occupancy::Unknown, |value| Occupancy::of(*value)))
     }
 
-    /// Where the robot may be; unknown cells do not stand in its way here. `None` without a map.
+    /// The configuration space, with unknown cells free; `None` without a map.
     pub fn space(&mut self, footprint: &Footprint) -> Option<Arc<ConfigurationSpace>> {
-        let mapped = self.mirror.has_map() && !self.mirror.grid().spec().is_empty();
-        mapped.then(|| self.spaces.get(&self.mirror, footprint, UnknownPolicy::Free))
+        let mapped = self.replica.has_map() && !self.replica.grid().spec().is_empty();
+        mapped.then(|| self.spaces.get(&self.replica, footprint, UnknownPolicy::Free))
     }
 }
 
@@ -137,31 +158,22 @@ mod tests {
     use zenav_mapping::{Mapper, MappingSettings};
 
     fn scan(stamp: u64, x: f64) -> Scan {
-        Scan {
-            stamp: Stamp(stamp),
-            angle_min: -3.0,
-            angle_increment: 0.05,
-            range_min: 0.02,
-            range_max: 8.0,
-            ranges: (0..120).map(|beam| 1.0 + 0.03 * beam as f32).collect(),
-            base_from_laser: Pose2::IDENTITY,
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::new(x, 0.3 * x, 0.0),
-        }
+        let ranges = (0..120).map(|beam| 1.0 + 0.03 * beam as f32).collect();
+        zenav_fixtures::scan(stamp, Pose2::new(x, 0.3 * x, 0.0), ranges)
     }
 
     #[test]
     fn a_space_kept_by_patches_is_that_of_the_map() {
         let mut mapper = Mapper::new(MappingSettings::default(), "m");
-        let mut book = RobotMap::default();
+        let mut map = RobotMap::default();
         let footprint = Footprint::Radius(0.3);
         for step in 1..30 {
             mapper.insert(&scan(step, 0.4 * step as f64));
             let patches: Vec<MapPatch> = std::iter::from_fn(|| mapper.take_patch()).collect();
-            book.observe(Stamp(step), Some(mapper.info()), &patches);
+            map.observe(Stamp(step), Some(mapper.info()), &patches);
             if step % 3 == 0 {
                 let anew = ConfigurationSpace::new(&mapper.grid(), &footprint, UnknownPolicy::Free, 0.0);
-                let kept = book.space(&footprint).unwrap();
+                let kept = map.space(&footprint).unwrap();
                 assert_eq!(
                     (kept.spec(), kept.free(), kept.obstacles()),
                     (anew.spec(), anew.free(), anew.obstacles())
@@ -169,24 +181,46 @@ mod tests {
             }
         }
         let larger = Footprint::Radius(0.6);
-        assert!(book.space(&larger).unwrap().clearance(Point2::origin()) >= 0.0);
-        assert_eq!(book.space(&larger).unwrap().footprint(), &larger);
+        assert!(map.space(&larger).unwrap().clearance(Point2::origin()) >= 0.0);
+        assert_eq!(map.space(&larger).unwrap().footprint(), &larger);
     }
 
     #[test]
-    fn a_copy_with_a_gap_asks_for_the_whole() {
+    fn a_replica_without_a_mapper_goes_stale() {
         let mut mapper = Mapper::new(MappingSettings::default(), "m");
-        let (mut book, mut asks) = (RobotMap::default(), Asks::new(1));
+        let mut map = RobotMap::default();
+        let at = Stamp::from_secs;
+        assert_eq!(map.unusable(at(1.0), 10.0).as_deref(), Some("no map has come yet"));
+        mapper.insert(&scan(1, 0.0));
+        let patches: Vec<MapPatch> = std::iter::from_fn(|| mapper.take_patch()).collect();
+        map.observe(at(1.0), Some(mapper.info()), &patches);
+        assert_eq!(
+            map.unusable(at(100.0), 10.0),
+            None,
+            "a mapper that has nothing new is silent"
+        );
+        map.observe_mapper(at(100.0), false);
+        map.observe_mapper(at(105.0), false);
+        assert_eq!(map.unusable(at(110.0), 10.0), None);
+        assert!(map.unusable(at(110.5), 10.0).is_some());
+        map.observe_mapper(at(111.0), true);
+        assert_eq!(map.unusable(at(111.0), 10.0), None);
+    }
+
+    #[test]
+    fn a_replica_with_a_gap_requests_the_whole_map() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
+        let (mut map, mut asks) = (RobotMap::default(), Asks::new(1));
         mapper.insert(&scan(1, 0.0));
         while mapper.take_patch().is_some() {}
-        book.observe(Stamp::from_secs(1.0), Some(mapper.info()), &[]);
-        book.step(Stamp::from_secs(1.0), &mut asks);
+        map.observe(Stamp::from_secs(1.0), Some(mapper.info()), &[]);
+        map.step(Stamp::from_secs(1.0), &mut asks);
         assert!(asks.take_new().is_empty(), "a patch may still be on its way");
-        book.observe(Stamp::from_secs(2.0), None, &[]);
-        book.step(Stamp::from_secs(2.0), &mut asks);
+        map.observe(Stamp::from_secs(2.0), None, &[]);
+        map.step(Stamp::from_secs(2.0), &mut asks);
         let (ticket, _) = asks.take_new().pop().unwrap();
         asks.answer(ticket, Ok(Answer::Map(Box::new(mapper.reply()))));
-        book.step(Stamp::from_secs(2.1), &mut asks);
-        assert_eq!(book.newest().as_ref(), Some(mapper.map()));
+        map.step(Stamp::from_secs(2.1), &mut asks);
+        assert_eq!(map.newest().as_ref(), Some(mapper.map()));
     }
 }

@@ -1,4 +1,4 @@
-//! What happens in a mission's step? Listen, keep the lease, serve clients, run the goal's tree, tell everybody.
+//! Mission core. What happens in a step? Observe, keep the lease, answer clients, tick the active goal's tree, persist and publish.
 
 use std::time::Duration;
 
@@ -7,17 +7,15 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::config::MissionConfig;
-use super::context::{Context, GoalInHand};
+use super::context::{ActiveGoal, Context};
 use super::goal_validation::{self, Target};
 use super::goals::GoalTable;
 use super::io::{Client, Effect, Inputs};
 use super::leaves::{goal_text, goals_value};
-use super::records::{Record, Restored, RunningTree, StoredGoal};
+use super::publishing::Published;
+use super::records::{Restored, RunningTree, StoredGoal};
 use super::trees;
 use zenav_behaviour_tree::{Status, Tree, Value};
-
-/// Time between two publications of what has not changed, s.
-const STATUS_PERIOD: f64 = 0.5;
 
 /// One robot's mission: pure, so that it runs in a service and in lockstep alike.
 pub struct Mission {
@@ -26,29 +24,26 @@ pub struct Mission {
     pub(super) incarnation: u64,
     /// The name of the store, where one keeps the goals.
     pub(super) store: Option<String>,
-    standbys: Vec<String>,
-    /// The mission's time when something was written last, before this life.
+    pub(super) standbys: Vec<String>,
+    /// The mission's time of the last write before this run.
     written: Stamp,
-    /// How far the mission's time is ahead of the clock's, ns.
+    /// Offset of the mission's time to the clock, ns.
     ahead: Option<i64>,
-    running: Option<Running>,
-    /// The tree that ran before a restart, until its goal is taken up again.
-    left_over: Option<RunningTree>,
-    replies: Vec<(Client, Result<MissionReply, Refusal>)>,
-    tree_ended: bool,
-    next_status: Stamp,
-    told: Option<(Option<String>, u64, Option<u64>)>,
-    told_feedback: GoalFeedback,
-    told_legs: u64,
+    pub(super) running: Option<Running>,
+    /// The tree that ran before a restart, until its goal is active again.
+    restored_tree: Option<RunningTree>,
+    pub(super) replies: Vec<(Client, Result<MissionReply, Refusal>)>,
+    pub(super) tree_ended: bool,
+    pub(super) published: Published,
 }
 
-/// The goal in hand and its tree.
-struct Running {
-    goal_id: String,
-    name: String,
-    tree: Tree<Context>,
+/// The active goal and its tree.
+pub(super) struct Running {
+    pub(super) goal_id: String,
+    pub(super) name: String,
+    pub(super) tree: Tree<Context>,
     /// The tree's revision that is stored.
-    stored: Option<u64>,
+    pub(super) stored: Option<u64>,
 }
 
 impl std::fmt::Debug for Mission {
@@ -62,7 +57,7 @@ impl std::fmt::Debug for Mission {
 }
 
 impl Mission {
-    /// A mission that goes on where the one before it ended.
+    /// A mission that continues where the stored one ended.
     #[must_use]
     pub fn new(config: MissionConfig, restored: Restored) -> Self {
         let mut ctx = Context::new(config, &restored);
@@ -78,18 +73,15 @@ impl Mission {
             ahead: restored.ahead,
             standbys: Vec::new(),
             running: None,
-            left_over: restored.tree,
+            restored_tree: restored.tree,
             replies: Vec::new(),
             tree_ended: false,
-            next_status: Stamp::ZERO,
-            told: None,
-            told_feedback: GoalFeedback::default(),
-            told_legs: 0,
+            published: Published::default(),
         }
     }
 
-    /// One step, some twenty times a second and whenever a client asks. Effects are to be carried out in order, the first
-    /// of them, [`Effect::Persist`], to its end before all others.
+    /// One step, some twenty times a second and whenever a client asks. The caller carries the effects out in order; the
+    /// first, [`Effect::Persist`], completes before any other begins.
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
         let now = self.own_time(now);
         let ctx = &mut self.ctx;
@@ -101,6 +93,9 @@ impl Mission {
         ctx.robot.hear(now, &inputs.events);
         ctx.robot.observe(now, inputs.state, inputs.pose);
         ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
+        if let Some(alive) = inputs.mapper_alive {
+            ctx.map.observe_mapper(now, alive);
+        }
         for (ticket, answer) in inputs.answers {
             ctx.asks.answer(ticket, answer);
         }
@@ -113,22 +108,28 @@ impl Mission {
         if !ctx.lease.leads() {
             return self.stand_by(inputs.requests, effects);
         }
-        // Goals left by an earlier life are taken up before anybody asks about them.
-        self.take_up();
+        // Goals of an earlier run are active again before any client asks about them.
+        self.activate_next();
         for (client, request) in inputs.requests {
             let reply = self.serve(request);
             self.replies.push((client, reply));
         }
         self.keep_deadlines();
-        self.take_up();
+        self.activate_next();
         self.tick();
         self.collect(heartbeat, effects)
     }
 
-    /// The mission's time goes on over restarts and over machines, whatever their clocks say: stored stamps are of it.
+    /// The last step took until now, and heartbeats went out meanwhile: this mission was busy, not suspended.
+    pub fn was_kept_alive(&mut self, now: Stamp) {
+        let now = self.own_time(now);
+        self.ctx.lease.was_kept_alive(now);
+    }
+
+    /// The mission's time is monotonic over restarts and machines, whatever their clocks say; stored stamps use it.
     fn own_time(&mut self, now: Stamp) -> Stamp {
         let written = self.written;
-        // A clock that follows the robot's stands at zero until it has heard it.
+        // A clock that follows the robot's is zero until it has heard the robot.
         if now == Stamp::ZERO && self.ahead.is_none() {
             return written;
         }
@@ -136,7 +137,7 @@ impl Mission {
         Stamp(now.0.saturating_add_signed(ahead))
     }
 
-    /// What is left to do for a mission that does not lead: it asks to, and says so.
+    /// The step of a standby: it requests the lease, and answers clients that it does not lead.
     fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>, mut effects: Vec<Effect>) -> Vec<Effect> {
         for (client, request) in requests {
             let reply = self.serve(request);
@@ -150,7 +151,7 @@ impl Mission {
         effects
     }
 
-    /// The epoch under which this mission leads; `None` while the robot has not said so.
+    /// The epoch under which this mission leads; `None` while the robot has not confirmed it.
     #[must_use]
     pub fn term(&self) -> Option<u64> {
         self.ctx.lease.term()
@@ -162,22 +163,22 @@ impl Mission {
         self.ctx.now
     }
 
-    /// Why it does not command, in words.
+    /// Why it does not hold the lease.
     #[must_use]
     pub fn why_not(&self) -> &str {
         self.ctx.lease.why_not()
     }
 
-    /// Which other stores hold all that this mission acknowledges, and whether some more may.
+    /// Which standbys hold everything that this mission acknowledges, and whether further stores may.
     pub fn share(&mut self, standbys: Vec<String>, shared: bool) {
         self.ctx.lease.share(shared);
         if standbys != self.standbys {
             self.standbys = standbys;
-            self.told = None;
+            self.published.status = None;
         }
     }
 
-    /// The end of this process, not of its goals: the robot comes to rest soon, and the next life goes on.
+    /// Shutdown: the robot comes to rest, and the next run continues its goals.
     pub fn leave(&mut self) -> Vec<Effect> {
         self.ctx.hold();
         self.collect(None, Vec::new())
@@ -189,14 +190,14 @@ impl Mission {
         self.ctx.lease.epoch()
     }
 
-    /// A goal by its name.
+    /// A goal by its id.
     #[must_use]
     pub fn goal(&self, id: &str) -> Option<&GoalState> {
         self.goals.get(id).map(|goal| &goal.state)
     }
 
-    /// Gives the goal in hand, or the next one, a tree.
-    fn take_up(&mut self) {
+    /// Builds the tree of the active goal, or of the next in the queue.
+    fn activate_next(&mut self) {
         while self.running.is_none() {
             let Some(goal) = self.goals.active().or_else(|| self.goals.next()).cloned() else {
                 return;
@@ -230,11 +231,11 @@ impl Mission {
             (None, _) => trees::NAVIGATE,
         };
         let mut tree = trees::build(name).map_err(|error| error.to_string())?;
-        let left_over = self.left_over.take().filter(|left| left.goal_id == *id);
-        let resumed = left_over.is_some_and(|left| match tree.restore(left.snapshot) {
+        let restored_tree = self.restored_tree.take().filter(|left| left.goal_id == *id);
+        let resumed = restored_tree.is_some_and(|left| match tree.restore(left.snapshot) {
             Ok(()) => true,
             Err(error) => {
-                tracing::warn!(goal = id, %error, "its tree begins anew");
+                tracing::warn!(goal = id, %error, "its tree starts from the beginning");
                 false
             }
         });
@@ -246,7 +247,7 @@ impl Mission {
                 (leg.state, leg.ended) = (GoalPhase::Aborted, Some(self.ctx.now));
             }
         }
-        self.ctx.goal = GoalInHand {
+        self.ctx.goal = ActiveGoal {
             id: id.clone(),
             tolerance: request.tolerance.unwrap_or(self.ctx.config.tolerance),
             profile: request.profile.unwrap_or(self.ctx.config.profile),
@@ -255,7 +256,7 @@ impl Mission {
             leg_changes: 0,
             failure: None,
         };
-        self.told_legs = 0;
+        self.published.legs = 0;
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());
         Ok(Running {
             goal_id: id.clone(),
@@ -283,23 +284,23 @@ impl Mission {
             self.finish(
                 &id,
                 GoalPhase::Aborted,
-                Some(format!("not reached within its deadline of {secs} s")),
+                Some(format!("missed its deadline of {secs} s")),
             );
         }
     }
 
-    /// Ticks the tree of the goal in hand, unless it is held by a pause.
+    /// Ticks the active goal's tree, unless the goal is paused.
     fn tick(&mut self) {
         let Some(running) = &mut self.running else { return };
         let Some(goal) = self.goals.get(&running.goal_id) else {
             return;
         };
-        // A tree that can be held from outside decides itself what goes on meanwhile.
+        // A tree with a node for pausing decides itself what goes on meanwhile.
         let held = goal.state.state == GoalPhase::Paused && !running.tree.can_pause();
         if held || !matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused) {
             return;
         }
-        // Time stands still for a tree while its goal is held.
+        // A tree's time stands still while its goal is paused.
         let time =
             Duration::from_nanos(self.ctx.now.0).saturating_sub(Duration::from_secs_f64(goal.paused_secs.max(0.0)));
         let (phase, reason) = match running.tree.tick(time, &mut self.ctx) {
@@ -321,7 +322,7 @@ impl Mission {
         self.finish(&id, phase, reason);
     }
 
-    /// Asks the tree of the goal in hand to pause or go on; `false` if it has no node for that.
+    /// Asks the active goal's tree to pause or resume; `false` if it has no node for that.
     pub(super) fn ask_tree_to_pause(&mut self, id: &str, resume: bool) -> bool {
         let running = self.running.as_mut().filter(|running| running.goal_id == id);
         let Some(running) = running.filter(|running| running.tree.can_pause()) else {
@@ -331,13 +332,13 @@ impl Mission {
         true
     }
 
-    /// Ends a goal: its tree is halted, the robot comes to rest, the end is stored and told.
+    /// Ends a goal: its tree is halted, the robot comes to rest, the end is persisted and published.
     pub(super) fn finish(&mut self, id: &str, phase: GoalPhase, reason: Option<String>) {
         if let Some(mut running) = self.running.take_if(|running| running.goal_id == id) {
             if let Err(error) = running.tree.halt(Duration::from_nanos(self.ctx.now.0), &mut self.ctx) {
                 tracing::warn!(goal = id, %error, "its tree was halted with an error");
             }
-            // Whatever a leaf may have left in force.
+            // A leaf may have left a plan in force.
             self.ctx.hold();
             self.ctx.motion.clear();
             let (feedback, legs) = (self.ctx.goal.feedback.clone(), std::mem::take(&mut self.ctx.goal.legs));
@@ -345,124 +346,16 @@ impl Mission {
                 goal.state.feedback = feedback;
                 goal.state.legs = legs;
             });
-            self.ctx.goal = GoalInHand::default();
+            self.ctx.goal = ActiveGoal::default();
             self.tree_ended = true;
         }
         if self.goals.end(id, phase, reason.clone(), self.ctx.now) {
             tracing::info!(goal = id, ?phase, reason, "goal ended");
         }
     }
-
-    fn collect(&mut self, heartbeat: Option<Heartbeat>, mut others: Vec<Effect>) -> Vec<Effect> {
-        self.tell_feedback();
-        let mut records = self.goals.take_records();
-        if let Some(motion) = self.ctx.motion.take_changed() {
-            records.push(Record::Motion(motion));
-        }
-        match &mut self.running {
-            Some(running) if running.stored != Some(running.tree.revision()) => {
-                running.stored = Some(running.tree.revision());
-                let snapshot = running.tree.snapshot();
-                records.push(Record::Tree(Some(Box::new(RunningTree {
-                    goal_id: running.goal_id.clone(),
-                    snapshot,
-                }))));
-            }
-            Some(_) => {}
-            None if self.tree_ended => records.push(Record::Tree(None)),
-            None => {}
-        }
-        self.tree_ended = false;
-        let mut effects = Vec::new();
-        if !records.is_empty() {
-            records.push(Record::Now(self.ctx.now));
-            effects.push(Effect::Persist(records));
-        }
-        effects.append(&mut others);
-        effects.extend(heartbeat.map(Effect::Heartbeat));
-        effects.extend(self.ctx.plans.drain(..).map(|plan| Effect::Plan(Box::new(plan))));
-        effects.extend(
-            self.ctx
-                .asks
-                .take_new()
-                .into_iter()
-                .map(|(ticket, ask)| Effect::Ask(ticket, ask)),
-        );
-        effects.extend(
-            self.goals
-                .take_changed()
-                .into_iter()
-                .map(|goal| Effect::Goal(Box::new(goal))),
-        );
-        effects.extend(self.status().map(|status| Effect::Status(Box::new(status))));
-        effects.extend(
-            self.replies
-                .drain(..)
-                .map(|(client, reply)| Effect::Reply(client, reply)),
-        );
-        effects
-    }
-
-    /// Copies what the leaves have said into the goal: drives are stored, the rest only told.
-    fn tell_feedback(&mut self) {
-        let Some(running) = &self.running else { return };
-        let ctx = &self.ctx;
-        if ctx.goal.leg_changes != self.told_legs {
-            self.told_legs = ctx.goal.leg_changes;
-            let (feedback, legs) = (ctx.goal.feedback.clone(), ctx.goal.legs.clone());
-            self.goals.change(&running.goal_id, |goal| {
-                goal.state.feedback = feedback;
-                goal.state.legs = legs;
-            });
-        }
-        let told = &self.told_feedback;
-        let news = &ctx.goal.feedback;
-        let changed = (&told.step, told.plans, told.replans, told.recoveries)
-            != (&news.step, news.plans, news.replans, news.recoveries);
-        if changed || ctx.now >= self.next_status && told != news {
-            self.told_feedback = news.clone();
-            self.goals.feed_back(&running.goal_id, news);
-        }
-    }
-
-    /// What the mission does, when it has changed or is due.
-    fn status(&mut self) -> Option<MissionStatus> {
-        let running = self.running.as_ref();
-        let news = (
-            running.map(|running| running.goal_id.clone()),
-            running.map_or(0, |running| running.tree.revision()),
-            self.ctx.lease.epoch(),
-        );
-        if self.told.as_ref() == Some(&news) && self.ctx.now < self.next_status {
-            return None;
-        }
-        self.told = Some(news);
-        self.next_status = self.ctx.now.plus_secs(STATUS_PERIOD);
-        let nodes = running.map(|running| running.tree.report()).unwrap_or_default();
-        let node = |node: zenav_behaviour_tree::NodeReport| NodeStatus {
-            uid: u32::from(node.uid),
-            parent: node.parent.map(u32::from),
-            name: node.name,
-            id: node.id,
-            status: node.status.as_str().to_owned(),
-            feedback: node.feedback,
-        };
-        Some(MissionStatus {
-            stamp: self.ctx.now,
-            holder: self.ctx.config.holder.clone(),
-            leads: self.ctx.lease.epoch().is_some(),
-            epoch: self.ctx.lease.epoch().unwrap_or(0),
-            goal_id: running.map(|running| running.goal_id.clone()),
-            tree: running.map(|running| running.name.clone()),
-            nodes: nodes.into_iter().map(node).collect(),
-            feedback: self.ctx.goal.feedback.clone(),
-            queued: self.goals.queued() as u64,
-            standbys: self.standbys.clone(),
-        })
-    }
 }
 
-/// The entries that a goal's tree begins with.
+/// Writes the goal to its tree's blackboard.
 fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequest) -> Result<(), String> {
     let board = tree.blackboard_mut();
     let mut set = |key: &str, value: Value| {

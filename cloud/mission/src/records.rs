@@ -1,4 +1,4 @@
-//! What outlives a crash? Plain records; how they are kept on disk is the store's business.
+//! Records. What survives a crash? Plain data; how it is kept on disk is the store's business.
 
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{GoalReply, GoalState, Plan};
@@ -11,13 +11,13 @@ use zenav_behaviour_tree::TreeSnapshot;
 pub struct StoredGoal {
     /// Order of acceptance.
     pub sequence: u64,
-    /// Goes before those that wait: it preempted.
+    /// It preempted another goal: first in the queue.
     #[serde(default)]
     pub urgent: bool,
-    /// Time it was held by pauses, s.
+    /// Time spent paused, s.
     #[serde(default)]
     pub paused_secs: f64,
-    /// Since when it is held by a pause.
+    /// Since when it has been paused.
     #[serde(default)]
     pub paused_since: Option<Stamp>,
     /// The goal.
@@ -38,7 +38,7 @@ pub struct RunningTree {
 pub enum Record {
     /// A goal, new or changed.
     Goal(Box<StoredGoal>),
-    /// An old goal's end.
+    /// An old goal is dropped.
     ForgetGoal(String),
     /// The tree that runs, if one does.
     Tree(Option<Box<RunningTree>>),
@@ -46,18 +46,18 @@ pub enum Record {
     Motion(Option<Box<Plan>>),
     /// The first answer to a request.
     Answer(String, GoalReply),
-    /// An old answer's end.
+    /// An old answer is dropped.
     ForgetAnswer(String),
-    /// The mission's time when this is written, by which all other stamps are to be read.
+    /// The mission's time of the write, by which all other stamps are read.
     Now(Stamp),
 }
 
-/// How a mission's store stands to those of other missions for the same robot.
+/// How a mission's store relates to those of other missions for the same robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leadership {
-    /// Epoch of the newest grant, its own or one that it followed; zero before any mission of the robot led.
+    /// Epoch of the newest grant that it led or followed; zero before any mission of the robot led.
     pub epoch: u64,
-    /// Whether another store may hold newer goals than this one: then it leads on the robot's word alone.
+    /// Whether another store may hold newer goals than this one: then it leads only once the robot confirms it.
     pub shared: bool,
 }
 
@@ -67,7 +67,7 @@ pub struct Restored {
     /// Name of the store; none where nothing is kept.
     pub store: Option<String>,
     /// How it stands to other missions' stores.
-    pub standing: Leadership,
+    pub leadership: Leadership,
     /// Number of this life, greater than that of every life before.
     pub incarnation: u64,
     /// All goals.

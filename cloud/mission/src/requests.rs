@@ -1,4 +1,4 @@
-//! What are clients told? Goals taken, refused, cancelled, held; each answer only of what is stored in the same step.
+//! Requests. How are clients answered? Goals are accepted, rejected, cancelled, paused: persist, then reply.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
@@ -9,7 +9,7 @@ use super::goal_validation;
 use super::goals::reply;
 use super::orchestrator::Mission;
 
-/// Longest id of a request, bytes.
+/// Longest request id, bytes.
 const LONGEST_ID: usize = 128;
 
 impl Mission {
@@ -44,7 +44,7 @@ impl Mission {
         }
     }
 
-    /// A repeated request gets its first answer; refusals may be asked again.
+    /// Idempotency: a repeated request gets its first answer. A refusal is not remembered.
     fn once(
         &mut self,
         request_id: Option<String>,
@@ -70,7 +70,7 @@ impl Mission {
                 Ok(reply(&known.state))
             } else {
                 Err(Refusal::rejected(format!(
-                    "goal {} is known with another content",
+                    "goal {} exists with different content",
                     known.state.id
                 )))
             };
@@ -86,12 +86,15 @@ impl Mission {
             return Err(Refusal::rejected(format!("busy with goal {other}")));
         }
         if self.goals.is_full() {
-            return Err(Refusal::rejected(format!("{} goals wait already", self.goals.queued())));
+            return Err(Refusal::rejected(format!(
+                "the queue is full: {} goals",
+                self.goals.queued()
+            )));
         }
         let id = request
             .id
             .get_or_insert_with(|| {
-                // Unlike any that another mission of the robot gives.
+                // Distinct from the ids that other missions of the robot make.
                 let store = self.store.as_ref().map_or(String::new(), |store| format!("{store}-"));
                 format!("goal-{store}{}-{}", self.incarnation, self.goals.next_sequence())
             })
@@ -110,7 +113,8 @@ impl Mission {
         })
     }
 
-    /// Takes over what a mission that joins has accepted before any mission of the robot led: it was acknowledged, so it is not checked again.
+    /// Takes over the goals that a joining mission accepted before any mission of the robot led: they were acknowledged, so they are not
+    /// validated again.
     fn join(&mut self, request: JoinRequest) -> Result<JoinReply, Refusal> {
         let leader = self.store.clone().filter(|_| self.ctx.lease.term().is_some());
         let leader = leader.ok_or(Refusal::NotLeader)?;
@@ -132,12 +136,12 @@ impl Mission {
     fn cancel(&mut self, id: Option<String>) -> Result<GoalReply, Refusal> {
         let id = self.named(id)?;
         self.finish(&id, GoalPhase::Canceled, None);
-        self.stands(&id)
+        self.state_of(&id)
     }
 
     fn pause(&mut self, id: Option<String>, resume: bool) -> Result<GoalReply, Refusal> {
         let id = self.named(id)?;
-        let phase = self.stands(&id)?.state;
+        let phase = self.state_of(&id)?.state;
         let now = self.ctx.now;
         match (phase, resume) {
             (GoalPhase::Active, false) if self.ask_tree_to_pause(&id, false) => {
@@ -163,14 +167,14 @@ impl Mission {
             (GoalPhase::Paused, false) | (GoalPhase::Active, true) => {}
             (phase, _) => {
                 return Err(Refusal::rejected(format!(
-                    "goal {id} is {phase:?}: only a goal that is driven can be held"
+                    "goal {id} is {phase:?}: only an active goal can be paused"
                 )));
             }
         }
-        self.stands(&id)
+        self.state_of(&id)
     }
 
-    /// The goal of that name, or the one in hand.
+    /// The goal of that id, or the active one.
     fn named(&self, id: Option<String>) -> Result<String, Refusal> {
         let short = |id: &str| id.chars().take(80).collect::<String>();
         match id {
@@ -181,13 +185,13 @@ impl Mission {
             None => match self.goals.active() {
                 Some(goal) => Ok(goal.state.id.clone()),
                 None => Err(Refusal::NotFound {
-                    what: "a goal that is driven".to_owned(),
+                    what: "an active goal".to_owned(),
                 }),
             },
         }
     }
 
-    fn stands(&self, id: &str) -> Result<GoalReply, Refusal> {
+    fn state_of(&self, id: &str) -> Result<GoalReply, Refusal> {
         self.goals
             .get(id)
             .map(|goal| reply(&goal.state))

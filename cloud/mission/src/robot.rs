@@ -1,4 +1,4 @@
-//! What is known of the robot? Its newest word, when it came, and what it is built like.
+//! Robot view. What is known of the robot? Its newest state, when it came, and its model.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -9,9 +9,9 @@ use zenav_protocol::time::Stamp;
 use super::context::Asks;
 use super::io::{Answer, Ask, Ticket};
 
-/// A robot that has said nothing for this long is not heard, s.
+/// A robot whose newest state is older is silent, s.
 const SILENCE: f64 = 1.0;
-/// Time between two asks for its description, s.
+/// Time between two requests for its model, s.
 const RETRY: f64 = 1.0;
 /// Slower than this is at rest: m/s and rad/s.
 const AT_REST: (f64, f64) = (0.02, 0.04);
@@ -29,20 +29,20 @@ pub struct RobotView {
 }
 
 impl RobotView {
-    /// Takes in what happened on the robot.
+    /// Takes the robot's events.
     pub fn hear(&mut self, now: Stamp, events: &[Event]) {
         if events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
             self.bumped = Some(now);
         }
     }
 
-    /// Whether it has touched something within the last `secs`.
+    /// Whether its bumper was hit within the last `secs`.
     #[must_use]
     pub fn was_bumped_within(&self, now: Stamp, secs: f64) -> bool {
         self.bumped.is_some_and(|bumped| now.secs_since(bumped) <= secs)
     }
 
-    /// Takes the robot's newest word in. What is not finite is not taken.
+    /// Takes the robot's newest state and pose. Values that are not finite are dropped.
     pub fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
         if let Some(state) = state.filter(|state| state.velocity.is_finite()) {
             self.state = Some((now, state));
@@ -52,10 +52,10 @@ impl RobotView {
         }
     }
 
-    /// Asks for the description until there is one of the present boot.
+    /// Requests the model until there is one of the robot's present boot.
     ///
     /// # Errors
-    /// Why this mission cannot work with the robot: it speaks another version.
+    /// Why this mission cannot work with the robot: another schema version.
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Result<(), String> {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
@@ -69,13 +69,13 @@ impl RobotView {
                         env!("CARGO_PKG_VERSION")
                     ));
                 }
-                match info.model.map(|model| model.checked("the robot's description")) {
+                match info.model.map(|model| model.checked("the robot's model")) {
                     Some(Ok(model)) => {
                         self.model = Some(model);
                         self.model_boot = info.boot.map(|boot| boot.boot_id);
                     }
-                    Some(Err(error)) => tracing::warn!(%error, "description refused"),
-                    None => tracing::warn!("the robot's edge has sent no description"),
+                    Some(Err(error)) => tracing::warn!(%error, "the robot's model is invalid"),
+                    None => tracing::warn!("the robot's edge has sent no model"),
                 }
             }
         }
@@ -88,7 +88,7 @@ impl RobotView {
         Ok(())
     }
 
-    /// Whether it has said something lately.
+    /// Whether its state is recent.
     #[must_use]
     pub fn is_heard(&self, now: Stamp) -> bool {
         self.state
@@ -110,26 +110,26 @@ impl RobotView {
             .map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
     }
 
-    /// Where it is, map frame.
+    /// Its pose, map frame.
     #[must_use]
     pub fn pose(&self) -> Option<Pose2> {
         self.pose.as_ref().map(|(_, pose)| pose.map_from_base)
     }
 
-    /// How fast it is.
+    /// Its velocity.
     #[must_use]
     pub fn velocity(&self) -> Twist2 {
         self.state().map_or(Twist2::ZERO, |state| state.velocity)
     }
 
-    /// Whether it stands.
+    /// Whether it is at rest.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
         let twist = self.velocity();
         twist.v.abs() < AT_REST.0 && twist.w.abs() < AT_REST.1
     }
 
-    /// What it is built like.
+    /// Its model.
     #[must_use]
     pub fn model(&self) -> Option<&RobotModel> {
         self.model.as_ref()
@@ -150,5 +150,32 @@ impl RobotView {
             stamp,
             boot_id: state.boot_id.clone(),
         })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_of_another_schema_version_is_refused_with_both_versions_named() {
+        let (mut robot, mut asks) = (RobotView::default(), Asks::new(1));
+        robot.step(Stamp(1), &mut asks).unwrap();
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        let old = InfoReply {
+            component: "edge".to_owned(),
+            version: "0.0.9".to_owned(),
+            schema: SCHEMA_VERSION - 1,
+            ..InfoReply::default()
+        };
+        asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(old))));
+        let refusal = robot.step(Stamp(2), &mut asks).unwrap_err();
+        for words in [
+            format!("schema {}", SCHEMA_VERSION - 1),
+            format!("schema {SCHEMA_VERSION}"),
+        ] {
+            assert!(refusal.contains(&words), "{refusal}");
+        }
     }
 }

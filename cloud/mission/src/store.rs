@@ -1,8 +1,8 @@
-//! Where is it kept? One redb file a mission: goals, the running tree, the plan in force, first answers, the incarnation.
+//! Store. Where are goals kept? In one redb file per mission: goals, the running tree, the plan in force, first answers, the incarnation.
 //!
 //! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer
-//! program reads an older one's file. A batch has a form that a standby's store takes as well; what the file says of itself (its name, how it
-//! stands to others) never leaves it.
+//! program reads an older one's file. A batch can be applied to a standby's store as well; what the file says of itself (its name, its
+//! leadership) never leaves it.
 
 use std::path::{Path, PathBuf};
 
@@ -27,8 +27,8 @@ const OWN: Definition = TableDefinition::new("own");
 
 /// The name of the store.
 const NAME: &str = "name";
-/// How it stands to others.
-const STANDING: &str = "standing";
+/// Its leadership record; stored under its former name.
+const LEADERSHIP: &str = "standing";
 
 /// The tree that runs.
 const TREE: &str = "tree";
@@ -51,7 +51,7 @@ pub struct Store {
 #[derive(Debug, Error)]
 pub enum StoreError {
     /// Another process has the file.
-    #[error("{path}: in use by another mission; expected one process a file")]
+    #[error("{path}: in use by another mission; expected one process per file")]
     Locked {
         /// The file.
         path: String,
@@ -169,7 +169,7 @@ impl Store {
         &self,
         writes: &[JournalWrite],
         instead: bool,
-        standing: Option<Leadership>,
+        leadership: Option<Leadership>,
     ) -> Result<(), StoreError> {
         let write = self.database.begin_write().map_err(|error| self.io(error))?;
         for definition in SHARED {
@@ -188,14 +188,11 @@ impl Store {
         }
         let known = |name: &str| SHARED.iter().any(|table| redb::TableHandle::name(table) == name);
         if let Some(stray) = writes.iter().find(|write| !known(&write.table)) {
-            return Err(self.io(format!(
-                "a leader writes records `{}`, which are not known here",
-                stray.table
-            )));
+            return Err(self.io(format!("the leader writes to an unknown table `{}`", stray.table)));
         }
-        if let Some(standing) = standing {
+        if let Some(leadership) = leadership {
             let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            self.insert(&mut own, STANDING, &standing)?;
+            self.insert(&mut own, LEADERSHIP, &leadership)?;
         }
         write.commit().map_err(|error| self.io(error))
     }
@@ -223,14 +220,14 @@ impl Store {
         Ok(writes)
     }
 
-    /// How this store stands to others'.
+    /// How this store relates to others.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub fn standing(&self) -> Result<Leadership, StoreError> {
+    pub fn leadership(&self) -> Result<Leadership, StoreError> {
         let read = self.database.begin_read().map_err(|error| self.io(error))?;
         let own = read.open_table(OWN).map_err(|error| self.io(error))?;
-        Ok(self.single(&own, STANDING)?.unwrap_or_default())
+        Ok(self.single(&own, LEADERSHIP)?.unwrap_or_default())
     }
 
     /// Begins a new life: the incarnation in [`Restored`] is on disk when this returns.
@@ -249,7 +246,7 @@ impl Store {
             ];
             let mut restored = Restored {
                 store: Some(self.name.clone()),
-                standing: self.single(&own, STANDING)?.unwrap_or_default(),
+                leadership: self.single(&own, LEADERSHIP)?.unwrap_or_default(),
                 goals: self.all_goals(&write.open_table(GOALS).map_err(|error| self.io(error))?)?,
                 tree: self.single(&singles, TREE)?.flatten(),
                 motion: self.single(&singles, MOTION)?.flatten(),
@@ -420,16 +417,16 @@ mod tests {
         standby.write(&[goal("stale", 1)]).unwrap();
         leader.begin_life().unwrap();
         leader.write(&[goal("a", 1), goal("b", 2)]).unwrap();
-        let standing = Leadership { epoch: 7, shared: true };
+        let leadership = Leadership { epoch: 7, shared: true };
         standby
-            .apply(&leader.everything().unwrap(), true, Some(standing))
+            .apply(&leader.everything().unwrap(), true, Some(leadership))
             .unwrap();
         let writes = leader.write(&[Record::ForgetGoal("a".into()), goal("c", 3)]).unwrap();
         standby.apply(&writes, false, None).unwrap();
         assert_eq!(standby.everything().unwrap(), leader.everything().unwrap());
         assert_eq!(
-            (standby.standing().unwrap(), leader.standing().unwrap()),
-            (standing, Leadership::default())
+            (standby.leadership().unwrap(), leader.leadership().unwrap()),
+            (leadership, Leadership::default())
         );
         assert_ne!(standby.name(), leader.name());
         assert_eq!(

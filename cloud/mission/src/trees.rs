@@ -1,4 +1,4 @@
-//! Which trees are shipped, and how does a goal's tree become one that runs?
+//! Shipped trees. Which are there, and how does a goal's tree become one that runs?
 
 use std::fmt;
 use std::sync::OnceLock;
@@ -12,10 +12,14 @@ pub const NAVIGATE: &str = "navigate";
 /// Through places in order.
 pub const NAVIGATE_THROUGH: &str = "navigate_through";
 
-/// Names and texts of the shipped trees.
+/// Shipped trees: name and XML.
 pub const SHIPPED: &[(&str, &str)] = &[
     (NAVIGATE, include_str!("../trees/navigate.xml")),
     (NAVIGATE_THROUGH, include_str!("../trees/navigate_through.xml")),
+    (
+        "navigate_with_recovery",
+        include_str!("../trees/navigate_with_recovery.xml"),
+    ),
     ("kitchen", include_str!("../trees/kitchen.xml")),
     ("online", include_str!("../trees/online.xml")),
 ];
@@ -47,10 +51,10 @@ impl fmt::Display for NoTree {
     }
 }
 
-/// The nodes that this process's trees may use, once the first has been asked for.
+/// The nodes that this process's trees may use, set by the first use.
 static REGISTRY: OnceLock<Registry<Context>> = OnceLock::new();
 
-/// The nodes that trees may use.
+/// The registry of nodes that missions of this process use.
 #[must_use]
 pub fn registry() -> &'static Registry<Context> {
     REGISTRY.get_or_init(leaves::registry)
@@ -77,7 +81,7 @@ pub fn add_leaves(add: impl FnOnce(&mut Registry<Context>) -> Result<(), Duplica
     REGISTRY.set(registry).map_err(|_| CannotAdd::Late)
 }
 
-/// Builds a tree from XML, or from the name of a shipped one. Of files it can include the shipped trees alone: the
+/// Builds a tree from XML, or from the name of a shipped one. It can include shipped trees only: the
 /// text may come from another machine.
 ///
 /// # Errors
@@ -90,7 +94,7 @@ pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
     };
     let mut include = |_: &str, path: &str| {
         let text = path.strip_suffix(".xml").and_then(shipped);
-        let text = text.ok_or_else(|| "a tree sent as text can include shipped trees alone".to_owned())?;
+        let text = text.ok_or_else(|| "a tree sent as text can include shipped trees only".to_owned())?;
         Ok((path.to_owned(), text.as_bytes().to_vec()))
     };
     build_tree(&name, text.as_bytes(), registry(), None, &mut include)

@@ -1,12 +1,19 @@
-//! How do the sampling planners do beside OMPL's? `cargo bench -p zenav-cloud --bench sampling [-- MAP…]`
+//! Sampling planners beside OMPL's: how fast, how often found, how short? `cargo bench -p zenav-planning --bench sampling [-- MAP…]`
 //!
 //! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three made ones. A scenario `MAP.scen` beside a map gives its
-//! ten hardest queries, else they are the longest of many random ones. First ways have two seconds, planners that improve on theirs half a second
-//! in all, by the processor's clock, so that a busy machine does no harm. Lengths are in relation to the shortest way on the grid, which knows
+//! ten hardest queries, else they are the longest of many random ones. Lengths are in relation to the shortest path on the grid, which knows
 //! eight directions and cuts no corners.
 //!
-//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries in the same processor time. `RUNS` seeds are drawn
-//! (default 3); `PLANNERS` is a list of those to run.
+//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries with the same exact checks. Both sides get one
+//! run for each query and seed, and the same processor time: two seconds for a first path, half a second in all for planners that improve
+//! on theirs. Both are stopped by a flag that another thread sets. `RUNS` seeds are drawn (default 3). All rows are printed.
+//!
+//! | row | is |
+//! |---|---|
+//! | `zenav textbook NAME` | the algorithm as published: the map is a black box that answers lines of sight; raw path |
+//! | `zenav NAME` | what users get: samples in free cells, a sweep over the bitmap's free runs, string pulling |
+//! | `ompl NAME` | OMPL's, raw path |
+//! | `ompl NAME + simplify` | the same and OMPL's `simplifySolution`, its time included |
 
 #![allow(
     clippy::unwrap_used,
@@ -45,47 +52,45 @@ fn main() {
     }
     let peer = std::env::var_os("OMPL_PEER").map(PathBuf::from);
     let runs: u64 = std::env::var("RUNS").map_or(3, |runs| runs.parse().unwrap());
-    let planners = std::env::var("PLANNERS").unwrap_or_else(|_| "rrt,rrt_connect,rrt_star".to_owned());
     let watch = Watch::start();
-    for name in planners.split(',') {
-        let planner: Planner = name.parse().unwrap();
+    for (planner, peers) in ROWS {
         println!(
-            "\n{:18} {:16} {:>7} {:>11} {:>11} {:>8} {:>8} {:>9}",
-            name, "", "found", "median ms", "95 % ms", "length", "longest", "samples"
+            "\n{:18} {:28} {:>7} {:>11} {:>11} {:>8} {:>8} {:>9}",
+            planner, "", "found", "median ms", "95 % ms", "length", "longest", "samples"
         );
         for terrain in &terrains {
-            println!(
-                "{:18} {:16} {}",
-                terrain.name,
-                "zenav",
-                terrain.own(planner, runs, &watch)
-            );
-            let Some(peer) = &peer else { continue };
-            let theirs: &[&str] = if improves(name) {
-                &["rrt_star", "informed", "bit_star"]
-            } else {
-                &[name]
-            };
-            for name in theirs {
-                println!(
-                    "{:18} {:16} {}",
-                    "",
-                    format!("ompl {name}"),
-                    terrain.peer(peer, name, runs)
+            let row = |name: String, figures: Figures| println!("{:18} {name:28} {figures}", terrain.name);
+            for black_box in [true, false] {
+                let name = if black_box { "zenav textbook" } else { "zenav" };
+                row(
+                    format!("{name} {planner}"),
+                    terrain.own(*planner, black_box, runs, &watch),
                 );
+            }
+            let Some(peer) = &peer else { continue };
+            for name in *peers {
+                let [raw, simplified] = terrain.peer(peer, name, runs);
+                row(format!("ompl {name}"), raw);
+                row(format!("ompl {name} + simplify"), simplified);
             }
         }
     }
 }
 
-/// Whether a planner goes on after its first way.
-fn improves(planner: &str) -> bool {
-    !["rrt", "rrt_connect"].contains(&planner)
-}
+/// Our planners, and those of OMPL beside each.
+const ROWS: &[(Planner, &[&str])] = &[
+    (Planner::Rrt, &["rrt"]),
+    (Planner::RrtConnect, &["rrt_connect"]),
+    (Planner::RrtStar, &["rrt_star", "informed", "bit_star"]),
+];
 
 /// Processor time of a search, s.
 fn limit(planner: &str) -> f64 {
-    if improves(planner) { 0.5 } else { 2.0 }
+    if ["rrt", "rrt_connect"].contains(&planner) {
+        2.0
+    } else {
+        0.5
+    }
 }
 
 /// A map with its queries.
@@ -93,7 +98,7 @@ struct Terrain {
     name: String,
     grid: BitGrid,
     sight: PointLineOfSight,
-    /// Start, goal, length of the shortest way on the grid.
+    /// Start, goal, length of the shortest path on the grid.
     queries: Vec<(Cell, Cell, f64)>,
 }
 
@@ -132,8 +137,10 @@ impl Terrain {
         }
     }
 
-    fn own(&self, planner: Planner, runs: u64, watch: &Watch) -> Figures {
+    fn own(&self, planner: Planner, black_box: bool, runs: u64, watch: &Watch) -> Figures {
         let mut searcher = Searcher::new(&self.grid).unwrap();
+        searcher.black_box = black_box;
+        searcher.sampling.improving = u64::MAX;
         let mut figures = Figures::default();
         for seed in 1..=runs {
             for (start, goal, optimum) in &self.queries {
@@ -142,40 +149,32 @@ impl Terrain {
                     goal: center(*goal),
                     seed,
                 };
-                // The least of some runs, as long as they are short: what is measured is the search, not the cache of a shared machine.
-                let mut best = f64::INFINITY;
-                let mut length = None;
-                let mut samples = 0;
-                for _ in 0..3 {
-                    watch.arm(limit(planner.name()));
-                    let begin = now();
-                    let budget = Budget {
-                        cancel: Some(&watch.cancel),
-                        ..Budget::UNLIMITED
-                    };
-                    let searched = searcher.search(planner, &self.sight, &query, budget);
-                    best = best.min(now() - begin);
-                    watch.disarm();
-                    samples = searched.expansions;
-                    length = searched.result.ok().map(|way| {
-                        assert!(
-                            way.corners.windows(2).all(|leg| self.sight.sees(leg[0], leg[1])),
-                            "not free"
-                        );
-                        assert!(way.corners[0] == query.start && way.corners[way.corners.len() - 1] == query.goal);
-                        way.length
-                    });
-                    if best > 0.1 {
-                        break;
-                    }
-                }
-                figures.add(best, length.map(|length| length / optimum), samples);
+                let budget = Budget {
+                    cancel: Some(&watch.cancel),
+                    ..Budget::UNLIMITED
+                };
+                watch.arm(limit(planner.name()));
+                let begin = now();
+                let searched = searcher.search(planner, &self.sight, &query, budget);
+                let took = now() - begin;
+                watch.disarm();
+                let length = searched.result.ok().map(|path| {
+                    let corners = &path.corners;
+                    assert!(
+                        corners.windows(2).all(|leg| self.sight.sees(leg[0], leg[1])),
+                        "not free"
+                    );
+                    assert!(corners[0] == query.start && corners[corners.len() - 1] == query.goal);
+                    path.length
+                });
+                figures.add(took, length.map(|length| length / optimum), searched.expansions);
             }
         }
         figures
     }
 
-    fn peer(&self, program: &Path, planner: &str, runs: u64) -> Figures {
+    /// The raw paths, and the simplified ones.
+    fn peer(&self, program: &Path, planner: &str, runs: u64) -> [Figures; 2] {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         let [width, height] = [self.grid.width(), self.grid.height()];
@@ -192,7 +191,7 @@ impl Terrain {
             .map(|(a, b, length)| format!("{} {} {length}\n", from_top(*a), from_top(*b)))
             .collect();
         std::fs::write(file("queries"), lines.concat()).unwrap();
-        let mut figures = Figures::default();
+        let mut figures = [Figures::default(), Figures::default()];
         for seed in 1..=runs {
             let status = Command::new(program)
                 .args([file("map"), file("queries")])
@@ -205,11 +204,11 @@ impl Terrain {
             let results = std::fs::read_to_string(file("results")).unwrap();
             for (line, (_, _, optimum)) in results.lines().zip(&self.queries) {
                 let numbers: Vec<f64> = line.split_whitespace().map(|word| word.parse().unwrap()).collect();
-                figures.add(
-                    1e-6 * numbers[0],
-                    (numbers[2] == 1.0).then(|| numbers[1] / optimum),
-                    numbers[3] as u64,
-                );
+                let is_found = numbers[2] == 1.0;
+                let samples = numbers[3] as u64;
+                let ratio = |length: f64| is_found.then(|| length / optimum);
+                figures[0].add(1e-6 * numbers[0], ratio(numbers[1]), samples);
+                figures[1].add(1e-6 * (numbers[0] + numbers[6]), ratio(numbers[7]), samples);
             }
         }
         figures
@@ -236,11 +235,11 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
                 goal: center(goal),
                 seed: 0,
             };
-            let way = searcher
+            let path = searcher
                 .search(Planner::Jps, &sight, &query, Budget::UNLIMITED)
                 .result
                 .ok()?;
-            Some((start, goal, way.length))
+            Some((start, goal, path.length))
         })
         .collect();
     found.sort_by(|a, b| b.2.total_cmp(&a.2));
@@ -253,7 +252,7 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
 struct Figures {
     /// s; what is here is always in order.
     times: Vec<f64>,
-    /// Lengths of ways, in relation to the shortest on the grid.
+    /// Lengths of paths, in relation to the shortest on the grid.
     ratios: Vec<f64>,
     /// Drawn, or vertices made.
     samples: Vec<u64>,
@@ -307,8 +306,8 @@ fn maze() -> BitGrid {
             free.set(cell, true);
         }
     };
-    let mut way = vec![(0, 0)];
-    while let Some((x, y)) = way.last().copied() {
+    let mut path = vec![(0, 0)];
+    while let Some((x, y)) = path.last().copied() {
         open(&mut free, 6 * x + 1, 6 * y + 1, 5, 5);
         let closed = |(dx, dy): &(i64, i64)| {
             let (x, y) = (x + dx, y + dy);
@@ -317,7 +316,7 @@ fn maze() -> BitGrid {
         };
         let next: Vec<(i64, i64)> = [(1, 0), (-1, 0), (0, 1), (0, -1)].into_iter().filter(closed).collect();
         if next.is_empty() {
-            way.pop();
+            path.pop();
             continue;
         }
         let (dx, dy) = next[rng.next_u64() as usize % next.len()];
@@ -329,7 +328,7 @@ fn maze() -> BitGrid {
             width,
             height,
         );
-        way.push((x + dx, y + dy));
+        path.push((x + dx, y + dy));
     }
     free
 }

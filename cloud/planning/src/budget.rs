@@ -1,4 +1,4 @@
-//! How long may a search take? Expansions, and a flag that somebody else may set: a search knows no clock.
+//! Search budget. How long may a search take? Expansions, samples, and a flag that somebody else may set: a search knows no clock.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -6,10 +6,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 const PERIOD: u64 = 512;
 
 /// What a search may use.
+///
+/// ```
+/// use std::sync::atomic::AtomicBool;
+/// use zenav_planning::Budget;
+///
+/// let cancel = AtomicBool::new(true);
+/// let budget = Budget { cancel: Some(&cancel), ..Budget::UNLIMITED };
+/// assert!(budget.is_cancelled());
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Budget<'a> {
     /// Nodes that may be expanded.
     pub max_expansions: u64,
+    /// Samples that may be drawn.
+    pub max_samples: u64,
     /// Ends the search soon after it is set.
     pub cancel: Option<&'a AtomicBool>,
 }
@@ -18,6 +29,7 @@ impl Budget<'_> {
     /// As long as it takes.
     pub const UNLIMITED: Budget<'static> = Budget {
         max_expansions: u64::MAX,
+        max_samples: u64::MAX,
         cancel: None,
     };
 

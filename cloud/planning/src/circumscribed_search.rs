@@ -1,17 +1,18 @@
-//! Is there a way on which a robot that is longer than wide may turn anywhere? A* over the cells that the disc around it stands on.
+//! Circumscribed search. Is there a path on which a robot that is longer than wide may turn anywhere? A* over the cells in which the disc around it fits.
 //!
-//! Most ways that the footprint cannot drive only brush past something. Going round that is found in milliseconds, where the search over
+//! Most paths that the footprint cannot drive only brush past something. Going round that is found in milliseconds, where the search over
 //! places and headings ([`super::se2_search`]) may take a thousand times as long.
 
 use nalgebra::Point2;
 
-use super::astar::{CellCost, NotFound};
-use super::budget::Budget;
-use super::se2_search::{Query, is_drivable};
-use super::searcher::{Searched, Searcher};
 use zenav_space::ConfigurationSpace;
 
-/// A way that the true footprint can drive, corner by corner; `costs` as for the cells of the map. [`NotFound::NoPath`] where it has to
+use super::budget::Budget;
+use super::cell_cost::CellCost;
+use super::se2_search::{Query, is_drivable};
+use super::searcher::{NotFound, Searched, Searcher};
+
+/// A path that the true footprint can drive, corner by corner; `costs` as for the cells of the map. [`NotFound::NoPath`] where it has to
 /// pass a place without room to turn, its ends included.
 pub(super) fn search(
     space: &ConfigurationSpace,
@@ -28,8 +29,8 @@ pub(super) fn search(
         return Searched::failed(NotFound::OutOfMap);
     };
     let Searched { result, expansions } = searcher.search_with(costs, first, last, budget);
-    let result = result.and_then(|way| {
-        let between = way.corners.iter().map(|corner| spec.from_cells(*corner));
+    let result = result.and_then(|path| {
+        let between = path.corners.iter().map(|corner| spec.from_cells(*corner));
         let mut path: Vec<_> = [query.start].into_iter().chain(between).chain([query.goal]).collect();
         path.dedup_by(|a, b| (*a - *b).norm() < 1e-9);
         is_drivable(space, &path, query.heading)
@@ -43,25 +44,15 @@ pub(super) fn search(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     use super::*;
-    use crate::astar::Uniform;
+    use crate::cell_cost::Uniform;
     use zenav_space::UnknownPolicy;
 
     /// A robot of 0.8 m by 0.3 m in a field of 6 m by 4 m.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 120,
-            height: 80,
-        };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        occupied
-            .iter()
-            .for_each(|(x, y)| grid[Cell::new(*x, *y)] = Occupancy::OCCUPIED);
+        let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(120, 80, 0.05), occupied);
         let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)
@@ -74,8 +65,8 @@ mod tests {
             goal: Point2::new(5.02, 3.01),
         };
         let found = search(space, &Uniform, &query, Budget::UNLIMITED).result;
-        if let Ok(way) = &found {
-            assert!(is_drivable(space, way, heading) && way[0] == query.start && way[way.len() - 1] == query.goal);
+        if let Ok(path) = &found {
+            assert!(is_drivable(space, path, heading) && path[0] == query.start && path[path.len() - 1] == query.goal);
         }
         found
     }
@@ -87,8 +78,8 @@ mod tests {
         assert_eq!(ask(&space(&gap), None), Err(NotFound::NoPath));
         // The wall ends where there is room.
         let short: Vec<_> = gap.into_iter().filter(|(_, y)| *y < 50).collect();
-        let way = ask(&space(&short), None).unwrap();
-        assert!(way.iter().any(|p| p.y > 2.8));
+        let path = ask(&space(&short), None).unwrap();
+        assert!(path.iter().any(|p| p.y > 2.8));
     }
 
     proptest! {

@@ -8,14 +8,11 @@ use zenav_protocol::grid::Cell;
 use zenav_space::{ConfigurationSpace, LineOfSight as _};
 
 use super::path::center;
-use super::planner::Planner;
+use super::planners::Planner;
+use super::settings::LeavingSettings;
 
 /// Cells looked at around a point that is not at a free cell's centre, in each direction.
 const NEARBY: i64 = 3;
-/// How deep an obstacle of the map may reach into a robot that stands, cells: a map is no truer than its cells.
-const TOUCHING_CELLS: f64 = 1.5;
-/// How far such a robot may go for a free place, m.
-const LEAVING: f64 = 0.6;
 
 /// Where a search begins or ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,17 +40,17 @@ pub(super) fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius
 }
 
 /// The free cell that a robot leaves by, which may stand closer to obstacles than it would be led.
-pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>) -> Option<Cell> {
+pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: &LeavingSettings) -> Option<Cell> {
     let radius = space.radius();
     if let Some(cell) = cell_beside(space, start, radius) {
         return Some(cell);
     }
     let clearance = space.clearance(start);
-    let tolerance = TOUCHING_CELLS * space.spec().resolution;
+    let tolerance = settings.depth * space.spec().resolution;
     if clearance < space.footprint().inscribed_radius() - tolerance {
         return None;
     }
-    let cells = (LEAVING / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
+    let cells = (settings.distance / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
     nearest_reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells)
 }
 

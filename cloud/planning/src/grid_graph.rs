@@ -1,20 +1,22 @@
-//! Which steps can be made from a cell, and what do they cost? The lattice that every grid search walks on.
+//! Grid graph, 8-connected. Which steps can be made from a cell, and what do they cost?
 //!
 //! Eight neighbours; a diagonal step needs both cells beside it (no corner cutting). The bitmap is padded by a blocked border, so that
 //! no search asks where the map ends. Costs are whole numbers, [`STRAIGHT`] and [`DIAGONAL`] a step: 8119/5741 is a convergent of the
-//! square root of two, and two ways whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
+//! square root of two, and two paths whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, MAX_SIDE};
 
-use super::lines::Lines;
 use zenav_space::BitGrid;
+
+use super::lines::Lines;
+use super::searcher::NotFound;
 
 /// Cost of a step along an axis.
 pub const STRAIGHT: u32 = 5741;
 /// Cost of a diagonal step.
 pub const DIAGONAL: u32 = 8119;
-/// Cost of what was not reached; longer ways (about 748,000 cells) are not found.
+/// Cost of what was not reached; longer paths (about 748,000 cells) are not found.
 pub const UNREACHED: u32 = u32::MAX;
 
 /// A padded bitmap of free cells. A node is the position of a cell's bit.
@@ -25,9 +27,11 @@ pub struct GridGraph {
     height: u32,
     /// Bits a row.
     pitch: u32,
+    /// Grows with every change.
+    revision: u64,
 }
 
-/// Why a bitmap makes no lattice.
+/// Why a bitmap makes no graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0} x {1} cells: a search takes at most {MAX_SIDE} a side and {MAX_NODES} in all")]
 pub struct TooManyCells(u32, u32);
@@ -36,7 +40,7 @@ pub struct TooManyCells(u32, u32);
 const MAX_NODES: u64 = u32::MAX as u64 - 64;
 
 impl GridGraph {
-    /// The lattice of a bitmap of free cells. Linear in its words.
+    /// The graph of a bitmap of free cells. Linear in its words.
     ///
     /// # Errors
     /// [`TooManyCells`].
@@ -48,22 +52,24 @@ impl GridGraph {
         if width.max(height) > MAX_SIDE || (stride * 64 * rows) as u64 > MAX_NODES {
             return Err(TooManyCells(width, height));
         }
-        let mut lattice = Self {
+        let mut graph = Self {
             words: vec![0; stride * rows + 1],
             width,
             height,
             pitch: (stride * 64) as u32,
+            revision: 0,
         };
         for y in 0..height {
             for word in 0..free.stride() {
-                lattice.update(free, y, word);
+                graph.update(free, y, word);
             }
         }
-        Ok(lattice)
+        Ok(graph)
     }
 
     /// Takes over one word of a row that has changed.
     pub(super) fn update(&mut self, free: &BitGrid, y: u32, word: usize) {
+        self.revision += 1;
         let stride = self.pitch as usize / 64;
         let source = free.row(y);
         let row = &mut self.words[(y as usize + 1) * stride..][..stride];
@@ -76,22 +82,34 @@ impl GridGraph {
         }
     }
 
+    /// Which state of the bitmap this is: what was prepared from an earlier one no longer stands.
+    pub(super) fn revision(&self) -> u64 {
+        self.revision
+    }
+
     /// Number of nodes, the border included.
     #[must_use]
     pub fn len(&self) -> usize {
         self.pitch as usize * (self.height as usize + 2)
     }
 
-    /// Whether the map has no cell.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.width == 0 || self.height == 0
-    }
-
     /// The node of a cell; `None` outside the map.
     #[must_use]
     pub fn node(&self, cell: Cell) -> Option<u32> {
         (cell.x < self.width && cell.y < self.height).then(|| (cell.y + 1) * self.pitch + cell.x + 1)
+    }
+
+    /// The nodes of free ends.
+    pub(crate) fn ends(&self, start: Cell, goal: Cell) -> Result<(u32, u32), NotFound> {
+        let start = self.node(start).ok_or(NotFound::OutOfMap)?;
+        let goal = self.node(goal).ok_or(NotFound::OutOfMap)?;
+        if !self.is_free(start) {
+            return Err(NotFound::StartBlocked);
+        }
+        if !self.is_free(goal) {
+            return Err(NotFound::GoalBlocked);
+        }
+        Ok((start, goal))
     }
 
     /// The cell of a node inside the map.
@@ -271,7 +289,7 @@ pub fn octile(from: Cell, to: Cell) -> u32 {
     short * DIAGONAL + (long - short) * STRAIGHT
 }
 
-/// A way over neighbouring cells.
+/// A path over neighbouring cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridPath {
     /// Start, cells where the direction changes, end.
@@ -283,7 +301,7 @@ pub struct GridPath {
 }
 
 impl GridPath {
-    /// A way through cells that are straight or exactly diagonal to one another.
+    /// A path through cells that are straight or exactly diagonal to one another.
     #[must_use]
     pub fn through(cells: &[Cell]) -> Self {
         let mut path = Self {
@@ -334,19 +352,19 @@ mod tests {
                 x >= 0 && y >= 0 && x < i64::from(width) && y < i64::from(height) && hash.wrapping_mul(0xD6E8_FEB8_6659_FD93) >> 62 != 0
             };
             let bits = BitGrid::from_fn(width, height, |cell| free(cell.x.into(), cell.y.into()));
-            let lattice = GridGraph::new(&bits).unwrap();
+            let graph = GridGraph::new(&bits).unwrap();
             for y in 0..height {
                 for x in 0..width {
-                    let node = lattice.node(Cell::new(x, y)).unwrap();
-                    prop_assert_eq!(lattice.cell(node), Cell::new(x, y));
-                    prop_assert_eq!(lattice.is_free(node), free(x.into(), y.into()));
+                    let node = graph.node(Cell::new(x, y)).unwrap();
+                    prop_assert_eq!(graph.cell(node), Cell::new(x, y));
+                    prop_assert_eq!(graph.is_free(node), free(x.into(), y.into()));
                     let (x, y) = (i64::from(x), i64::from(y));
                     for (i, step) in STEPS.iter().enumerate() {
                         let (dx, dy) = (i64::from(step.x), i64::from(step.y));
                         let expected = free(x + dx, y + dy) && free(x + dx, y) && free(x, y + dy);
                         // A straight step looks at its own cell only.
                         let expected = if dx == 0 || dy == 0 { free(x + dx, y + dy) } else { expected };
-                        prop_assert_eq!(lattice.steps(node) >> i & 1 == 1, expected);
+                        prop_assert_eq!(graph.steps(node) >> i & 1 == 1, expected);
                     }
                 }
             }

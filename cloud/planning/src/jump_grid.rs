@@ -1,4 +1,4 @@
-//! Where does a run over free cells end? At an obstacle, or where one beside it ends: bitmaps of those stops, one for each direction.
+//! Jump points on bitmaps. Where does a run over free cells end? At an obstacle, or where one beside it ends: bitmaps of those stops, one for each direction.
 //!
 //! A run is a look for the next bit, 64 cells at a time: along rows, along columns on a transposed copy, and along diagonals on copies
 //! whose rows are shifted against one another first. Diagonal runs stop at obstacles too, and wherever a straight run from the cell
@@ -13,7 +13,7 @@ use zenav_protocol::grid::Cell;
 use super::grid_graph::{GridGraph, STEPS, Step};
 use super::lines::Lines;
 
-/// The stops of a lattice. Its cells count from the lattice's border here.
+/// The stops of a graph. Its cells count from the graph's border here.
 #[derive(Clone, Debug)]
 pub struct JumpGrid {
     rays: [Ray; 8],
@@ -21,14 +21,14 @@ pub struct JumpGrid {
 
 /// A direction, and where runs in it stop.
 ///
-/// Lines of bits: rows, columns, or diagonals, which wrap around at the lattice's last column. A run goes towards higher bits; lines
+/// Lines of bits: rows, columns, or diagonals, which wrap around at the graph's last column. A run goes towards higher bits; lines
 /// that are gone along the other way are turned over.
 #[derive(Clone, Debug)]
 pub(super) struct Ray {
     /// One step of it.
     pub(super) step: Step,
     stops: Lines,
-    /// Columns of the lattice, those that pad it included.
+    /// Columns of the graph, those that pad it included.
     pitch: u32,
 }
 
@@ -87,10 +87,10 @@ impl Ray {
 }
 
 impl JumpGrid {
-    /// Prepares a lattice: linear in its words.
+    /// Prepares a graph: linear in its words.
     #[must_use]
-    pub fn new(lattice: &GridGraph) -> Self {
-        let rows = lattice.rows();
+    pub fn new(graph: &GridGraph) -> Self {
+        let rows = graph.rows();
         let columns = rows.transposed();
         let [east, west] = stops(&rows);
         let [north, south] = stops(&columns);
@@ -112,7 +112,7 @@ impl JumpGrid {
                     if step.y < 0 { turns.reversed() } else { turns }
                 }
             };
-            let pitch = lattice.pitch();
+            let pitch = graph.pitch();
             Ray { step, stops, pitch }
         });
         Self { rays }
@@ -238,8 +238,8 @@ mod tests {
             let free = BitGrid::from_fn(width, height, |cell| {
                 !blocks.iter().any(|(x, y, w, h)| cell.x >= *x && cell.x < x + w && cell.y >= *y && cell.y < y + h)
             });
-            let lattice = GridGraph::new(&free).unwrap();
-            let grid = JumpGrid::new(&lattice);
+            let graph = GridGraph::new(&free).unwrap();
+            let grid = JumpGrid::new(&graph);
             let is_free = |cell: Cell| free.get(Cell::new(cell.x.wrapping_sub(1), cell.y.wrapping_sub(1)));
             let is_jump = |cell: Cell, step: Step| {
                 is_free(cell) && [1, -1].iter().any(|side| {
@@ -260,10 +260,10 @@ mod tests {
                     let ray = grid.ray(direction);
                     if direction < 4 {
                         prop_assert_eq!(ray.after(from, ray.length(from)), walk(from, ray));
-                    } else if lattice.steps(lattice.padded(from)) >> direction & 1 == 1 {
+                    } else if graph.steps(graph.padded(from)) >> direction & 1 == 1 {
                         let sides = [usize::from(ray.step.x < 0), 2 + usize::from(ray.step.y < 0)].map(|side| grid.ray(side));
                         let mut at = ray.after(from, 1);
-                        while lattice.steps(lattice.padded(at)) >> direction & 1 == 1 && !sides.iter().any(|side| is_free(walk(at, side))) {
+                        while graph.steps(graph.padded(at)) >> direction & 1 == 1 && !sides.iter().any(|side| is_free(walk(at, side))) {
                             at = ray.after(at, 1);
                         }
                         prop_assert_eq!(ray.after(from, ray.length(from)), at);

@@ -1,4 +1,4 @@
-//! How are bitmaps turned, so that columns and diagonals lie as rows do, 64 cells to a word?
+//! Transposed and sheared bitmaps. How are bitmaps turned, so that columns and diagonals lie as rows do, 64 cells to a word?
 //!
 //! Source: Warren, "Hacker's Delight", 7-3 (transposing a block of bits).
 

@@ -1,4 +1,4 @@
-//! What does a search note about cells, of which it sees few? A table that costs nothing where it was not written.
+//! Node table. What does a search note about cells, of which it sees few? A table that costs nothing where it was not written.
 //!
 //! It is made of zeros, which the operating system hands out page by page when they are first written; and what was written is known
 //! by lines of a cache, so that a new search wipes those alone.

@@ -1,8 +1,8 @@
-//! Which open node is next? The one with the lowest estimate, of almost equal ones the latest.
+//! Open list. Which node is expanded next? The one with the lowest estimate, of almost equal ones the latest.
 //!
 //! Estimates never fall in a search with a consistent heuristic, so that no heap is needed: what comes soon lies in fine buckets, what
 //! comes later in coarser and coarser ones, which are spread over finer ones when their time comes. To put in and to take out costs a
-//! few instructions, whatever the number of nodes. Latest first leads a search on towards its goal where many ways are equally short.
+//! few instructions, whatever the number of nodes. Latest first leads a search on towards its goal where many paths are equally short.
 //!
 //! Sources: Dial, "Algorithm 360: Shortest-Path Forest with Topological Ordering", 1969; Varghese and Lauck, "Hashed and Hierarchical
 //! Timing Wheels", 1987.
@@ -28,7 +28,7 @@ pub(super) struct OpenList {
 /// An open node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Open {
-    /// Least cost of a way through it.
+    /// Least cost of a path through it.
     pub(super) estimate: u32,
     /// Whatever the search calls it.
     pub(super) name: u32,

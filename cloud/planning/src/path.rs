@@ -1,11 +1,11 @@
-//! What does a search give? Corner points in cells, whatever searched: grids, any-angle and sampling planners alike.
+//! Paths. What does a search give? Corner points in cells, from grid, any-angle and sampling planners alike.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
 use super::grid_graph::GridPath;
 
-/// A way as corner points, in cells of the grid: the centre of cell (0, 0) lies at (0.5, 0.5).
+/// A path as corner points, in cells of the grid: the centre of cell (0, 0) lies at (0.5, 0.5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
     /// Start, corners, end.
@@ -15,7 +15,7 @@ pub struct Path {
 }
 
 impl Path {
-    /// A way through points, as long as its legs.
+    /// A path through points, as long as its legs.
     #[must_use]
     pub fn through(corners: Vec<Point2<f64>>) -> Self {
         let length = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();

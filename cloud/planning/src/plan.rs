@@ -8,16 +8,15 @@ use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{ConfigurationSpace, DistanceCost};
 
-use super::astar::{NotFound, PARTS};
 use super::budget::Budget;
+use super::cell_cost::clearance_cost;
 use super::circumscribed_search;
 use super::ends::{End, cell_beside, leaving};
-use super::planner::PlanOptions;
+use super::options::PlanOptions;
 use super::se2_search;
-use super::searcher::{Query, Searched, Searcher};
+use super::searcher::{NotFound, Query, Searched, Searcher};
+use super::settings::LeavingSettings;
 
-/// A path for the inscribed disc may be this many times shorter than one with room to turn everywhere, and the latter is still taken.
-const DETOUR: f64 = 1.1;
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
 
@@ -153,9 +152,10 @@ fn drivable(
         heading: (!options.any_heading).then_some(start.yaw),
         goal: goal.position(),
     };
+    let leaving = &options.settings.leaving;
     let footprint = space.footprint();
     if matches!(footprint, Footprint::Radius(_)) {
-        return for_disc(space, FootprintSearch::Inscribed, &query, find);
+        return for_disc(space, FootprintSearch::Inscribed, &query, leaving, find);
     }
     let mut expansions = 0;
     if !options.planner.keeps_clear() {
@@ -165,7 +165,7 @@ fn drivable(
             (FootprintSearch::Intermediate, 0.5 * (inner + outer)),
         ];
         for (by, radius) in discs {
-            let mut planned = for_disc(&space.for_disc(radius), by, &query, find);
+            let mut planned = for_disc(&space.for_disc(radius), by, &query, leaving, find);
             planned.expansions += expansions;
             if is_final(space, &planned.outcome, &query) {
                 return planned;
@@ -173,7 +173,7 @@ fn drivable(
             expansions = planned.expansions;
         }
     }
-    let mut planned = for_disc(space, FootprintSearch::Inscribed, &query, find);
+    let mut planned = for_disc(space, FootprintSearch::Inscribed, &query, leaving, find);
     planned.expansions += expansions;
     if !is_final(space, &planned.outcome, &query) {
         fit_footprint(space, &query, options, budget, &mut planned);
@@ -205,7 +205,7 @@ fn fit_footprint(
     if !se2_search::can_stand(space, query.start, query.heading) || !se2_search::can_stand(space, query.goal, None) {
         return;
     }
-    let costs = clearance_cost(space, options);
+    let costs = costs_of(space, options);
     if let PlanOutcome::Found { length, .. } = planned.outcome
         && options.planner.keeps_clear()
     {
@@ -213,14 +213,14 @@ fn fit_footprint(
         planned.expansions += searched.expansions;
         if let Ok(path) = searched.result
             && let outcome @ PlanOutcome::Found { length: longer, .. } = found(path)
-            && longer <= length * DETOUR
+            && longer <= length * options.settings.se2.detour
         {
             (planned.outcome, planned.origin) = (outcome, PlanOrigin::Searched);
             planned.found_by = Some(FootprintSearch::Circumscribed);
             return;
         }
     }
-    let searched = se2_search::search(space, &costs, query, budget);
+    let searched = se2_search::search(space, &costs, query, &options.settings.se2, budget);
     planned.expansions += searched.expansions;
     planned.origin = PlanOrigin::Searched;
     planned.found_by = searched.result.is_ok().then_some(FootprintSearch::Se2);
@@ -242,13 +242,14 @@ fn for_disc(
     space: &ConfigurationSpace,
     by: FootprintSearch,
     query: &se2_search::Query,
+    settings: &LeavingSettings,
     find: &mut Find<'_>,
 ) -> Planned {
     let (start, goal) = (query.start, query.goal);
     if space.spec().cell_at(start).is_none() || space.spec().cell_at(goal).is_none() {
         return Planned::without_search(PlanOutcome::OutOfMap);
     }
-    let Some(first) = leaving(space, start) else {
+    let Some(first) = leaving(space, start, settings) else {
         let nearest_free = space.nearest_free(start);
         return Planned::without_search(PlanOutcome::StartOccupied { nearest_free });
     };
@@ -303,24 +304,21 @@ pub(super) fn between(
     options: &PlanOptions,
     budget: Budget<'_>,
 ) -> Searched {
-    if let Some(costs) = clearance_cost(space, options) {
+    if let Some(costs) = costs_of(space, options) {
         return searcher.search_with(&costs, first.cell, last.cell, budget);
     }
     let [start, goal] = [first, last].map(|end| end.of(space, options.planner));
     let seed = options.seed;
-    searcher.sampling = options.sampling;
+    searcher.sampling.clone_from(&options.settings.sampling);
     searcher.search(options.planner, space, &Query { start, goal, seed }, budget)
 }
 
-/// Cost of being near obstacles, where the options ask for it: it falls with the square of the clearance still wanted.
-pub(super) fn clearance_cost<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
-    let asked = options.planner.keeps_clear() && options.clearance_weight > 0.0 && options.clearance > 0.0;
-    let cost = |distance: f64| {
-        let clearance = distance - space.radius();
-        let share = (1.0 - clearance.max(0.0) / options.clearance).max(0.0);
-        (options.clearance_weight * f64::from(PARTS) * share * share) as u8
-    };
-    asked.then(|| DistanceCost::new(space.field(), cost))
+/// The costs of clearance, for a planner that knows costs.
+pub(super) fn costs_of<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
+    options
+        .planner
+        .keeps_clear()
+        .then(|| clearance_cost(space, &options.settings.clearance))?
 }
 
 #[cfg(test)]
@@ -328,7 +326,7 @@ pub(super) fn clearance_cost<'a>(space: &'a ConfigurationSpace, options: &PlanOp
 mod tests {
     use super::*;
     use crate::Planner;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
     use zenav_space::UnknownPolicy;
 
@@ -338,19 +336,9 @@ mod tests {
     fn room() -> OccupancyGrid {
         let spec = GridSpec {
             origin: Point2::new(-1.0, -1.0),
-            resolution: 0.05,
-            width: 100,
-            height: 80,
+            ..zenav_fixtures::spec(100, 80, 0.05)
         };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        for y in 0..80 {
-            for x in 0..100 {
-                if x == 0 || y == 0 || x == 99 || y == 79 || (x == 50 && y < 60) {
-                    grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-                }
-            }
-        }
-        grid
+        zenav_fixtures::walled_room(spec, |at| at.x > 1.5 && at.x < 1.55 && at.y < 2.0)
     }
 
     fn ask(grid: &OccupancyGrid, start: (f64, f64), goal: (f64, f64), options: &PlanOptions) -> PlanOutcome {
@@ -368,11 +356,11 @@ mod tests {
     }
 
     #[test]
-    fn a_way_leads_from_start_to_goal_and_the_robot_fits_all_along() {
+    fn a_path_leads_from_start_to_goal_and_the_robot_fits_all_along() {
         let space = ConfigurationSpace::new(&room(), &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
         for options in [PlanOptions::default(), PlanOptions::shortest(Planner::AStar)] {
             let PlanOutcome::Found { path, length } = ask(&room(), (0.013, 0.027), (3.011, 0.049), &options) else {
-                panic!("no way")
+                panic!("no path")
             };
             assert_eq!(
                 (path[0], path[path.len() - 1]),
@@ -387,11 +375,11 @@ mod tests {
     }
 
     #[test]
-    fn with_room_to_spare_a_way_keeps_off_the_walls() {
+    fn with_room_to_spare_a_path_keeps_off_the_walls() {
         let space = ConfigurationSpace::new(&room(), &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
         let least = |options: &PlanOptions| {
             let PlanOutcome::Found { path, .. } = ask(&room(), (0.0, 0.0), (3.0, 0.0), options) else {
-                panic!("no way")
+                panic!("no path")
             };
             path.windows(2)
                 .map(|pair| space.segment_clearance(pair[0], pair[1]))
@@ -433,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn to_stay_where_it_is_is_a_way_without_length() {
+    fn to_stay_where_it_is_is_a_path_without_length() {
         let outcome = ask(&room(), (0.0, 0.0), (0.0, 0.0), &PlanOptions::default());
         assert_eq!(
             outcome,
@@ -474,7 +462,7 @@ mod tests {
         let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Blocked, 0.0);
         let mut searcher = Searcher::new(space.free()).unwrap();
         let mut options = PlanOptions::new(planner);
-        options.sampling.improving = 200;
+        options.settings.sampling.improving = 200;
         let goal = Pose2::new(goal.0, goal.1, 0.0);
         let planned = plan(&space, &mut searcher, start, goal, &options, Budget::UNLIMITED);
         let again = crate::Replanner::new(&space)

@@ -1,24 +1,38 @@
-//! Which search runs, and on what memory? One map's lattice for all of them, one query after the other.
+//! Searches on one bitmap. Which search runs, and on what memory?
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
+use zenav_space::{BitGrid, LineOfSight};
 
-use super::astar::{self, CellCost, Memory, NotFound, Uniform};
 use super::budget::Budget;
+use super::cell_cost::CellCost;
 use super::grid_graph::{GridGraph, GridPath, TooManyCells};
-use super::jps;
-use super::jump_grid::JumpGrid;
 use super::node_table::Written;
 use super::path::Path;
-use super::planner::Planner;
-use super::sampling;
-use super::theta;
-use zenav_space::{BitGrid, LineOfSight};
+use super::planners::{Map, Planner, Searches, astar};
+use super::settings::SamplingSettings;
+
+/// Why a search ended without a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NotFound {
+    /// The start or the goal is outside the map.
+    OutOfMap,
+    /// The start is not free.
+    StartBlocked,
+    /// The goal is not free.
+    GoalBlocked,
+    /// They are not connected.
+    NoPath,
+    /// The budget ran out.
+    TimedOut,
+    /// They may be connected, but only by a path that costs more than 32 bits count: 748,000 straight steps, fewer where clearance costs.
+    TooLong,
+}
 
 /// What a search found, and what it took.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Searched<W = Path> {
-    /// The way, or why there is none.
+    /// The path, or why there is none.
     pub result: Result<W, NotFound>,
     /// Nodes expanded, or samples drawn.
     pub expansions: u64,
@@ -55,24 +69,49 @@ pub struct Query {
 }
 
 impl Query {
-    /// The cells that hold its ends; `None` where one lies outside any grid.
-    pub(super) fn cells(&self) -> Option<(Cell, Cell)> {
-        Some((cell_of(self.start)?, cell_of(self.goal)?))
+    /// The cells that hold its ends, which [`Searcher::search`] has found to be on a grid.
+    pub(super) fn cells(&self) -> (Cell, Cell) {
+        let cell = |p: Point2<f64>| Cell::new(p.x as u32, p.y as u32);
+        (cell(self.start), cell(self.goal))
+    }
+
+    /// Whether both ends may lie on a grid.
+    fn is_on_a_grid(&self) -> bool {
+        let on = |x: f64| x >= 0.0 && x < f64::from(u32::MAX);
+        [self.start, self.goal].iter().all(|p| on(p.x) && on(p.y))
     }
 }
 
-/// One bitmap's lattice, and memory for searches on it, one after the other.
+/// One bitmap's grid graph, and memory for searches on it, one after the other.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_planning::{Budget, Planner, Query, Searcher};
+/// use zenav_protocol::grid::Cell;
+/// use zenav_space::{BitGrid, PointLineOfSight};
+///
+/// // A wall with a gap at its upper end.
+/// let free = BitGrid::from_fn(20, 10, |cell| cell.x != 10 || cell.y == 9);
+/// let sight = PointLineOfSight::new(&free);
+/// let mut searcher = Searcher::new(&free)?;
+/// let query = Query { start: Point2::new(2.5, 2.5), goal: Point2::new(17.5, 2.5), seed: 1 };
+/// let path = searcher.search(Planner::Jps, &sight, &query, Budget::UNLIMITED).result.unwrap();
+/// assert!(path.corners.iter().any(|corner| corner.y > 9.0), "it leads through the gap");
+/// # Ok::<(), zenav_planning::TooManyCells>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Searcher {
-    lattice: GridGraph,
-    memory: Memory,
-    /// Prepared when it is first asked for.
-    jumps: Option<JumpGrid>,
-    jump_memory: jps::Memory,
-    theta_memory: theta::Memory,
-    trees: sampling::Memory,
-    /// Parameters of planners that draw samples.
-    pub sampling: sampling::Options,
+    graph: GridGraph,
+    searches: Searches,
+    /// The planner of the last search.
+    last: Planner,
+    /// Settings of sampling planners.
+    pub sampling: SamplingSettings,
+    /// Low and high corner of the box that samples are drawn from, cells; `None`: the whole map. Start and goal may lie outside.
+    pub domain: Option<[Point2<f64>; 2]>,
+    /// Sampling planners know the map by the line of sight alone, as published: samples anywhere, no exits, no shortcuts. Slower; for
+    /// comparisons.
+    pub black_box: bool,
 }
 
 impl Searcher {
@@ -82,38 +121,33 @@ impl Searcher {
     /// [`TooManyCells`].
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
         Ok(Self {
-            lattice: GridGraph::new(free)?,
-            memory: Memory::default(),
-            jumps: None,
-            jump_memory: jps::Memory::default(),
-            theta_memory: theta::Memory::default(),
-            trees: sampling::Memory::default(),
-            sampling: sampling::Options::default(),
+            graph: GridGraph::new(free)?,
+            searches: Searches::default(),
+            last: Planner::default(),
+            sampling: SamplingSettings::default(),
+            domain: None,
+            black_box: false,
         })
     }
 
-    /// Takes over words of the bitmap that have changed (row and word): a few microseconds, and what only jump point search needs is
-    /// prepared anew when it is asked for next.
+    /// Takes over words of the bitmap that have changed (row and word): a few microseconds.
     pub(super) fn update(&mut self, free: &BitGrid, words: &[(u32, usize)]) {
         for (y, word) in words {
-            self.lattice.update(free, *y, *word);
-        }
-        if !words.is_empty() {
-            self.jumps = None;
+            self.graph.update(free, *y, *word);
         }
     }
 
-    pub(super) fn lattice(&self) -> &GridGraph {
-        &self.lattice
+    pub(super) fn graph(&self) -> &GridGraph {
+        &self.graph
     }
 
     /// Where the last search by A* had been, and a little more.
     pub(super) fn reached(&self) -> Written {
-        self.memory.reached()
+        self.searches.astar.reached()
     }
 
-    /// A way between two points. Grids go from cell centre to cell centre without cutting corners; the others ask `sight`, the space
-    /// that the searcher's free cells belong to, and start and end exactly where they are asked to.
+    /// A path between two points, in cells. Planners on the grid go from cell centre to cell centre without cutting corners; the others ask
+    /// `sight`, the space that the searcher's free cells belong to, and start and end exactly where they are asked to.
     pub fn search(
         &mut self,
         planner: Planner,
@@ -121,46 +155,27 @@ impl Searcher {
         query: &Query,
         budget: Budget<'_>,
     ) -> Searched {
-        let Some((start, goal)) = query.cells() else {
+        if !query.is_on_a_grid() {
             return Searched::failed(NotFound::OutOfMap);
-        };
-        match planner {
-            Planner::Rrt => self.grow(sampling::Growth::Single, sight, query, budget),
-            Planner::RrtConnect => self.grow(sampling::Growth::Connect, sight, query, budget),
-            Planner::RrtStar => self.grow(sampling::Growth::Optimal, sight, query, budget),
-            Planner::AStar => astar::search(&self.lattice, &Uniform, start, goal, &mut self.memory, budget).into(),
-            Planner::Jps => {
-                let jumps = self.jumps.get_or_insert_with(|| JumpGrid::new(&self.lattice));
-                jps::search(&self.lattice, jumps, start, goal, &mut self.jump_memory, budget).into()
-            }
-            Planner::Theta => theta::search(&self.lattice, sight, query, &mut self.theta_memory, budget),
         }
-    }
-
-    /// Edges of the trees of the last search by a sampling planner, in cells, at most `limit` of them.
-    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
-        self.trees.edges().take(limit)
-    }
-
-    fn grow(
-        &mut self,
-        growth: sampling::Growth,
-        sight: &impl LineOfSight,
-        query: &Query,
-        budget: Budget<'_>,
-    ) -> Searched {
-        sampling::search(
-            growth,
-            &self.lattice,
+        let map = Map {
+            graph: &self.graph,
             sight,
-            query,
-            &self.sampling,
-            &mut self.trees,
-            budget,
-        )
+            sampling: &self.sampling,
+            domain: self.domain,
+            black_box: self.black_box,
+        };
+        self.last = planner;
+        self.searches.search(planner, &map, query, budget)
     }
 
-    /// The cheapest way between two cells.
+    /// Edges of the trees that the last search grew, in cells, at most `limit` of them; none after a search without trees.
+    #[must_use]
+    pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
+        self.searches.edges(self.last, limit)
+    }
+
+    /// The cheapest path between two cells, by A*.
     pub(super) fn search_with(
         &mut self,
         costs: &impl CellCost,
@@ -168,12 +183,7 @@ impl Searcher {
         goal: Cell,
         budget: Budget<'_>,
     ) -> Searched {
-        astar::search(&self.lattice, costs, start, goal, &mut self.memory, budget).into()
+        self.last = Planner::AStar;
+        astar::search(&self.graph, costs, start, goal, &mut self.searches.astar, budget).into()
     }
-}
-
-/// The cell that holds a point.
-fn cell_of(p: Point2<f64>) -> Option<Cell> {
-    let on = |x: f64| x >= 0.0 && x < f64::from(u32::MAX);
-    (on(p.x) && on(p.y)).then(|| Cell::new(p.x as u32, p.y as u32))
 }

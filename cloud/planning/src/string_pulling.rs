@@ -1,6 +1,7 @@
-//! How is a way pulled taut? Corners that one sees past go, and the others move to where the way is shortest, as long as it stays in sight.
+//! String pulling between cell centres. Which corners of a path are needed? Those that one sees past go, and the others move to where the path is
+//! shortest, as long as it stays in sight.
 //!
-//! A descent: the way stays on its side of every obstacle, and gets no new corners.
+//! A descent: the path stays on its side of every obstacle, and gets no new corners.
 
 use nalgebra::{Point2, Vector2};
 
@@ -10,12 +11,12 @@ use zenav_space::LineOfSight;
 const LONGEST: f64 = 8.0;
 /// Corners that are looked for ahead of one.
 const AHEAD: usize = 16;
-/// Rounds over all corners: most ways are taut after a few.
+/// Rounds over all corners: most paths are taut after a few.
 const ROUNDS: usize = 40;
 
-/// Shortens a way of which every leg is in sight, and stays so; its ends stay where they are. Corners move by `finest` cells at the least:
+/// Shortens a path of which every leg is in sight, and stays so; its ends stay where they are. Corners move by `finest` cells at the least:
 /// by whole ones from centre to centre. Never longer than before; deterministic.
-pub fn tighten(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64) {
+pub fn pull_string(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64) {
     cut(sight, corners);
     let mut step = LONGEST.max(finest);
     for _ in 0..ROUNDS {
@@ -47,7 +48,7 @@ fn cut(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>) {
     *corners = kept;
 }
 
-/// A place a step from a corner, in any of eight directions, over which the way between its neighbours is shortest; `None` where none is
+/// A place a step from a corner, in any of eight directions, over which the path between its neighbours is shortest; `None` where none is
 /// shorter than the present one.
 fn better(sight: &impl LineOfSight, [before, corner, after]: [Point2<f64>; 3], step: f64) -> Option<Point2<f64>> {
     let length = |p: Point2<f64>| (p - before).norm() + (after - p).norm();
@@ -79,8 +80,9 @@ mod tests {
     use zenav_protocol::grid::Cell;
 
     use super::*;
-    use crate::astar::{Memory, Uniform, search};
+    use crate::cell_cost::Uniform;
     use crate::grid_graph::GridGraph;
+    use crate::planners::astar::{Memory, search};
     use crate::{Budget, Path};
     use zenav_space::{BitGrid, PointLineOfSight};
 
@@ -92,7 +94,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
         #[test]
-        fn a_way_in_sight_stays_in_sight_and_never_gets_longer(size in (2_u32..40, 2_u32..40), dots in prop::collection::vec((0_u32..40, 0_u32..40), 0..200), ends in any::<(u32, u32, u32, u32)>(), finest in prop::sample::select(vec![0.125, 1.0])) {
+        fn a_path_in_sight_stays_in_sight_and_never_gets_longer(size in (2_u32..40, 2_u32..40), dots in prop::collection::vec((0_u32..40, 0_u32..40), 0..200), ends in any::<(u32, u32, u32, u32)>(), finest in prop::sample::select(vec![0.125, 1.0])) {
             let mut free = BitGrid::from_fn(size.0, size.1, |_| true);
             dots.iter().for_each(|(x, y)| free.set(Cell::new(*x, *y), false));
             let (start, goal) = (Cell::new(ends.0 % size.0, ends.1 % size.1), Cell::new(ends.2 % size.0, ends.3 % size.1));
@@ -100,7 +102,7 @@ mod tests {
             prop_assume!(found.is_ok());
             let before = Path::from(found.unwrap());
             let (sight, mut corners) = (PointLineOfSight::new(&free), before.corners.clone());
-            tighten(&sight, &mut corners, finest);
+            pull_string(&sight, &mut corners, finest);
             prop_assert!(corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
             prop_assert!(length(&corners) <= before.length + 1e-9);
             prop_assert_eq!((corners.first(), corners.last()), (before.corners.first(), before.corners.last()));
@@ -110,12 +112,12 @@ mod tests {
     }
 
     #[test]
-    fn a_way_around_a_wall_is_pulled_to_its_end() {
+    fn a_path_around_a_wall_is_pulled_to_its_end() {
         let mut free = BitGrid::from_fn(41, 41, |_| true);
         (0..30).for_each(|y| free.set(Cell::new(20, y), false));
         let at = |x: f64, y: f64| Point2::new(x, y);
         let mut corners = vec![at(2.5, 2.5), at(5.0, 38.0), at(30.0, 40.0), at(38.5, 2.5)];
-        tighten(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0);
+        pull_string(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0);
         // Close around the wall's end at (20, 30) and (21, 30), with one corner instead of two.
         let shortest = length(&[at(2.5, 2.5), at(20.0, 30.0), at(21.0, 30.0), at(38.5, 2.5)]);
         assert!(
@@ -130,7 +132,7 @@ mod tests {
         let sight = PointLineOfSight::new(&BitGrid::from_fn(9, 9, |_| true));
         for mut corners in [vec![], vec![Point2::new(1.5, 1.5)]] {
             let before = corners.clone();
-            tighten(&sight, &mut corners, 1.0);
+            pull_string(&sight, &mut corners, 1.0);
             assert_eq!(corners, before);
         }
     }

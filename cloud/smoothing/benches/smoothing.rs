@@ -30,7 +30,7 @@ use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_smoothing::timing::stop_turn_go::stop_turn_go;
 use zenav_smoothing::timing::{Limits, UNRESTRICTED};
 use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
@@ -59,7 +59,7 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for name in ROBOTS.iter().filter(|name| name.contains(&only)) {
-        let model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+        let model = zenav_fixtures::robot(name);
         let mut found = Vec::new();
         let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
         for (path, start) in drawn(&space, ways, false) {

@@ -241,10 +241,10 @@ mod tests {
     use super::*;
     use nalgebra::Point2;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::RobotModel;
 
     fn tiago(jerk: Option<f64>) -> RobotModel {
-        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let mut model = zenav_fixtures::robot("tiago");
         model.drive.max_jerk = jerk;
         model
     }

@@ -400,7 +400,7 @@ fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    use zenav_protocol::grid::{GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
     const SIZE: CorridorSettings = CorridorSettings {
@@ -417,12 +417,9 @@ mod tests {
             width: 70,
             height: 60,
         };
-        let mut grid = Grid::filled(spec, Occupancy::FREE);
-        for (cells, value) in [(occupied, Occupancy::OCCUPIED), (unknown, Occupancy::UNKNOWN)] {
-            for (x, y) in cells {
-                grid[Cell::new(*x, *y)] = value;
-            }
-        }
+        let marks = [(occupied, Occupancy::OCCUPIED), (unknown, Occupancy::UNKNOWN)];
+        let marks = marks.map(|(cells, value)| cells.iter().map(move |(x, y)| (*x, *y, value)));
+        let grid = zenav_fixtures::map_with(spec, &marks.into_iter().flatten().collect::<Vec<_>>());
         ConfigurationSpace::new(&grid, &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0)
     }
 

@@ -143,22 +143,10 @@ fn spaced(space: &ConfigurationSpace, path: &[Point2<f64>], wanted: f64) -> (Vec
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_space::UnknownPolicy;
 
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let mut grid = Grid::filled(
-            GridSpec {
-                origin: Point2::origin(),
-                resolution: 0.1,
-                width: 60,
-                height: 60,
-            },
-            Occupancy::FREE,
-        );
-        for (x, y) in occupied {
-            grid[Cell::new(*x, *y)] = Occupancy::OCCUPIED;
-        }
+        let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(60, 60, 0.1), occupied);
         ConfigurationSpace::new(&grid, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0)
     }
 

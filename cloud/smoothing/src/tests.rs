@@ -8,17 +8,17 @@ use proptest::prelude::*;
 use rand::SeedableRng as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::polygon::{contains, edges};
-use zenav_protocol::robot::{Footprint, RobotModel, shipped};
+use zenav_protocol::robot::{Footprint, RobotModel};
 
 use super::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
 use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_space::{ConfigurationSpace, UnknownPolicy, Zones};
 
 fn robot(name: &str) -> RobotModel {
-    RobotModel::from_toml(shipped(name).unwrap(), name).unwrap()
+    zenav_fixtures::robot(name)
 }
 
 fn space(grid: &OccupancyGrid, model: &RobotModel) -> ConfigurationSpace {
@@ -27,23 +27,7 @@ fn space(grid: &OccupancyGrid, model: &RobotModel) -> ConfigurationSpace {
 
 /// An empty hall of 8 m by 6 m with its lower left corner at the origin.
 fn hall() -> OccupancyGrid {
-    let mut grid = Grid::filled(
-        GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.05,
-            width: 160,
-            height: 120,
-        },
-        Occupancy::FREE,
-    );
-    for y in 0..120 {
-        for x in 0..160 {
-            if x == 0 || y == 0 || x == 159 || y == 119 {
-                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-            }
-        }
-    }
-    grid
+    zenav_fixtures::walled_room(zenav_fixtures::spec(160, 120, 0.05), |_| false)
 }
 
 /// The hall with boxes: corner and sides in cells.

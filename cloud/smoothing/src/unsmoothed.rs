@@ -45,11 +45,10 @@ pub fn unsmoothed(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::shipped;
 
     #[test]
     fn it_is_certified_with_and_without_a_limited_jerk() {
-        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let mut model = zenav_fixtures::robot("tiago");
         let path = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
         let run = |model: &RobotModel| unsmoothed(&path, Pose2::IDENTITY, Twist2::ZERO, Some(0.0), model).statistics;
         let sweep = run(&model);

@@ -1,7 +1,7 @@
-//! How many straight ways are checked a second? Segments of several lengths on one map, against a walk from cell to cell and the exact
+//! How many straight paths are checked a second? Segments of several lengths on one map, against a walk from cell to cell and the exact
 //! measure of a moved disc.
 //!
-//! `cargo bench -p zenav-cloud --bench sight`, on a house made from a seed; `ZENAV_BENCH_MAP=file` takes a map (.yaml, .pgm, .png, .map).
+//! `cargo bench -p zenav-space --bench sight`, on a house made from a seed; `ZENAV_BENCH_MAP=file` takes a map (.yaml, .pgm, .png, .map).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, reason = "a bench")]
 
 use std::hint::black_box;

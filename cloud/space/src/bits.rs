@@ -1,4 +1,4 @@
-//! Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
+//! Bitmaps. Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
 
 use zenav_protocol::grid::Cell;
 
@@ -25,6 +25,15 @@ impl BitGrid {
     }
 
     /// Sets a bit wherever `is_set` says so.
+    ///
+    /// ```
+    /// use zenav_protocol::grid::Cell;
+    /// use zenav_space::BitGrid;
+    ///
+    /// let diagonal = BitGrid::from_fn(100, 100, |cell| cell.x == cell.y);
+    /// assert!(diagonal.get(Cell::new(70, 70)) && diagonal.count() == 100);
+    /// assert_eq!(diagonal.next_set(70, 0, 99), Some(70));
+    /// ```
     #[must_use]
     pub fn from_fn(width: u32, height: u32, mut is_set: impl FnMut(Cell) -> bool) -> Self {
         let mut bits = Self::new(width, height);

@@ -1,4 +1,4 @@
-//! Has the true footprint room to drive straight, to turn on the spot, to move a little?
+//! Motions of the footprint. Has it room to drive straight, to turn on the spot, to move a little?
 //!
 //! A convex footprint that drives straight along its heading sweeps the convex hull of its first and its last outline: legs are measured
 //! exactly, however long. Turns and small motions are bisected: between two poses no point of the footprint moves farther than the centre
@@ -23,6 +23,19 @@ const BISECTIONS: usize = 10_000;
 impl ConfigurationSpace {
     /// Least distance (m) of the true footprint to an obstacle while it drives straight from `a` to `b`, heading along; at most `limit`,
     /// zero where it collides. Without length there is no heading: what the inscribed disc has.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// let clearance = space.leg_clearance(Point2::new(1.0, 1.5), Point2::new(3.0, 1.5), 1.0);
+    /// assert!((clearance - 0.3).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn leg_clearance(&self, a: Point2<f64>, b: Point2<f64>, limit: f64) -> f64 {
         let resolution = self.spec.resolution;
@@ -34,7 +47,7 @@ impl ConfigurationSpace {
                 if self.segment_is_free(a, b, limit + self.footprint.circumscribed_radius()) {
                     return limit;
                 }
-                let hull = hull(&swept(corners, Pose2::new(a.x, a.y, along.y.atan2(along.x)), b));
+                let hull = convex_hull(&swept_corners(corners, Pose2::new(a.x, a.y, along.y.atan2(along.x)), b));
                 let outline: Vec<_> = hull.into_iter().map(|corner| self.spec.to_cells(corner)).collect();
                 if outline.iter().any(|p| !(p.x.is_finite() && p.y.is_finite())) {
                     return 0.0;
@@ -143,7 +156,7 @@ impl ConfigurationSpace {
 }
 
 /// Corners of the footprint at a pose and, with the same heading, at another place.
-pub fn swept(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
+pub fn swept_corners(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
     let there = Pose2::new(to.x, to.y, from.yaw);
     [from, there]
         .iter()
@@ -152,7 +165,15 @@ pub fn swept(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point
 }
 
 /// Convex hull, counter-clockwise (Andrew, "Another Efficient Algorithm for Convex Hulls in Two Dimensions", 1979).
-pub fn hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_space::convex_hull;
+///
+/// let points = [(0.0, 0.0), (2.0, 0.0), (1.0, 0.5), (2.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y));
+/// assert_eq!(convex_hull(&points).len(), 4);
+/// ```
+pub fn convex_hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     sorted.dedup();
@@ -197,10 +218,7 @@ mod tests {
 
     /// A robot whose base is not in the middle of it.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = Occupancy::OCCUPIED;
-        }
+        let grid = zenav_fixtures::map_with_occupied(SPEC, occupied);
         let outline = [(-0.4, -0.15), (0.1, -0.18), (0.2, 0.0), (0.1, 0.18), (-0.4, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0)
@@ -240,7 +258,7 @@ mod tests {
         #[test]
         fn outer_cells_are_the_obstacles_in_an_outline(occupied in cells(), a in point(), b in point(), c in point()) {
             let space = space(&occupied);
-            let outline = hull(&[a, b, c]);
+            let outline = convex_hull(&[a, b, c]);
             let mut found = Vec::new();
             space.outer_cells(&outline, false, |center| found.extend(SPEC.cell_at(center)));
             found.sort();
@@ -263,13 +281,13 @@ mod tests {
         }
 
         #[test]
-        fn a_motion_is_free_where_its_densest_samples_are(occupied in cells(), a in point(), way in (-0.3..0.3, -0.3..0.3), yaw in -3.0..3.0, turn in -2.0..2.0) {
+        fn a_motion_is_free_where_its_densest_samples_are(occupied in cells(), a in point(), path in (-0.3..0.3, -0.3..0.3), yaw in -3.0..3.0, turn in -2.0..2.0) {
             let space = space(&occupied);
-            let (from, to) = (Pose2 { x: a.x, y: a.y, yaw }, Pose2 { x: a.x + way.0, y: a.y + way.1, yaw: yaw + turn });
+            let (from, to) = (Pose2 { x: a.x, y: a.y, yaw }, Pose2 { x: a.x + path.0, y: a.y + path.1, yaw: yaw + turn });
             let samples = 300;
             let least = (0..=samples).map(|i| {
                 let share = f64::from(i) / f64::from(samples);
-                space.footprint_clearance(Pose2 { x: a.x + way.0 * share, y: a.y + way.1 * share, yaw: yaw + turn * share })
+                space.footprint_clearance(Pose2 { x: a.x + path.0 * share, y: a.y + path.1 * share, yaw: yaw + turn * share })
             }).fold(f64::INFINITY, f64::min);
             let free = space.motion_is_free(from, to);
             prop_assert!(!free || least > 0.0);
@@ -277,7 +295,7 @@ mod tests {
         }
 
         #[test]
-        fn a_turn_goes_the_shorter_way_round(occupied in cells(), a in point(), yaw in -3.2..3.2, turn in -3.0..3.0) {
+        fn a_turn_goes_the_shorter_path_round(occupied in cells(), a in point(), yaw in -3.2..3.2, turn in -3.0..3.0) {
             let space = space(&occupied);
             let pose = |yaw: f64| Pose2 { x: a.x, y: a.y, yaw };
             let to = wrap_angle(yaw + turn);
@@ -311,7 +329,7 @@ mod tests {
             .map(|i| f64::from(i) * 2.4)
             .map(|t| Point2::new(t.sin() * t, t.cos() * (t % 7.0)))
             .collect();
-        let hull = hull(&points);
+        let hull = convex_hull(&points);
         for (a, b) in hull.iter().zip(hull.iter().cycle().skip(1)) {
             let along = b - a;
             assert!(
@@ -320,6 +338,6 @@ mod tests {
                     .all(|p| along.x * (p.y - a.y) - along.y * (p.x - a.x) >= -1e-9)
             );
         }
-        assert_eq!(super::hull(&[Point2::origin(); 3]), [Point2::origin()]);
+        assert_eq!(super::convex_hull(&[Point2::origin(); 3]), [Point2::origin()]);
     }
 }

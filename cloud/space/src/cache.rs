@@ -1,4 +1,4 @@
-//! Which configuration space belongs to a map, a robot and a policy? Made once, and from then on kept up to date by the map's tiles.
+//! Cache of configuration spaces. Which one belongs to a map, a robot and a policy? It is made once, and from then on follows the map's tiles.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Which cells admit the robot, and how far is any point from an obstacle?
+//! Configuration space. Which cells admit the robot, and how far is any point from an obstacle?
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -61,6 +61,19 @@ impl ConfigurationSpace {
     /// Builds the space of a robot on a map.
     ///
     /// `margin` (m) is kept clear around the footprint's inscribed disc, on top of it; negative or non-finite counts as none.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// assert!(!space.is_free(Cell::new(21, 20)) && space.is_free(Cell::new(23, 20)));
+    /// ```
     #[must_use]
     pub fn new(grid: &OccupancyGrid, footprint: &Footprint, unknown: UnknownPolicy, margin: f64) -> Self {
         Self::with_zones(grid, footprint, unknown, margin, &Arc::default())
@@ -115,6 +128,20 @@ impl ConfigurationSpace {
 
     /// The same map for a disc of `radius` (m), with the same margin and policy: obstacles and distances are shared, only the free cells
     /// are decided anew (one pass over the distances, or over the whole transform where they do not reach that far).
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// let larger = space.for_disc(0.5);
+    /// assert!(space.is_free(Cell::new(23, 20)) && !larger.is_free(Cell::new(23, 20)));
+    /// ```
     #[must_use]
     pub fn for_disc(&self, radius: f64) -> Self {
         let mut space = Self {
@@ -246,6 +273,19 @@ impl ConfigurationSpace {
     /// [`reach`](Self::reach), zero on an obstacle and for a non-finite point.
     ///
     /// Cost: two bit scans a row within that distance, some hundred nanoseconds.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// assert!((space.clearance(Point2::new(1.5, 2.05)) - 0.5).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn clearance(&self, point: Point2<f64>) -> f64 {
         let mut limit = self.reach();
@@ -258,6 +298,20 @@ impl ConfigurationSpace {
     }
 
     /// The free cell centre nearest to a point, m; `None` when no cell is free or the point is not finite.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// let near = space.nearest_free(Point2::new(2.05, 2.05)).unwrap();
+    /// assert!(space.clearance(near) > 0.2 && space.clearance(near) < 0.4);
+    /// ```
     #[must_use]
     pub fn nearest_free(&self, point: Point2<f64>) -> Option<Point2<f64>> {
         let p = self.spec.to_cells(point);
@@ -309,17 +363,7 @@ mod tests {
     use super::*;
 
     fn grid(width: u32, height: u32, marks: &[(u32, u32, i8)]) -> OccupancyGrid {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.1,
-            width,
-            height,
-        };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        for (x, y, value) in marks {
-            grid[Cell::new(x % width, y % height)] = *value;
-        }
-        grid
+        zenav_fixtures::map_with(zenav_fixtures::spec(width, height, 0.1), marks)
     }
 
     #[test]

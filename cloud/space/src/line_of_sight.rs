@@ -1,6 +1,6 @@
-//! Can one go straight from here to there? What any-angle and sampling planners ask, in cells of a grid.
+//! Line of sight. Can one go straight from here to there? Any-angle and sampling planners ask this, in cells of a grid.
 //!
-//! The answer is exact against closed squares: one span of columns for each row that the way crosses, 64 cells looked at in one step.
+//! The answer is exact against closed squares: one span of columns for each row that the path crosses, 64 cells looked at in one step.
 //! What is prepared beforehand (rows in bands, columns as rows, distances) only spares most of the looks.
 
 use nalgebra::Point2;
@@ -8,9 +8,9 @@ use zenav_protocol::grid::Cell;
 
 use super::bits::BitGrid;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
-use super::sweep::{Banded, HAIR, whole};
+use super::sweep::{Banded, EPSILON, whole};
 
-/// A space in which straight ways are checked exactly. All coordinates are in cells: the centre of cell (0, 0) lies at (0.5, 0.5).
+/// A space in which straight paths are checked exactly. All coordinates are in cells: the centre of cell (0, 0) lies at (0.5, 0.5).
 pub trait LineOfSight {
     /// Columns and rows.
     fn size(&self) -> [u32; 2];
@@ -29,12 +29,22 @@ pub trait LineOfSight {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PointLineOfSight {
     rows: Banded,
-    /// The same turned over, for steep ways: spans are then along columns.
+    /// The same turned over, for steep paths: spans are then along columns.
     columns: Banded,
 }
 
 impl PointLineOfSight {
     /// Prepares a bitmap of free cells: linear in its words.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_space::{BitGrid, LineOfSight as _, PointLineOfSight};
+    ///
+    /// let free = BitGrid::from_fn(20, 20, |cell| cell.x != 10 || cell.y != 5);
+    /// let sight = PointLineOfSight::new(&free);
+    /// assert!(!sight.sees(Point2::new(1.5, 5.5), Point2::new(18.5, 5.5)));
+    /// assert!(sight.sees(Point2::new(1.5, 4.5), Point2::new(18.5, 4.5)));
+    /// ```
     #[must_use]
     pub fn new(free: &BitGrid) -> Self {
         let blocked = free.complement();
@@ -52,8 +62,8 @@ impl LineOfSight for PointLineOfSight {
 
     #[inline]
     fn sees(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
-        let [right, top] = self.size().map(|cells| f64::from(cells) - HAIR);
-        let inside = |p: Point2<f64>| p.x > HAIR && p.x < right && p.y > HAIR && p.y < top;
+        let [right, top] = self.size().map(|cells| f64::from(cells) - EPSILON);
+        let inside = |p: Point2<f64>| p.x > EPSILON && p.x < right && p.y > EPSILON && p.y < top;
         if !(inside(a) && inside(b)) {
             return false;
         }
@@ -89,13 +99,13 @@ fn disc_passes(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bo
     if half + radius + 1.0 < reach {
         let middle = nalgebra::center(&a, &b);
         let cell = Cell::new(whole(middle.x), whole(middle.y));
-        // No distance changes by more than one moves: that of one cell's centre bounds all of a short way's.
+        // No distance changes by more than one moves: that of one cell's centre bounds all of a short path's.
         let off = (middle - Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)).norm();
         let distance = 0.5 * f64::from(space.field().squared(cell)).sqrt();
-        if distance > radius + half + off + HAIR {
+        if distance > radius + half + off + EPSILON {
             return true;
         }
-        if distance < radius - off - HAIR {
+        if distance < radius - off - EPSILON {
             return false;
         }
     }
@@ -143,10 +153,10 @@ mod tests {
         }
 
         #[test]
-        fn one_blocked_cell_on_the_way_is_never_missed(x in 1..SIDE - 1, y in 1..SIDE - 1, inside in (0.0..=1.0, 0.0..=1.0), angle in 0.0..6.3, before in 0.0..90.0, after in 0.0..90.0) {
+        fn one_blocked_cell_on_the_path_is_never_missed(x in 1..SIDE - 1, y in 1..SIDE - 1, inside in (0.0..=1.0, 0.0..=1.0), angle in 0.0..6.3, before in 0.0..90.0, after in 0.0..90.0) {
             let through = Point2::new(x as f64 + inside.0, y as f64 + inside.1);
-            let way = Vector2::new(f64::cos(angle), f64::sin(angle));
-            let (a, b) = (through - way * before, through + way * after);
+            let path = Vector2::new(f64::cos(angle), f64::sin(angle));
+            let (a, b) = (through - path * before, through + path * after);
             let sight = PointLineOfSight::new(&free(&[(x, y)]));
             prop_assert!(!sight.sees(a, b));
         }

@@ -1,4 +1,4 @@
-//! Which cells does a closed polygon touch? All of them, and no others but those within a hair.
+//! Polygon rasterisation. Which cells does a closed polygon touch? No cell is missed, and none is farther than a millionth of a cell.
 //!
 //! A cell that no edge touches lies inside or outside as a whole, and its centre says which: edges are walked row by row, and centres are
 //! told by how many edges they have on their left (an even-odd scan conversion).
@@ -8,7 +8,7 @@ use zenav_protocol::grid::{Cell, GridSpec};
 use zenav_protocol::polygon::edges;
 
 /// Cells this near to a polygon count as touched, cells: rounding never loses one.
-const HAIR: f64 = 1e-6;
+const EPSILON: f64 = 1e-6;
 
 /// Marked cells of a grid, kept for the part of it that has any.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -109,7 +109,7 @@ impl CellMask {
                 }
             };
             for y in first..=last {
-                let (bottom, top) = (y as f64 - HAIR, (y + 1) as f64 + HAIR);
+                let (bottom, top) = (y as f64 - EPSILON, (y + 1) as f64 + EPSILON);
                 let (from, to) = if b.y > a.y { (at(bottom), at(top)) } else { (a.x, b.x) };
                 if let Some((from, to)) = touched(from.min(to), from.max(to), spec.width) {
                     mask.mark(y, from, to);
@@ -180,8 +180,8 @@ impl CellMask {
 
 /// The cells that a closed interval touches, first and last, of so many; `None` for none of them, and for what is not a number.
 fn touched(low: f64, high: f64, cells: u32) -> Option<(usize, usize)> {
-    let first = ((low - HAIR).ceil() - 1.0).max(0.0);
-    let last = (high + HAIR).floor().min(f64::from(cells) - 1.0);
+    let first = ((low - EPSILON).ceil() - 1.0).max(0.0);
+    let last = (high + EPSILON).floor().min(f64::from(cells) - 1.0);
     (first <= last).then_some((first as usize, last as usize))
 }
 

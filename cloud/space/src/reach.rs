@@ -1,4 +1,4 @@
-//! Which places can be got to at all? A flood over free cells, four neighbours each.
+//! Reachability. Which places can be got to at all? A flood fill over free cells, four neighbours each.
 
 use std::collections::VecDeque;
 

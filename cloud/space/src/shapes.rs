@@ -1,4 +1,4 @@
-//! How far is a shape from the nearest occupied square? Discs, moved discs and convex polygons, in closed form.
+//! Shape clearance. How far is a shape from the nearest occupied square? Discs, moved discs and convex polygons, in closed form.
 //!
 //! Candidates come from bit scans of the rows that the shape can reach; each is measured exactly.
 

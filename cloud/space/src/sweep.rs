@@ -1,4 +1,4 @@
-//! Which columns of a row does a moved shape meet? Points, square windows and discs on straight ways, in cells of a grid.
+//! Swept shapes on bitmaps. Which columns of a row does a moved shape meet? Points, square windows and discs on straight paths, in cells of a grid.
 //!
 //! A convex shape moved straight is convex, so that in each row it meets one span of columns: that span is told in closed form, and 64
 //! cells of it are looked at in one step. Squares are closed: to touch one is to meet it.
@@ -8,7 +8,7 @@ use nalgebra::{Point2, Vector2};
 use super::bits::BitGrid;
 
 /// Shapes are larger by this all around, cells: rounding (some 1e-11 on the largest grids) never loses a square that is touched.
-pub(super) const HAIR: f64 = 1e-9;
+pub(super) const EPSILON: f64 = 1e-9;
 
 /// Set cells, also by bands of rows: most of what is empty is passed over in one look.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,7 +58,7 @@ impl Banded {
     /// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell; what lies
     /// outside the grid is not asked. Numbers that are not finite touch.
     pub(super) fn is_touched_by_window(&self, a: Point2<f64>, b: Point2<f64>, half: f64) -> bool {
-        let reach = half + HAIR;
+        let reach = half + EPSILON;
         self.any_row(a, b, reach, |left, right| {
             let strip = Strip::new(a, b, reach, left, right);
             move |low, high| strip.columns(low, high)
@@ -68,7 +68,7 @@ impl Banded {
     /// Whether a disc, moved from `a` to `b`, touches the square of a set cell; what lies outside the grid is not asked. Numbers that are
     /// not finite touch.
     pub(super) fn is_touched_by_disc(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
-        let reach = radius + HAIR;
+        let reach = radius + EPSILON;
         self.any_row(a, b, reach, |left, right| {
             let capsule = Capsule::new(a, b, reach);
             move |low, high| {
@@ -127,17 +127,17 @@ impl Banded {
     /// Whether a point moved between two points inside the grid touches the square of a set cell.
     #[inline]
     pub(super) fn is_touched_by_point(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
-        let (left, right) = (less(a.x, b.x) - HAIR, greater(a.x, b.x) + HAIR);
-        let (low, high) = (whole(less(a.y, b.y) - HAIR), whole(greater(a.y, b.y) + HAIR));
+        let (left, right) = (less(a.x, b.x) - EPSILON, greater(a.x, b.x) + EPSILON);
+        let (low, high) = (whole(less(a.y, b.y) - EPSILON), whole(greater(a.y, b.y) + EPSILON));
         let (first, last) = (low / BAND, high / BAND);
         if last - first <= 1 {
-            // Short ways in the open need no more than a look at the box around them.
+            // Short paths in the open need no more than a look at the box around them.
             let is_set = |band| self.bands.any_set(band, whole(left), whole(right));
             if !is_set(first) && !is_set(last) {
                 return false;
             }
         }
-        let strip = Strip::new(a, b, HAIR, left, right);
+        let strip = Strip::new(a, b, EPSILON, left, right);
         self.any(low, high, |low, high| strip.columns(low, high))
     }
 }
@@ -157,7 +157,7 @@ fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
 /// A square window moved straight over a grid.
 struct Strip {
     from: Point2<f64>,
-    /// Columns a row; infinite or not a number for level ways.
+    /// Columns a row; infinite or not a number for level paths.
     slope: f64,
     /// How far the window reaches beyond where its centre crosses a row's border.
     beside: f64,
@@ -185,7 +185,7 @@ impl Strip {
     fn columns(&self, low: u32, high: u32) -> (u32, u32) {
         let at = |y: f64| self.from.x + (y - self.from.y) * self.slope;
         let (below, above) = (at(f64::from(low)), at(f64::from(high) + 1.0));
-        // A level way's are not numbers: it meets all of its columns.
+        // A level path's are not numbers: it meets all of its columns.
         let (near, far) = if self.slope >= 0.0 {
             (below, above)
         } else {
@@ -201,19 +201,19 @@ struct Capsule {
     ends: [Point2<f64>; 2],
     radius: f64,
     /// From the lower end to the upper one, of length one.
-    way: Vector2<f64>,
+    path: Vector2<f64>,
     slope: f64,
 }
 
 impl Capsule {
     fn new(a: Point2<f64>, b: Point2<f64>, radius: f64) -> Self {
         let [low, high] = if a.y <= b.y { [a, b] } else { [b, a] };
-        let way = (high - low).try_normalize(0.0).unwrap_or(Vector2::y());
+        let path = (high - low).try_normalize(0.0).unwrap_or(Vector2::y());
         Self {
             ends: [low, high],
             radius,
-            way,
-            slope: way.x / way.y,
+            path,
+            slope: path.x / path.y,
         }
     }
 
@@ -221,7 +221,7 @@ impl Capsule {
     #[inline(always)]
     fn span(&self, bottom: f64, top: f64) -> (f64, f64) {
         let [low, high] = self.ends;
-        let (leftmost, rightmost) = if self.way.x >= 0.0 {
+        let (leftmost, rightmost) = if self.path.x >= 0.0 {
             (low.y, high.y)
         } else {
             (high.y, low.y)
@@ -236,7 +236,7 @@ impl Capsule {
     #[inline]
     fn border(&self, y: f64, side: f64) -> f64 {
         let [low, high] = self.ends;
-        let touched = side * self.radius * self.way.x;
+        let touched = side * self.radius * self.path.x;
         let arc =
             |end: Point2<f64>| end.x + side * (self.radius * self.radius - (y - end.y) * (y - end.y)).max(0.0).sqrt();
         if y <= low.y - touched {
@@ -244,7 +244,7 @@ impl Capsule {
         } else if y >= high.y - touched {
             arc(high)
         } else {
-            low.x + side * self.radius * self.way.y + (y - low.y + touched) * self.slope
+            low.x + side * self.radius * self.path.y + (y - low.y + touched) * self.slope
         }
     }
 }
@@ -326,7 +326,7 @@ pub(super) mod tests {
         }
 
         #[test]
-        fn a_moved_disc_touches_what_its_way_comes_as_close_to(occupied in occupied(), a in around(), b in around(), radius in prop::sample::select(vec![0.0, 0.25, 1.0, 2.3, 5.0, 40.0])) {
+        fn a_moved_disc_touches_what_its_path_comes_as_close_to(occupied in occupied(), a in around(), b in around(), radius in prop::sample::select(vec![0.0, 0.25, 1.0, 2.3, 5.0, 40.0])) {
             let (bits, a, b) = (bits(&occupied), quarters(a), quarters(b));
             let clearance = capsule_clearance(&bits, a, b, radius + 1.0);
             // Whole numbers touch exactly.

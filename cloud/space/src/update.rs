@@ -1,4 +1,4 @@
-//! What of a configuration space changes when tiles of its map change? Only what lies within reach of a cell that means something else
+//! Incremental update. What of a configuration space changes when tiles of its map change? Only what lies within reach of a cell that means something else
 //! now, and the result equals a space that is built anew.
 
 use std::collections::BTreeMap;
@@ -199,26 +199,15 @@ impl ConfigurationSpace {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
     use proptest::prelude::*;
-    use zenav_protocol::grid::{Cell, GridSpec};
+    use zenav_protocol::grid::Cell;
     use zenav_protocol::robot::Footprint;
 
     use super::super::zones::Zones;
     use super::*;
 
     fn grid(width: u32, height: u32, marks: &[(u32, u32, i8)]) -> OccupancyGrid {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 0.1,
-            width,
-            height,
-        };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        for (x, y, value) in marks {
-            grid[Cell::new(x % width, y % height)] = *value;
-        }
-        grid
+        zenav_fixtures::map_with(zenav_fixtures::spec(width, height, 0.1), marks)
     }
 
     const ZONES: &str = "[[keep_out]]\npoints = [[2.0, 2.0], [9.0, 3.0], [4.0, 9.0]]";

@@ -1,4 +1,4 @@
-//! Does the true footprint fit at a pose, along a segment, along a sweep of poses?
+//! State validity. Does the true footprint fit at a pose, along a segment, along a sweep of poses?
 //!
 //! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the
 //! shape can reach, each candidate is measured in closed form. No step size is involved.
@@ -19,6 +19,19 @@ const SWEEP_BISECTIONS: usize = 10_000;
 impl ConfigurationSpace {
     /// Whether the robot may stand at a pose: its true footprint touches no obstacle, and its centre stands on a cell that
     /// the policy for unknown cells allows.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// assert!(space.is_valid(Pose2::new(1.7, 2.0, 0.0)) && !space.is_valid(Pose2::new(1.85, 2.0, 0.0)));
+    /// ```
     #[must_use]
     pub fn is_valid(&self, pose: Pose2) -> bool {
         if !pose.is_finite() || !self.is_permitted(pose.position()) {
@@ -90,6 +103,20 @@ impl ConfigurationSpace {
 
     /// Whether a disc of `radius` (m) moved from `a` to `b` touches no obstacle. Unknown cells count only under
     /// [`UnknownPolicy::Obstacle`].
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// let [left, right] = [Point2::new(1.0, 2.3), Point2::new(3.0, 2.3)];
+    /// assert!(space.segment_is_free(left, right, 0.15) && !space.segment_is_free(left, right, 0.25));
+    /// ```
     #[must_use]
     pub fn segment_is_free(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
         !self.obstacles.is_touched_by_disc(
@@ -112,6 +139,20 @@ impl ConfigurationSpace {
     ///
     /// Never above the truth, and at most a millimetre below it (for steps that a robot makes; after ten thousand bisections
     /// a safe bound is returned): zero means a collision or less than a millimetre to spare.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// let clearance = space.sweep_min_clearance(&[Pose2::new(1.0, 2.5, 0.0), Pose2::new(3.0, 2.5, 0.5)]);
+    /// assert!((clearance - 0.2).abs() < 1e-3);
+    /// ```
     #[must_use]
     pub fn sweep_min_clearance(&self, poses: &[Pose2]) -> f64 {
         self.sweep_clearance_within(poses, self.reach())
@@ -196,11 +237,7 @@ mod tests {
     };
 
     fn map(occupied: &[(u32, u32)]) -> OccupancyGrid {
-        let mut grid = Grid::filled(SPEC, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[Cell::new(x % SPEC.width, y % SPEC.height)] = Occupancy::OCCUPIED;
-        }
-        grid
+        zenav_fixtures::map_with_occupied(SPEC, occupied)
     }
 
     fn space(occupied: &[(u32, u32)], footprint: &Footprint) -> ConfigurationSpace {
@@ -265,11 +302,11 @@ mod tests {
         }
 
         #[test]
-        fn one_occupied_cell_on_the_way_is_never_missed(x in 1_u32..69, y in 1_u32..59, inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01..5.0, after in 0.01..5.0) {
+        fn one_occupied_cell_on_the_path_is_never_missed(x in 1_u32..69, y in 1_u32..59, inside in (0.01..0.99, 0.01..0.99), angle in 0.0..6.3, before in 0.01..5.0, after in 0.01..5.0) {
             let space = space(&[(x, y)], &Footprint::Radius(0.01));
             let through = SPEC.origin + Vector2::new(f64::from(x) + inside.0, f64::from(y) + inside.1) * SPEC.resolution;
-            let way = Vector2::new(f64::cos(angle), f64::sin(angle));
-            prop_assert!(!space.segment_is_free(through - way * before, through + way * after, 0.0));
+            let path = Vector2::new(f64::cos(angle), f64::sin(angle));
+            prop_assert!(!space.segment_is_free(through - path * before, through + path * after, 0.0));
         }
 
         #[test]

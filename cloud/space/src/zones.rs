@@ -1,4 +1,4 @@
-//! Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
+//! Zones. Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
 //!
 //! ```toml
 //! [[keep_out]]                 # no part of a robot enters
@@ -83,6 +83,16 @@ impl Zones {
     ///
     /// # Errors
     /// [`ZonesError`] names the file, the line and the key.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_space::Zones;
+    ///
+    /// let text = "[[keep_out]]\nname = \"stairs\"\npoints = [[0, 0], [2, 0], [2, 1], [0, 1]]\n";
+    /// let zones = Zones::from_toml(text, "zones.toml")?;
+    /// assert_eq!(zones.keep_out(Point2::new(1.0, 0.5)), Some("stairs"));
+    /// # Ok::<(), zenav_space::ZonesError>(())
+    /// ```
     pub fn from_toml(text: &str, file: &str) -> Result<Self, ZonesError> {
         let source = Source { text, file };
         let zones: ZonesFile = toml::from_str(text).map_err(|error| ZonesError::Toml {

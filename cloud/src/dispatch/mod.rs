@@ -1,7 +1,7 @@
-//! Which robot of a group does a goal? The nearest of those that are free; where none is, the one with the fewest goals before it.
+//! Dispatch. Which robot of a group gets a goal? The nearest idle one; where none is idle, the one with the shortest queue.
 //!
-//! Nothing is remembered here: a goal's id is looked for among the robots' goals first, so that a goal that is sent again goes to the robot
-//! that has it, also after a restart. [`service`] asks the robots' missions, and hands the goal on.
+//! Nothing is stored here: a goal's id is looked up among the robots' goals first, so that a goal sent again goes to the robot that has it,
+//! also after a restart. [`service`] asks the robots' missions and forwards the goal.
 
 pub mod service;
 
@@ -10,21 +10,21 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use zenav_protocol::messages::*;
 
-/// A robot that a goal may be given to.
+/// A robot that may get a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
-    /// Its name.
+    /// Its id.
     pub robot: String,
-    /// Where it is, m, if it says so.
+    /// Its position, m, if known.
     pub position: Option<Point2<f64>>,
-    /// Goals in hand and waiting.
+    /// Active and queued goals.
     pub outstanding: usize,
 }
 
-/// The candidate that is to do a goal at a place, if the goal is at one.
+/// Chooses the robot for a goal, which may have a place.
 ///
 /// # Errors
-/// [`Refusal::Rejected`] when there is none, or none is free and the goal does not wait.
+/// [`Refusal::Rejected`] without a candidate, or when none is idle and the goal must not be queued.
 pub fn choose(candidates: &[Candidate], at: Option<Point2<f64>>, on_busy: OnBusy) -> Result<&Candidate, Refusal> {
     let rejected = |reason: &str| Refusal::Rejected {
         reason: reason.to_owned(),
@@ -45,7 +45,7 @@ pub fn choose(candidates: &[Candidate], at: Option<Point2<f64>>, on_busy: OnBusy
     Ok(best)
 }
 
-/// Where a goal begins, if it says so.
+/// A goal's first place, if it has one.
 #[must_use]
 pub fn place_of(request: &GoalRequest, places: &BTreeMap<String, GoalPoint>) -> Option<Point2<f64>> {
     let named = request.place.as_ref().and_then(|name| places.get(name));

@@ -1,8 +1,8 @@
-//! How does a group's goal reach its robot? The missions tell their goals, the chosen one stores it; its answer is the group's.
-//! Where several processes serve a group, one of them takes the goals and the others stand by.
+//! Dispatch service. How does a group's goal reach its robot? The missions list their goals, the chosen one stores the new goal; its answer is
+//! the group's. Where several processes serve a group, one of them accepts goals and the others are standbys.
 //!
-//! A goal that is sent again goes to the robot that it was given to: the missions tell, or it is remembered. Until a process has been there for
-//! a while it does not know what was given before, so all missions must tell then.
+//! A goal sent again goes to the robot that has it: the missions list it, or this process remembers. A process that has just started does not
+//! know earlier assignments, so all missions must answer then.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -16,29 +16,29 @@ use zenav_protocol::topics;
 
 use super::{Candidate, choose, place_of};
 
-/// Wall time for the robots to tell their goals.
+/// Wall time for the missions to list their goals.
 const ROLL_CALL: Duration = Duration::from_millis(500);
-/// Wall time for the chosen robot's mission to store the goal.
+/// Wall time for the chosen mission to store the goal.
 const STORED: Duration = Duration::from_secs(5);
-/// For so long after its start a process gives no goal while a mission is silent.
-const NEW: Duration = Duration::from_secs(10);
-/// A process that was held up for longer between a request and its answer gives nothing: another may have.
+/// For this long after its start a process assigns no goal while a mission is silent.
+const SETTLING: Duration = Duration::from_secs(10);
+/// A process suspended for longer between a request and its answer assigns nothing: another may have.
 const HELD_UP: Duration = Duration::from_secs(2);
-/// Gifts that are remembered.
-const MAX_GIVEN: usize = 1000;
+/// Assignments that are remembered.
+const MAX_ASSIGNED: usize = 1000;
 
-/// What a process knows of the group.
+/// What this process knows of the group.
 struct Group {
     poses: BTreeMap<String, Latest<PoseEstimate>>,
-    /// Which robot a goal was given to, in the order of giving.
-    given: VecDeque<(String, String)>,
+    /// Which robot got which goal, in order.
+    assigned: VecDeque<(String, String)>,
     since: Instant,
 }
 
-/// Takes goals for a group of robots until the shutdown.
+/// Accepts goals for a group of robots until shutdown.
 ///
 /// # Errors
-/// [`BusError`] when the group's key cannot be served.
+/// [`BusError`] if the group's key cannot be served.
 pub async fn run(
     bus: Bus,
     group: Id,
@@ -49,7 +49,7 @@ pub async fn run(
     let mut server = bus.serve(&topics::GOAL, &[group.as_str()])?;
     let mut known = Group {
         poses: BTreeMap::new(),
-        given: VecDeque::new(),
+        assigned: VecDeque::new(),
         since: Instant::now(),
     };
     for robot in &robots {
@@ -62,7 +62,7 @@ pub async fn run(
     let place = |worker: &str| topics::alive_key(topics::ALIVE_WORKER, &[&service, worker]);
     let own = place(&bus.zid());
     let _alive = bus.declare_alive(own.clone())?;
-    tracing::info!(%group, robots = robots.len(), "takes goals for a group");
+    tracing::info!(%group, robots = robots.len(), "accepts goals for a group");
     loop {
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
@@ -76,22 +76,22 @@ pub async fn run(
             request.refuse(&Refusal::NotLeader);
             continue;
         }
-        match give(&bus, &mut known, &request.body, place_of(&request.body, &places)).await {
+        match assign(&bus, &mut known, &request.body, place_of(&request.body, &places)).await {
             Ok(reply) => request.reply(&reply),
             Err(refusal) => request.refuse(&refusal),
         }
     }
 }
 
-/// Gives a goal to a robot of the group.
-async fn give(
+/// Assigns a goal to a robot of the group.
+async fn assign(
     bus: &Bus,
     group: &mut Group,
     request: &GoalRequest,
     at: Option<Point2<f64>>,
 ) -> Result<GoalReply, Refusal> {
     let Some(id) = request.id.clone() else {
-        let reason = "id: expected one, for a goal that is sent again is the same goal";
+        let reason = "`id`: required, so that a goal sent again is the same goal";
         return Err(Refusal::bad_request(reason.to_owned()));
     };
     let begun = Instant::now();
@@ -116,14 +116,18 @@ async fn give(
         .iter()
         .find(|(robot, count)| **count > 0 && group.poses.contains_key(*robot))
         .map(|(robot, _)| robot);
-    let remembered = group.given.iter().find(|(goal, _)| *goal == id).map(|(_, robot)| robot);
+    let remembered = group
+        .assigned
+        .iter()
+        .find(|(goal, _)| *goal == id)
+        .map(|(_, robot)| robot);
     let robot = match told.or(remembered) {
         Some(robot) => robot.clone(),
         None => {
             let silent = group.poses.keys().find(|robot| !open.contains_key(*robot));
-            if let Some(silent) = silent.filter(|_| group.since.elapsed() < NEW) {
+            if let Some(silent) = silent.filter(|_| group.since.elapsed() < SETTLING) {
                 return Err(Refusal::Busy {
-                    reason: format!("{silent} may have the goal already, and does not answer"),
+                    reason: format!("{silent} does not answer and may have the goal already"),
                 });
             }
             let candidates: Vec<Candidate> = group
@@ -143,18 +147,18 @@ async fn give(
     if begun.elapsed() > HELD_UP {
         return Err(Refusal::NotLeader);
     }
-    if group.given.len() == MAX_GIVEN {
-        group.given.pop_front();
+    if group.assigned.len() == MAX_ASSIGNED {
+        group.assigned.pop_front();
     }
-    group.given.push_back((id, robot.clone()));
+    group.assigned.push_back((id, robot.clone()));
     match bus.ask(&topics::GOAL, &[&robot], request, STORED).await {
         Ok(reply) => Ok(GoalReply {
             robot: Some(robot),
             ..reply
         }),
         Err(AskError::Refused(refusal)) => {
-            // It has not been taken: another robot may.
-            group.given.pop_back();
+            // It was not accepted: another robot may get it.
+            group.assigned.pop_back();
             Err(refusal)
         }
         Err(error) => Err(Refusal::Busy {
@@ -163,7 +167,7 @@ async fn give(
     }
 }
 
-/// How many such goals each robot has that answers.
+/// How many such goals each answering robot has.
 async fn goals(bus: &Bus, request: GoalsRequest) -> BTreeMap<String, usize> {
     let answers = bus.ask_all(&topics::GOALS, &["*"], &request, ROLL_CALL).await;
     let counted = answers.unwrap_or_default().into_iter().filter_map(|answer| {

@@ -62,7 +62,7 @@ pub enum MappingError {
     /// A setting is out of bounds.
     #[error("mapping: {0}")]
     Settings(#[from] OutOfBounds),
-    /// The bus failed.
+    /// The bus was closed, or a key could not be declared.
     #[error(transparent)]
     Bus(#[from] BusError),
 }

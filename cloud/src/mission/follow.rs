@@ -1,5 +1,5 @@
-//! What does a mission do that stands by, and when may it lead? It stores what its leader stores; when the lease has lapsed and the robot
-//! has it on the list of those that have caught up, it asks to lead.
+//! Standby. What does it do, and when may it lead? It applies its leader's journal; when the lease has lapsed and the robot lists it
+//! among the stores that have caught up, it requests to lead.
 
 use std::time::Duration;
 
@@ -10,30 +10,30 @@ use zenav_protocol::messages::*;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::{MissionError, Post, Turn, blocking};
+use super::{MissionError, Service, Turn, blocking};
 use zenav_mission::records::Leadership;
 use zenav_mission::store::StoreError;
 
-/// A leader that is not heard for so long is asked to be joined again.
-const UNHEARD: Duration = Duration::from_secs(1);
-/// Longest time between two such asks while they lead to nothing.
-const LONGEST_UNHEARD: Duration = Duration::from_secs(30);
-/// How long an answer to that is waited for.
+/// A leader that is silent for longer is joined again.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Longest time between two attempts to join while they fail.
+const LONGEST_SILENCE: Duration = Duration::from_secs(30);
+/// Deadline of a join request.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// The robot says within this time that it has granted a lease.
+/// The robot publishes a grant within this time.
 const WORD: Duration = Duration::from_millis(250);
-/// A mission that led does not ask to lead again before.
+/// A mission that led does not request to lead again before.
 const REST: Duration = Duration::from_millis(500);
 
-/// Where a standby stands in its leader's journal.
+/// A standby's position in its leader's journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Place {
+struct JournalPosition {
     session: String,
     position: u64,
 }
 
-impl Place {
-    /// Nothing yet, of a session that nobody has had before.
+impl JournalPosition {
+    /// The beginning of a fresh session.
     fn anew() -> Self {
         Self {
             session: Id::unique().into(),
@@ -42,32 +42,32 @@ impl Place {
     }
 }
 
-/// What to do with an entry.
+/// What to do with a journal entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// Store it, after what is stored or instead of it.
+    /// Apply it, after what is stored or instead of it.
     Take { instead: bool },
-    /// It is stored.
+    /// It is stored already.
     Known,
 }
 
-/// Stands by until the end, or until this mission may ask to lead.
-pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
-    let mut states = post.bus.latest(&topics::STATE, &[post.config.robot.as_str()])?;
-    let store = post.store.clone();
-    let mut epoch = blocking(move || store.standing()).await??.epoch;
-    let mut place = Place::anew();
+/// Follows until shutdown, or until this mission may request to lead.
+pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> {
+    let mut states = service.bus.latest(&topics::STATE, &[service.config.robot.as_str()])?;
+    let store = service.store.clone();
+    let mut epoch = blocking(move || store.leadership()).await??.epoch;
+    let mut place = JournalPosition::anew();
     let mut word: Option<Leader> = None;
     let rested = Instant::now() + REST;
-    let (mut next_join, mut unheard) = (Instant::now(), UNHEARD);
+    let (mut next_join, mut silence) = (Instant::now(), SILENCE);
     loop {
         tokio::select! {
-            () = post.shutdown.wait() => return Ok(Turn::Over),
-            request = post.requests.next() => {
+            () = service.shutdown.wait() => return Ok(Turn::Over),
+            request = service.requests.next() => {
                 let Some(request) = request else { return Err(BusError::Closed.into()) };
-                post.answer_as_standby(request);
+                service.answer_as_standby(request);
             }
-            entry = post.journal.next() => {
+            entry = service.journal.next() => {
                 let Some(entry) = entry else { return Err(BusError::Closed.into()) };
                 let heard = Instant::now() + WORD;
                 while word.as_ref().is_none_or(|word| word.epoch < entry.body.epoch) {
@@ -75,7 +75,7 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
                     word = state.message.lease.leader;
                 }
                 let taken = match judge(&entry.body, word.as_ref(), &place) {
-                    Ok(verdict) => take(post, &entry.body, verdict).await.map_err(|error| Refusal::Internal {
+                    Ok(verdict) => take(service, &entry.body, verdict).await.map_err(|error| Refusal::Internal {
                         reason: error.to_string(),
                     }),
                     Err(refusal) => Err(refusal),
@@ -84,16 +84,16 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
                     Ok(()) => {
                         place.position = place.position.max(entry.body.position);
                         epoch = entry.body.epoch;
-                        (unheard, next_join) = (UNHEARD, Instant::now() + UNHEARD);
+                        (silence, next_join) = (SILENCE, Instant::now() + SILENCE);
                         entry.reply(&JournalReply { position: place.position });
                     }
                     Err(refusal) => {
-                        tracing::warn!(robot = %post.config.robot, %refusal, "what is handed over is not stored");
+                        tracing::warn!(robot = %service.config.robot, %refusal, "a journal entry was refused");
                         if entry.body.session == place.session {
-                            // Something is missing now: all is to be handed over again, but not at once for ever.
-                            place = Place::anew();
-                            unheard = (2 * unheard).min(LONGEST_UNHEARD);
-                            next_join = Instant::now() + unheard;
+                            // Something is missing now: replicate from the beginning, with a growing delay.
+                            place = JournalPosition::anew();
+                            silence = (2 * silence).min(LONGEST_SILENCE);
+                            next_join = Instant::now() + silence;
                         }
                         entry.refuse(&refusal);
                     }
@@ -102,28 +102,28 @@ pub(super) async fn follow(post: &mut Post) -> Result<Turn, MissionError> {
             state = states.next() => {
                 let Some(state) = state else { return Err(BusError::Closed.into()) };
                 word.clone_from(&state.message.lease.leader);
-                if may_lead(&state.message.lease, post.store.name()) && Instant::now() > rested {
-                    tracing::info!(robot = %post.config.robot, "asks to lead");
+                if may_lead(&state.message.lease, service.store.name()) && Instant::now() > rested {
+                    tracing::info!(robot = %service.config.robot, "requests to lead");
                     return Ok(Turn::Lead);
                 }
             }
             () = sleep_until(next_join) => {
-                next_join = Instant::now() + unheard;
-                // What was handed over before may have a gap after it: a new session begins with everything.
-                place = Place::anew();
-                join(post, epoch, &place).await?;
+                next_join = Instant::now() + silence;
+                // The old session may have a gap: a new one starts with everything.
+                place = JournalPosition::anew();
+                join(service, epoch, &place).await?;
             }
         }
     }
 }
 
-/// Whether an entry is the leader's, by the robot's `word`, and follows on what is stored.
-fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &Place) -> Result<Verdict, Refusal> {
+/// Whether an entry is the leader's, by the robot's `word`, and is the next one.
+fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPosition) -> Result<Verdict, Refusal> {
     if entry.session != place.session {
-        return Err(Refusal::rejected("it is for another time of following"));
+        return Err(Refusal::rejected("the entry belongs to another session"));
     }
     let Some(word) = word else {
-        return Err(Refusal::rejected("the robot is not heard: nobody knows who leads"));
+        return Err(Refusal::rejected("the robot is silent: the leader is unknown"));
     };
     if (&word.store, word.epoch) != (&entry.leader, entry.epoch) {
         return Err(Refusal::rejected(format!(
@@ -135,38 +135,38 @@ fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &Place) -> Result<V
         known if known <= place.position => Ok(Verdict::Known),
         next if next == place.position + 1 => Ok(Verdict::Take { instead: next == 1 }),
         late => Err(Refusal::rejected(format!(
-            "entry {late} does not follow on {}",
+            "entry {late} does not follow {}",
             place.position
         ))),
     }
 }
 
-async fn take(post: &mut Post, entry: &JournalEntry, verdict: Verdict) -> Result<(), StoreError> {
+async fn take(service: &mut Service, entry: &JournalEntry, verdict: Verdict) -> Result<(), StoreError> {
     let Verdict::Take { instead } = verdict else {
         return Ok(());
     };
-    let now = post.clock.now();
+    let now = service.clock.now();
     if now != Stamp::ZERO && entry.now != Stamp::ZERO {
-        post.ahead = Some(entry.now.0.wrapping_sub(now.0).cast_signed());
+        service.ahead = Some(entry.now.0.wrapping_sub(now.0).cast_signed());
     }
-    let (store, entry) = (post.store.clone(), entry.clone());
-    let standing = Leadership {
+    let (store, entry) = (service.store.clone(), entry.clone());
+    let leadership = Leadership {
         epoch: entry.epoch,
         shared: true,
     };
-    blocking(move || store.apply(&entry.writes, instead, Some(standing))).await?
+    blocking(move || store.apply(&entry.writes, instead, Some(leadership))).await?
 }
 
-/// Asks whoever leads to be handed what it stores.
-async fn join(post: &Post, epoch: u64, place: &Place) -> Result<(), StoreError> {
-    let store = post.store.clone();
+/// Asks the leader to replicate its store to this one.
+async fn join(service: &Service, epoch: u64, place: &JournalPosition) -> Result<(), StoreError> {
+    let store = service.store.clone();
     let goals = match epoch {
-        // What was accepted while nobody led is still to be done.
+        // Goals accepted while no mission led are still open.
         0 => blocking(move || store.goals()).await??,
         _ => Vec::new(),
     };
     let request = JoinRequest {
-        store: post.store.name().to_owned(),
+        store: service.store.name().to_owned(),
         session: place.session.clone(),
         goals: goals
             .into_iter()
@@ -177,16 +177,16 @@ async fn join(post: &Post, epoch: u64, place: &Place) -> Result<(), StoreError> 
             })
             .collect(),
     };
-    let (bus, robot) = (post.bus.clone(), post.config.robot.to_string());
+    let (bus, robot) = (service.bus.clone(), service.config.robot.to_string());
     tokio::spawn(async move {
         if let Err(error) = bus.ask(&topics::JOIN, &[&robot], &request, PATIENCE).await {
-            tracing::debug!(%error, "nobody to join");
+            tracing::debug!(%error, "no leader to join");
         }
     });
     Ok(())
 }
 
-/// Whether the robot would let the mission with this store lead.
+/// Whether the robot would grant the lease to the mission with this store.
 fn may_lead(lease: &LeaseState, store: &str) -> bool {
     let operator = lease.role == Some(LeaseRole::Operator);
     match &lease.leader {
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn only_what_follows_on_what_is_stored_is_taken_and_only_from_whom_the_robot_names() {
         let named = word("a", 7, &["a"]);
-        let place = |position| Place {
+        let place = |position| JournalPosition {
             session: "s".into(),
             position,
         };
@@ -253,7 +253,7 @@ mod tests {
             judge(&entry("a", 7, "s", 1), Some(&named), &place(0)),
             Ok(Verdict::Take { instead: true })
         );
-        assert_ne!(Place::anew(), Place::anew());
+        assert_ne!(JournalPosition::anew(), JournalPosition::anew());
     }
 
     #[test]

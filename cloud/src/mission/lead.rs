@@ -1,52 +1,55 @@
-//! How is the mission stepped that keeps the robot's goals? Everything that has come since goes in; what comes out is stored, here and with
-//! the standbys, and then told.
+//! Leading mission. How is it stepped? Everything that has arrived goes in; its effects are persisted, here and with the standbys, then
+//! published.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
-use zenav_protocol::bus::{Bus, BusError, Latest, Publisher, Subscription};
+use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
 use zenav_protocol::messages::*;
 use zenav_protocol::topics::{self, MissionRequest};
 
-use super::requests::Waiting;
+use super::requests::Pending;
 use super::standbys::Standbys;
 use super::workers::{Workers, carry};
-use super::{End, MissionError, Post, Turn, blocking};
+use super::{End, MissionError, Service, Turn, blocking};
 use zenav_mission::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 use zenav_mission::orchestrator::Mission;
 use zenav_mission::records::{Leadership, Record};
 
 /// Time between two steps.
 const PERIOD: Duration = Duration::from_millis(50);
-/// Answers that wait for the next step.
+/// Answers queued for the next step.
 const MAX_ANSWERS: usize = 512;
-/// Events and patches that wait for the next step.
+/// Events and patches queued for the next step.
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
 const MAX_GOAL_PUBLISHERS: usize = 64;
-/// Time between two signs of life while something is stored.
+/// A step that takes longer loses the lease: this mission hangs, and a standby may take over.
+const LONGEST_STEP: Duration = Duration::from_secs(20);
+/// Time between two heartbeats during a step or a write.
 const BEAT: Duration = Duration::from_millis(100);
-/// Time for other missions to say that they are there.
+/// Time for other missions to answer.
 const ROLL_CALL: Duration = Duration::from_millis(300);
-/// Time between two looks at whether this process was held up.
+/// Time between two checks whether this process was suspended.
 const PULSE: Duration = Duration::from_millis(200);
 /// A leader with standbys that was held up for longer tells nothing more before the robot has said that it leads: others may have led since.
 pub(super) const HELD_UP: Duration = Duration::from_secs(1);
 
-/// Leads, or asks to, until the end or until another mission does.
-pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
-    let store = post.store.clone();
+/// Leads, or requests to, until shutdown or until another mission leads.
+pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
+    let store = service.store.clone();
     let mut restored = blocking(move || store.begin_life()).await??;
-    restored.ahead = post.ahead;
-    if restored.standing.epoch == 0 && another_leads(post).await {
+    restored.ahead = service.ahead;
+    if restored.leadership.epoch == 0 && another_leads(service).await {
         return Ok(Turn::Follow);
     }
-    tracing::info!(robot = %post.config.robot, store = post.store.name(), incarnation = restored.incarnation, goals = restored.goals.len(), "mission begins");
-    let mut shell = Shell::open(post, restored.standing, restored.incarnation)?;
-    let mut mission = Mission::new(post.config.clone(), restored);
-    let mut ticks = post.clock.interval(PERIOD);
+    tracing::info!(robot = %service.config.robot, store = service.store.name(), incarnation = restored.incarnation, goals = restored.goals.len(), "mission begins");
+    let mut shell = Shell::open(service, restored.leadership, restored.incarnation)?;
+    // In a box: it goes to a thread of its own and back for every step.
+    let mut mission = Box::new(Mission::new(service.config.clone(), restored));
+    let mut ticks = service.clock.interval(PERIOD);
     // The robot's clock may stand still; this one does not.
     let mut pulse = tokio::time::interval(PULSE);
     pulse.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -55,36 +58,37 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
         let mut inputs = Inputs::default();
         tokio::select! {
             _ = pulse.tick() => {}
-            () = post.shutdown.wait() => {
+            () = service.shutdown.wait() => {
                 if shell.standbys.are_any() && last.elapsed() > HELD_UP {
                     return Ok(Turn::Over);
                 }
                 break;
             }
             _ = ticks.tick() => {}
-            request = post.requests.next() => match request {
+            request = service.requests.next() => match request {
                 Some(request) => shell.receive(request, &mut inputs),
                 None => return Err(BusError::Closed.into()),
             },
-            entry = post.journal.next() => match entry {
-                // Who hands over to a leader has been deposed, and will hear it from the robot.
+            entry = service.journal.next() => match entry {
+                // A leader that replicates to a leader has been deposed, and will hear it from the robot.
                 Some(entry) => entry.refuse(&Refusal::NotLeader),
                 None => return Err(BusError::Closed.into()),
             },
             Some(answer) = shell.answers.recv() => inputs.answers.push(answer),
         }
         if shell.standbys.are_any() && last.elapsed() > HELD_UP {
-            tracing::warn!(robot = %post.config.robot, "this mission was held up: others may have led since");
+            tracing::warn!(robot = %service.config.robot, "this process was suspended: another mission may have led since");
             shell.dismiss();
             return Ok(Turn::Follow);
         }
         last = Instant::now();
         shell.drain(&mut inputs);
-        let effects = mission.step(post.clock.now(), inputs);
+        let effects;
+        (mission, effects) = shell.step(mission, &service.clock, inputs, &mut last).await?;
         match shell.carry_out(&mut mission, effects, last).await {
             Ok(()) => {}
             Err(End::Deposed) => {
-                tracing::warn!(robot = %post.config.robot, why = mission.why_not(), "stands by");
+                tracing::warn!(robot = %service.config.robot, why = mission.why_not(), "becomes a standby");
                 shell.dismiss();
                 return Ok(Turn::Follow);
             }
@@ -94,32 +98,32 @@ pub(super) async fn lead(post: &mut Post) -> Result<Turn, MissionError> {
     let effects = mission.leave();
     match shell.carry_out(&mut mission, effects, Instant::now()).await {
         Err(End::Failed(error)) => Err(error),
-        // Whoever leads next goes on from what is stored.
+        // The next leader continues from what is stored.
         Ok(()) | Err(End::Deposed) => Ok(Turn::Over),
     }
 }
 
-/// Whether a mission with a store that no robot ever let lead leaves the lead to another one that is there. Without the robot's word one of
-/// several new ones leads, the first by its store's name.
-async fn another_leads(post: &mut Post) -> bool {
-    let (bus, robot) = (post.bus.clone(), post.config.robot.to_string());
+/// Whether a mission whose store never led yields to another one. Without the robot's confirmation one of several new missions leads,
+/// the first by its store's name.
+async fn another_leads(service: &mut Service) -> bool {
+    let (bus, robot) = (service.bus.clone(), service.config.robot.to_string());
     let chunks = [robot.as_str()];
-    // Twice: one that began at the same time may not have been there for the first call.
+    // Twice: one that started at the same time may have missed the first call.
     for _ in 0..2 {
         let all = bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ROLL_CALL);
         let (all, end) = (async { all.await.unwrap_or_default() }, tokio::time::sleep(ROLL_CALL));
         let called = async { tokio::join!(all, end).0 };
         tokio::pin!(called);
-        // Others that are new call, too, and are to hear of this one.
+        // Other new missions call too, and must get an answer.
         let others = loop {
             tokio::select! {
                 others = &mut called => break others,
-                Some(request) = post.requests.next() => post.answer_as_standby(request),
+                Some(request) = service.requests.next() => service.answer_as_standby(request),
             }
         };
         let yields = others.into_iter().filter_map(|answer| answer.result.ok()).any(|other| {
-            let store = other.store.as_deref().filter(|store| *store != post.store.name());
-            store.is_some_and(|store| other.leads || store < post.store.name())
+            let store = other.store.as_deref().filter(|store| *store != service.store.name());
+            store.is_some_and(|store| other.leads || store < service.store.name())
         });
         if yields {
             return true;
@@ -128,12 +132,12 @@ async fn another_leads(post: &mut Post) -> bool {
     false
 }
 
-/// The signs of life: the mission's own, and more while it waits for its disk or its standbys.
+/// Heartbeats: the mission's own, and more while it computes a step or waits for its disk or standbys.
 struct Pulse {
     publisher: Publisher<Heartbeat>,
     /// The newest.
     beats: Option<Heartbeat>,
-    /// How many were sent besides the mission's own: each is to be newer than the one before.
+    /// How many were sent besides the mission's own: each is newer than the one before.
     more: u64,
 }
 
@@ -158,13 +162,14 @@ struct Shell {
     bus: Bus,
     robot: String,
     standbys: Standbys,
-    clients: BTreeMap<Client, Waiting>,
+    clients: BTreeMap<Client, Pending>,
     next_client: u64,
     state: Latest<EdgeState>,
     pose: Latest<PoseEstimate>,
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
+    mapper: AliveWatch,
     pulse: Pulse,
     plan: Publisher<Plan>,
     status: Publisher<MissionStatus>,
@@ -175,17 +180,18 @@ struct Shell {
 }
 
 impl Shell {
-    fn open(post: &Post, standing: Leadership, incarnation: u64) -> Result<Self, BusError> {
-        let (bus, robot) = (&post.bus, post.config.robot.to_string());
+    fn open(service: &Service, leadership: Leadership, incarnation: u64) -> Result<Self, BusError> {
+        let (bus, robot) = (&service.bus, service.config.robot.to_string());
         let name = [robot.as_str()];
         let (answered, answers) = mpsc::channel(MAX_ANSWERS);
         Ok(Self {
-            standbys: Standbys::new(bus, &post.config, post.store.clone(), standing, incarnation),
+            standbys: Standbys::new(bus, &service.config, service.store.clone(), leadership, incarnation),
             state: bus.latest(&topics::STATE, &name)?,
             pose: bus.latest(&topics::POSE, &name)?,
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
+            mapper: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "mapping"]))?,
             pulse: Pulse {
                 publisher: bus.publisher(&topics::HEARTBEAT, &name)?,
                 beats: None,
@@ -204,14 +210,51 @@ impl Shell {
         })
     }
 
-    fn receive(&mut self, waiting: Waiting, inputs: &mut Inputs) {
+    fn receive(&mut self, pending: Pending, inputs: &mut Inputs) {
         self.next_client += 1;
         let client = Client(self.next_client);
-        inputs.requests.push((client, waiting.request.clone()));
-        self.clients.insert(client, waiting);
+        inputs.requests.push((client, pending.request.clone()));
+        self.clients.insert(client, pending);
     }
 
-    /// Takes everything that has come since.
+    /// Steps the mission on a blocking thread. Configuration spaces, floods and tree files may take a while; heartbeats go
+    /// out meanwhile, for [`LONGEST_STEP`] at most, so that a huge map or goal does not cost the lease. `last` is when this
+    /// process was last known to run.
+    async fn step(
+        &mut self,
+        mut mission: Box<Mission>,
+        clock: &Clock,
+        inputs: Inputs,
+        last: &mut Instant,
+    ) -> Result<(Box<Mission>, Vec<Effect>), MissionError> {
+        let now = clock.now();
+        let mut stepping = tokio::task::spawn_blocking(move || {
+            let effects = mission.step(now, inputs);
+            (mission, effects)
+        });
+        let begun = Instant::now();
+        let mut kept_alive = false;
+        loop {
+            tokio::select! {
+                stepped = &mut stepping => {
+                    let (mut mission, effects) = stepped.map_err(|error| MissionError::Step(error.to_string()))?;
+                    if kept_alive {
+                        mission.was_kept_alive(clock.now());
+                    }
+                    return Ok((mission, effects));
+                }
+                () = tokio::time::sleep(BEAT) => {
+                    kept_alive = last.elapsed() < HELD_UP && begun.elapsed() < LONGEST_STEP;
+                    if kept_alive {
+                        self.pulse.beat_again();
+                        *last = Instant::now();
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes everything that has arrived.
     fn drain(&mut self, inputs: &mut Inputs) {
         inputs.state = self.state.take();
         inputs.pose = self.pose.take();
@@ -226,6 +269,9 @@ impl Shell {
                 .map(|received| received.message)
                 .take(MAX_WAITING),
         );
+        while let Some((_, alive)) = self.mapper.try_next() {
+            inputs.mapper_alive = Some(alive);
+        }
         inputs
             .answers
             .extend(std::iter::from_fn(|| self.answers.try_recv().ok()).take(MAX_ANSWERS));
@@ -258,30 +304,30 @@ impl Shell {
                 Effect::Goal(goal) => self.publish_goal(&goal),
                 Effect::Ask(ticket, ask) => self.ask(ticket, ask),
                 Effect::Reply(client, answer) => {
-                    if let Some(waiting) = self.clients.remove(&client) {
-                        if let (MissionRequest::Join(request), Ok(_)) = (&waiting.request, &answer) {
+                    if let Some(pending) = self.clients.remove(&client) {
+                        if let (MissionRequest::Join(request), Ok(_)) = (&pending.request, &answer) {
                             self.standbys.join(request).await?;
                         }
-                        waiting.responder.send(answer);
+                        pending.responder.send(answer);
                     }
                 }
                 Effect::StandBy => return Err(End::Deposed),
                 Effect::Fatal(why) => return Err(MissionError::Mismatch(why).into()),
             }
         }
-        self.standbys.tend().await?;
+        self.standbys.maintain().await?;
         mission.share(self.standbys.names(), self.standbys.are_any());
         Ok(())
     }
 
-    /// Stores here and with the standbys; a slow disk or link does not cost the lease.
+    /// Persists here and with the standbys; a slow disk or link does not cost the lease.
     async fn store(&mut self, records: Vec<Record>) -> Result<(), End> {
         let Self { standbys, pulse, .. } = self;
         let begun = Instant::now();
         let storing = async {
             let store = standbys.store();
             let writes = blocking(move || store.write(&records)).await??;
-            standbys.hand_over(writes).await
+            standbys.replicate(writes).await
         };
         tokio::pin!(storing);
         loop {
@@ -294,10 +340,10 @@ impl Shell {
         }
     }
 
-    /// Whoever still waits for an answer is sent to the leader.
+    /// Refuses every pending request with `NotLeader`.
     fn dismiss(&mut self) {
-        for (_, waiting) in std::mem::take(&mut self.clients) {
-            waiting.responder.send(Err(Refusal::NotLeader));
+        for (_, pending) in std::mem::take(&mut self.clients) {
+            pending.responder.send(Err(Refusal::NotLeader));
         }
     }
 
@@ -310,7 +356,7 @@ impl Shell {
                 }
                 match self.bus.publisher(&topics::GOAL_STATE, &[&self.robot, &goal.id]) {
                     Ok(publisher) => self.goals.push((goal.id.clone(), publisher)),
-                    Err(error) => return tracing::error!(goal = goal.id, %error, "its state cannot be told"),
+                    Err(error) => return tracing::error!(goal = goal.id, %error, "its state cannot be published"),
                 }
                 self.goals.len() - 1
             }

@@ -1,17 +1,18 @@
-//! How is a mission fed from the bus, and how are its effects carried out? The one folder of the mission that knows both.
+//! Mission service. How is a mission fed from the bus, and how are its effects carried out?
 //!
-//! Of several missions for one robot, each with a store of its own, one leads and the others follow; who does is the robot's word.
+//! Of several missions for one robot, each with its own store, one leads and the others are standbys; the robot decides which.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `lead` | how is the mission stepped that keeps the robot's goals? |
-//! | `standbys` | how do other stores come to hold what the leader acknowledges, before it does? |
-//! | `follow` | what does a mission do that stands by, and when may it lead? |
-//! | `requests` | where do requests come in? |
-//! | `workers` | whom are its questions asked? |
+//! | `lead` | how is the leading mission stepped? |
+//! | `standbys`, `replication` | how is the leader's journal replicated before it acknowledges anything? |
+//! | `follow` | what does a standby do, and when may it lead? |
+//! | `requests` | where do clients' requests arrive? |
+//! | `workers` | who answers the mission's own requests? |
 
 mod follow;
 mod lead;
+mod replication;
 mod requests;
 mod standbys;
 #[cfg(test)]
@@ -26,39 +27,42 @@ use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
 use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
-use requests::{Requests, Waiting};
+use requests::{Pending, Requests};
 use zenav_mission::config::MissionConfig;
 use zenav_mission::store::{Store, StoreError};
 
-/// Why a mission ended by itself.
+/// Why a mission ended on its own.
 #[derive(Debug, Error)]
 pub enum MissionError {
     /// The bus.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The store: nothing more may be promised to anybody.
+    /// The store failed: nothing more can be acknowledged.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// This mission and the robot do not speak the same language.
+    /// This mission and the robot speak different schema versions.
     #[error("{0}")]
     Mismatch(String),
+    /// A step of the mission panicked.
+    #[error("a step of the mission failed: {0}")]
+    Step(String),
 }
 
-/// What comes after a time of leading or following.
+/// What comes after leading or following.
 enum Turn {
     /// This process ends.
     Over,
-    /// This mission asks to lead.
+    /// This mission requests to lead.
     Lead,
     /// Another mission leads.
     Follow,
 }
 
-/// Why a time of leading ends.
+/// Why leading ends.
 enum End {
     /// Another mission leads, or may by now.
     Deposed,
-    /// Nothing goes on.
+    /// The service cannot continue.
     Failed(MissionError),
 }
 
@@ -68,23 +72,23 @@ impl<E: Into<MissionError>> From<E> for End {
     }
 }
 
-/// What a mission has while it leads, and while it follows.
-struct Post {
+/// What the service has while it leads and while it follows.
+struct Service {
     bus: Bus,
     clock: Clock,
     config: MissionConfig,
     store: Arc<Store>,
     requests: Requests,
-    /// Where a leader hands over what it writes.
+    /// Where the leader's journal arrives.
     journal: Server<JournalEntry, JournalReply>,
-    /// How far the time of the leader that was followed last is ahead of this clock, ns.
+    /// Offset of the last leader's time to this clock, ns.
     ahead: Option<i64>,
     shutdown: Shutdown,
 }
 
-impl Post {
+impl Service {
     /// Answers requests while this mission is a standby: identity only, everything else is refused with `NotLeader`.
-    fn answer_as_standby(&self, call: Waiting) {
+    fn answer_as_standby(&self, call: Pending) {
         let reply = match call.request {
             MissionRequest::Info(_) => Ok(MissionReply::Info(InfoReply {
                 component: "mission".to_owned(),
@@ -100,7 +104,7 @@ impl Post {
     }
 }
 
-/// Runs one robot's mission until `shutdown`, or until it can go on no longer.
+/// Runs one robot's mission until `shutdown`, or until it fails.
 ///
 /// # Errors
 /// [`MissionError`]; [`StoreError::Locked`] at once when another process has the store.
@@ -109,7 +113,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
     let store = Arc::new(blocking(move || Store::open(&path)).await??);
     let robot = config.robot.as_str();
     let _alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]))?;
-    let mut post = Post {
+    let mut service = Service {
         requests: Requests::open(&bus, robot)?,
         journal: bus.serve(&topics::JOURNAL, &[robot, store.name()])?,
         bus,
@@ -123,13 +127,13 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
     loop {
         turn = match turn {
             Turn::Over => return Ok(()),
-            Turn::Lead => lead::lead(&mut post).await?,
-            Turn::Follow => follow::follow(&mut post).await?,
+            Turn::Lead => lead::lead(&mut service).await?,
+            Turn::Follow => follow::follow(&mut service).await?,
         };
     }
 }
 
-/// Runs what may wait for a disk away from the others.
+/// Runs blocking disk work off the runtime's threads.
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
     let failed = |error: tokio::task::JoinError| StoreError::Io {
         path: "mission store".to_owned(),

@@ -1,4 +1,4 @@
-//! Mission requests. Where do requests of clients and of other missions come in? From one queue, fed by a server for each ask.
+//! Requests. Where do requests of clients and of other missions arrive? In one queue, fed by a server for each key.
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -6,11 +6,11 @@ use zenav_protocol::bus::{Bus, BusError, Call};
 use zenav_protocol::topics::MissionRequest;
 
 /// A client's request, and the way back.
-pub(super) type Waiting = Call<MissionRequest>;
+pub(super) type Pending = Call<MissionRequest>;
 
 /// Requests of all asks, in turn.
 pub(super) struct Requests {
-    calls: mpsc::Receiver<Waiting>,
+    calls: mpsc::Receiver<Pending>,
     /// Serve as long as this lives.
     _servers: JoinSet<()>,
 }
@@ -38,7 +38,7 @@ impl Requests {
     }
 
     /// The next request; `None` when the bus was closed.
-    pub(super) async fn next(&mut self) -> Option<Waiting> {
+    pub(super) async fn next(&mut self) -> Option<Pending> {
         self.calls.recv().await
     }
 }

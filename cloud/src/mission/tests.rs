@@ -15,6 +15,9 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 
 use super::*;
+use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, Status};
+use zenav_mission::context::Context;
+use zenav_mission::trees;
 
 const DEADLINE: Duration = Duration::from_secs(10);
 
@@ -27,8 +30,27 @@ fn to(id: &str) -> GoalRequest {
     }
 }
 
+/// Keeps the mission's thread busy for longer than a lease lives.
+struct Ponder;
+
+impl Leaf<Context> for Ponder {
+    fn start(&mut self, _: &mut LeafIo<'_>, _: &mut Context) -> Status {
+        std::thread::sleep(Duration::from_millis(2500));
+        Status::Success
+    }
+}
+
 /// A router, and where it listens.
 async fn router() -> (Router, String) {
+    // Before any of these tests builds a tree.
+    static LEAVES: std::sync::Once = std::sync::Once::new();
+    LEAVES.call_once(|| {
+        trees::add_leaves(|registry| {
+            let spec = NodeSpec::action("Ponder", "Takes longer than a lease lives.");
+            registry.leaf(spec, |_| Box::new(Ponder))
+        })
+        .unwrap();
+    });
     let config = RouterConfig {
         listen: vec!["tcp/127.0.0.1:0".into()],
         ..RouterConfig::default()
@@ -260,6 +282,50 @@ async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_tha
     .await;
     known(&["third", "second", "first"]).await;
     a.kill().await;
+    shutdown.trigger();
+    robot.await.unwrap();
+    router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_step_that_takes_longer_than_a_lease_lives_does_not_cost_the_lease() {
+    let (router, endpoint) = router().await;
+    let folder = tempfile::tempdir().unwrap();
+    let client = Bus::open(BusConfig::service("client", &endpoint)).await.unwrap();
+    let chunks = ["tiago"];
+    let shutdown = Shutdown::new();
+    let bus = Bus::open(BusConfig::service("edge", &endpoint)).await.unwrap();
+    let robot = tokio::spawn(arbiter(bus, shutdown.clone()));
+    let mut status = client.latest(&topics::MISSION, &chunks).unwrap();
+    let mission = Member::start(&endpoint, folder.path().join("a.redb")).await;
+    let epoch = until(&mut status, "it leads", |status| status.leads).await.epoch;
+    let mut states = client.subscribe(&topics::STATE, &chunks, 1024).unwrap();
+    let goal = GoalRequest {
+        id: Some("g".into()),
+        tree: Some(r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Ponder/></BehaviorTree></root>"#.into()),
+        ..GoalRequest::default()
+    };
+    client.ask(&topics::GOAL, &chunks, &goal, DEADLINE).await.unwrap();
+    let mut ends = client.latest(&topics::GOAL_STATE, &["tiago", "g"]).unwrap();
+    let ended = async {
+        loop {
+            let goal = ends.next().await.unwrap().message;
+            if goal.state.is_end() {
+                return goal.state;
+            }
+        }
+    };
+    assert_eq!(
+        tokio::time::timeout(DEADLINE, ended).await.unwrap(),
+        GoalPhase::Succeeded
+    );
+    while let Some(state) = states.try_next() {
+        let lease = state.message.lease;
+        assert!(lease.live && lease.epoch == epoch, "{lease:?}");
+    }
+    let after = until(&mut status, "it still leads", |status| status.goal_id.is_none()).await;
+    assert!(after.leads && after.epoch == epoch);
+    mission.kill().await;
     shutdown.trigger();
     robot.await.unwrap();
     router.close().await;

@@ -1,4 +1,4 @@
-//! Whom are a mission's questions asked? The robot, mapping, and of several workers one after the other until one answers.
+//! Workers. Who answers the mission's own requests? The robot, mapping, and of several workers one after another until one answers.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +16,7 @@ const ANSWERED: Duration = Duration::from_millis(500);
 /// Pause before workers are looked for again.
 const NO_WORKER: Duration = Duration::from_millis(100);
 
-/// Carries one question to whom it is for.
+/// Sends one request to its server.
 pub(super) async fn carry(bus: &Bus, robot: &str, workers: &Workers, ask: Ask) -> Result<Answer, NoAnswer> {
     let patience = Duration::from_secs_f64(ask.patience_secs());
     let name = [robot];
@@ -136,7 +136,7 @@ impl Workers {
     }
 
     fn failed(&self, worker: &str, why: NoAnswer) -> NoAnswer {
-        tracing::info!(worker, %why, "moves on to another worker");
+        tracing::info!(worker, %why, "trying another worker");
         self.pool
             .lock()
             .unwrap_or_else(PoisonError::into_inner)

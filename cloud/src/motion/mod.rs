@@ -19,10 +19,11 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::padding::Extent;
 use zenav_protocol::topics::{ALIVE_WORKER, MOTION_SERVICE, TREE, alive_key};
-use zenav_smoothing::SmoothingSettings;
 use zenav_space::Zones;
 
 use self::worker::MotionWorker;
+
+pub use self::worker::MotionSettings;
 use crate::map_subscriber::MapSubscriber;
 
 /// Name of the service, as in its workers' alive tokens.
@@ -59,7 +60,7 @@ pub async fn run(
     clock: Clock,
     name: Id,
     zones: Arc<Zones>,
-    smoothing: SmoothingSettings,
+    settings: MotionSettings,
     shutdown: Shutdown,
 ) -> Result<(), BusError> {
     let mut maps = MapSubscriber::new(&bus)?;
@@ -70,7 +71,7 @@ pub async fn run(
         clock,
         publishers: BTreeMap::new(),
     };
-    let mut worker = MotionWorker::new(Arc::clone(&zones), smoothing);
+    let mut worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
     loop {
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
@@ -104,7 +105,7 @@ pub async fn run(
                 request.refuse(&refusal);
             }
             Err(refusal) => {
-                worker = MotionWorker::new(Arc::clone(&zones), smoothing);
+                worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
                 request.refuse(&refusal);
             }
         }
@@ -174,7 +175,6 @@ mod tests {
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply, PlanRequest, Refusal, SmoothRequest};
-    use zenav_protocol::robot::{RobotModel, shipped};
     use zenav_protocol::time::Stamp;
     use zenav_protocol::topics::MAP;
 
@@ -238,11 +238,11 @@ mod tests {
             Clock::wall(),
             worker,
             Arc::default(),
-            SmoothingSettings::default(),
+            MotionSettings::default(),
             shutdown.clone(),
         ));
         let client = open("client").await.unwrap();
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let question = PlanRequest {
             robot: "tiago".to_owned(),
             model: model.clone(),

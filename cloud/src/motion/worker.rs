@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
-use zenav_planning::planner::UnknownPlanner;
-use zenav_planning::{Budget, PlanOptions, Planned, Planner, Replanner};
+use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, UnknownPlanner};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
@@ -19,17 +18,20 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{SpaceCache, UnknownPolicy, Zones};
 
-/// Nodes that a search may expand: some seconds' worth.
-const MAX_EXPANSIONS: u64 = 50_000_000;
-/// Samples that trees may grow by until a path is found: seconds' worth.
-const MAX_SAMPLES: u64 = 1_000_000;
-/// Samples that a path is improved by: some tenths of a second's worth. What it would gain by more is less than the wait costs.
-const IMPROVING_SAMPLES: u64 = 20_000;
 /// Robots and maps that searches are kept for.
 const MAX_REPLANNERS: usize = 4;
 /// Most corner points of a given path, and most poses to pass.
 const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
+
+/// Settings of a motion worker's libraries.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MotionSettings {
+    /// How paths are planned.
+    pub planning: PlanningSettings,
+    /// How they become trajectories.
+    pub smoothing: SmoothingSettings,
+}
 
 /// Ends the phases of an answer early. The worker knows no time: whoever runs it sets these.
 #[derive(Debug, Default)]
@@ -52,11 +54,11 @@ impl Cancel {
 #[derive(Debug, Default)]
 pub struct MotionWorker {
     spaces: SpaceCache,
-    smoothing: SmoothingSettings,
+    settings: MotionSettings,
     /// The one used last comes first.
     replanners: VecDeque<Kept>,
-    /// Whether the last search grew trees.
-    grew_trees: bool,
+    /// Whether the last answer was searched for.
+    searched: bool,
 }
 
 /// What is kept of a map for a footprint.
@@ -71,10 +73,10 @@ struct Kept {
 impl MotionWorker {
     /// A worker for maps with these zones.
     #[must_use]
-    pub fn new(zones: Arc<Zones>, smoothing: SmoothingSettings) -> Self {
+    pub fn new(zones: Arc<Zones>, settings: MotionSettings) -> Self {
         Self {
             spaces: SpaceCache::new(zones),
-            smoothing,
+            settings,
             ..Self::default()
         }
     }
@@ -82,10 +84,8 @@ impl MotionWorker {
     /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
-        let Some(Kept { replanner, .. }) = self.replanners.front().filter(|_| self.grew_trees) else {
-            return Vec::new();
-        };
-        replanner.tree(limit).collect()
+        let last = self.replanners.front().filter(|_| self.searched);
+        last.map(|kept| kept.replanner.tree(limit)).unwrap_or_default()
     }
 
     /// Answers a request on a copy of the robot's map. `clock` (s) tells times for the statistics only.
@@ -165,12 +165,12 @@ impl MotionWorker {
         let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);
         for (leg, ends) in poses.windows(2).enumerate() {
             let [start, goal] = [ends[0], ends[1]];
-            let mut options = PlanOptions {
+            let options = PlanOptions {
                 seed: request.seed,
+                settings: self.settings.planning.clone(),
                 escape: if leg == 0 { request.escape } else { 0.0 },
                 ..PlanOptions::new(planner)
             };
-            options.sampling.improving = IMPROVING_SAMPLES;
             let policy = policy(request.unknown_is_free);
             let planned = self.leg(map, &model, policy, (start, goal), &options, cancel)?;
             reply.expansions += planned.expansions;
@@ -218,16 +218,16 @@ impl MotionWorker {
                 replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
             },
         };
-        let trees = options.planner.grows_trees();
         let budget = Budget {
-            max_expansions: if trees { MAX_SAMPLES } else { MAX_EXPANSIONS },
+            max_expansions: options.settings.max_expansions,
+            max_samples: options.settings.max_samples,
             cancel: Some(&cancel.search),
         };
         let planned = kept.replanner.plan(&space, start, goal, options, budget);
         self.replanners.push_front(kept);
         self.replanners.truncate(MAX_REPLANNERS);
         let planned = planned.map_err(|error| internal(&error))?;
-        self.grew_trees = trees && planned.origin == PlanOrigin::Searched;
+        self.searched = planned.origin == PlanOrigin::Searched;
         Ok(planned)
     }
 
@@ -265,7 +265,14 @@ impl MotionWorker {
             goal_yaw: request.goal_yaw,
             profile: request.profile,
         };
-        let smoothed = smooth(&space, &query, &model, &self.smoothing, Some(&cancel.smoothing), clock);
+        let smoothed = smooth(
+            &space,
+            &query,
+            &model,
+            &self.settings.smoothing,
+            Some(&cancel.smoothing),
+            clock,
+        );
         Ok(SmoothReply {
             map: map.map().clone(),
             trajectory: smoothed.sampled(SAMPLE_PERIOD),
@@ -295,7 +302,6 @@ mod tests {
     use zenav_protocol::geometry::Twist2;
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply};
-    use zenav_protocol::robot::shipped;
     use zenav_protocol::time::Stamp;
 
     use super::*;
@@ -338,7 +344,7 @@ mod tests {
         TrajectoryRequest {
             plan: PlanRequest {
                 robot: "r".to_owned(),
-                model: RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap(),
+                model: zenav_fixtures::robot(robot),
                 map: MapRef::default(),
                 start: Pose2::new(1.0, 1.0, 0.0),
                 via: Vec::new(),

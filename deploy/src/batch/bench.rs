@@ -1,4 +1,4 @@
-//! What does this machine hold? The simulator's rays and real-time factor; the bus beside raw Zenoh.
+//! Benchmarks. How much can this machine simulate and send? Rays per second and real-time factor of the simulator; the bus beside raw Zenoh.
 
 use std::time::Duration;
 
@@ -53,7 +53,7 @@ struct SimBenchArgs {
     /// Simulated time, s
     #[arg(long, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
     time: f64,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -131,10 +131,10 @@ pub struct BenchArgs {
 enum BenchCommand {
     /// The typed bus beside raw Zenoh: identical bytes, the same codec, taking turns
     Bus {
-        /// Samples of each way
+        /// Samples of each kind
         #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
         samples: u32,
-        /// Form of what is printed
+        /// Output format
         #[arg(short, long, value_enum, default_value_t)]
         output: Format,
     },

@@ -1,8 +1,8 @@
-//! What can be done offline, many times over, and measured? Planning, smoothing, simulating, and the bus itself.
+//! Offline commands. What can be done in batches without a robot, and measured? Planning, smoothing, simulating, and the bus itself.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `queries` | which ways are asked for? (lines of cells, or a Moving AI `.scen`) |
+//! | `queries` | which paths are asked for? (lines of cells, or a Moving AI `.scen`) |
 //! | `watchdog` | how is a search ended in time? |
 //! | `plan` | `zenav plan`: searches alone |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
@@ -57,7 +57,7 @@ fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failu
 /// A planner by name; the error names those that there are.
 fn planner(name: &str) -> Result<Planner, String> {
     name.parse()
-        .map_err(|error: zenav_planning::planner::UnknownPlanner| error.to_string())
+        .map_err(|error: zenav_planning::UnknownPlanner| error.to_string())
 }
 
 /// A file of results: written line by line, complete once [`Results::finish`] was called. `-` is stdout.

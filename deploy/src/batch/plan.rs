@@ -1,4 +1,4 @@
-//! How fast, how short, how often found? `zenav plan` answers many queries on one map, and times the search alone.
+//! `zenav plan`: a batch of planning queries on one map. How long did each search take, how long is its path, was one found?
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,7 +17,9 @@ use crate::connect::positive;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 
-/// Length at which a way counts as the optimum, relative.
+/// Samples with which a path is improved at most: about 100 MB.
+const MOST_SAMPLES: u64 = 1_000_000;
+/// Relative difference up to which a path is as short as the optimum.
 const SAME: f64 = 1e-4;
 
 /// Offline planning.
@@ -39,7 +41,7 @@ pub struct PlanArgs {
     /// Results; `-` prints them
     #[arg(long, value_name = "R", default_value = "-")]
     out: PathBuf,
-    /// Write each way into a file of this folder (0000.txt, …): lines `x y`, every cell of the way
+    /// Write each path into a file of this folder (0000.txt, …): lines `x y`, every cell of the path
     #[arg(long, value_name = "DIR")]
     paths: Option<PathBuf>,
     /// Inflate the map for this robot: a file or shipped name
@@ -48,10 +50,10 @@ pub struct PlanArgs {
     /// File of keep-out and speed zones, m in the map's frame
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
-    /// Give a search up after this time, ms
+    /// Time limit of a search, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
-    /// Seed of planners that draw samples; the others find the same way whatever it is
+    /// Seed of sampling-based planners
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Unknown cells may be driven through
@@ -75,6 +77,8 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     drop(grid);
     let mut searcher =
         Searcher::new(ground.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+    // Here the time limit ends a search, nobody waits for it.
+    searcher.sampling.improving = MOST_SAMPLES;
     let watchdog = args
         .time_limit_ms
         .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
@@ -85,13 +89,13 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     let bar = progress(queries.len());
     for (number, query) in queries.iter().enumerate() {
         let answer = answer(&mut searcher, &ground, args, &spec, query, watchdog.as_ref());
-        let (length, found) = answer.way.as_ref().map_or((-1.0, 0), |way| (way.length, 1));
+        let (length, found) = answer.found.as_ref().map_or((-1.0, 0), |found| (found.length, 1));
         results.line(format_args!(
             "{:.3} {length} {found} {}",
             answer.micros, answer.expansions
         ))?;
         if let Some(folder) = &args.paths {
-            write_path(&folder.join(format!("{number:04}.txt")), &spec, answer.way.as_ref())?;
+            write_path(&folder.join(format!("{number:04}.txt")), &spec, answer.found.as_ref())?;
         }
         tally.add(query, &answer);
         bar.inc(1);
@@ -163,7 +167,7 @@ impl Ground {
 struct Answer {
     /// Time around the search alone, µs.
     micros: f64,
-    way: Option<zenav_planning::Path>,
+    found: Option<zenav_planning::Path>,
     expansions: u64,
     outside: bool,
 }
@@ -179,7 +183,7 @@ fn answer(
     let Some((start, goal)) = query.cells(spec) else {
         return Answer {
             micros: 0.0,
-            way: None,
+            found: None,
             expansions: 0,
             outside: true,
         };
@@ -205,26 +209,26 @@ fn answer(
     }
     Answer {
         micros: took.as_secs_f64() * 1e6,
-        way: searched.result.ok(),
+        found: searched.result.ok(),
         expansions: searched.expansions,
         outside: false,
     }
 }
 
-/// The way in the map file's cells, rows from the top, whole numbers at centres: every cell that a straight or diagonal leg passes,
-/// the ends of any other leg. No line for a way that was not found.
-fn write_path(path: &Path, spec: &GridSpec, way: Option<&zenav_planning::Path>) -> Result<(), Failure> {
+/// The path in the map file's cells, rows from the top, whole numbers at centres: every cell that a straight or diagonal leg passes,
+/// the ends of any other leg. No line for a path that was not found.
+fn write_path(path: &Path, spec: &GridSpec, found: Option<&zenav_planning::Path>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
-    for point in way.map(points).unwrap_or_default() {
+    for point in found.map(points).unwrap_or_default() {
         let [x, y] = [point.x - 0.5, f64::from(spec.height) - 0.5 - point.y];
         file.line(format_args!("{x} {y}"))?;
     }
     file.finish()
 }
 
-fn points(way: &zenav_planning::Path) -> Vec<Point2<f64>> {
-    let mut points: Vec<Point2<f64>> = way.corners.iter().take(1).copied().collect();
-    for leg in way.corners.windows(2) {
+fn points(found: &zenav_planning::Path) -> Vec<Point2<f64>> {
+    let mut points: Vec<Point2<f64>> = found.corners.iter().take(1).copied().collect();
+    for leg in found.corners.windows(2) {
         let step = leg[1] - leg[0];
         let steps = step.x.abs().max(step.y.abs());
         let along_grid = step.x == 0.0 || step.y == 0.0 || step.x.abs() == step.y.abs();
@@ -252,12 +256,12 @@ impl Tally {
     fn add(&mut self, query: &Query, answer: &Answer) {
         self.queries += 1;
         self.outside += usize::from(answer.outside);
-        if let Some(way) = &answer.way {
+        if let Some(found) = &answer.found {
             self.found += 1;
             self.times.push(answer.micros);
             if let Some(optimum) = query.optimum {
                 self.known += 1;
-                self.optimal += usize::from((way.length - optimum).abs() <= SAME * optimum.max(1.0));
+                self.optimal += usize::from(found.length - optimum <= SAME * optimum.max(1.0));
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Which ways are asked for? Lines `sx sy gx gy [optimum]`, or a Moving AI scenario: columns and rows of the map file as it is written,
+//! Queries of a batch. Which starts and goals are asked for? Lines `sx sy gx gy [optimum]`, or a Moving AI scenario: columns and rows of the map file as it is written,
 //! rows from the top.
 
 use std::path::Path;
@@ -9,14 +9,14 @@ use zenav_protocol::grid::{Cell, GridSpec};
 use crate::failure::Failure;
 use crate::files;
 
-/// One way asked for.
+/// One path asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Query {
     /// Column and row of the start, from the top left.
     pub(super) start: [i64; 2],
     /// Column and row of the goal.
     pub(super) goal: [i64; 2],
-    /// Length of the shortest way, cells, where it is known.
+    /// Length of the shortest path, cells, where it is known.
     pub(super) optimum: Option<f64>,
 }
 

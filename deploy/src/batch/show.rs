@@ -1,5 +1,4 @@
-//! What does `zenav sim show` do? It draws a world as a PNG: what is solid, the robots and what their lidars see, movers with their ways,
-//! doors shut and slid aside, and places.
+//! `zenav sim show`: a picture of a world. What is solid, what moves and on which path, where are the places, and what do robots see?
 
 use std::path::PathBuf;
 
@@ -8,12 +7,13 @@ use serde::Serialize;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::exit_code;
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::LidarModel;
 use zenav_sim::movers::{MoverModel, Route};
 use zenav_sim::shape::Shape;
 use zenav_sim::{RobotSpec, Simulation, World, bench};
 
-use crate::canvas::{Canvas, Color, FREE, OCCUPIED, circle};
+use crate::drawing::canvas::{Canvas, Color};
+use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, circle};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -21,11 +21,8 @@ use crate::output::{self, Format};
 const OUTSIDE: Color = [236, 238, 241];
 const GRID: Color = [228, 231, 235];
 const MOVER: Color = [240, 150, 0];
-const WAY: Color = [250, 214, 150];
-const ROBOT: Color = [40, 110, 220];
-const ROBOT_EDGE: Color = [15, 50, 120];
+const PATH: Color = [250, 214, 150];
 const SEEN: Color = [215, 60, 40];
-const PLACE: Color = [30, 160, 80];
 
 /// Around the world's bounds, as a share of its longer side.
 const MARGIN: f64 = 0.03;
@@ -58,7 +55,7 @@ pub(super) struct ShowArgs {
     /// Pixels of the longer side
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(64..=8192))]
     size: u32,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -89,13 +86,22 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
     }
     let world = files::world(&args.world)?;
     let simulation = simulation(args, &world)?;
-    let bytes = draw(&world, &simulation, args.size)?;
+    let bytes = draw(&world, &simulation, args.size)?.png()?;
     let name: String = world
         .name()
         .chars()
         .map(|c| if c.is_alphanumeric() { c } else { '_' })
         .collect();
     let picture = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.png")));
+    if picture
+        .extension()
+        .is_none_or(|ending| !ending.eq_ignore_ascii_case("png"))
+    {
+        return Err(Failure::usage(format!(
+            "--out {}: expected a name that ends with .png",
+            picture.display()
+        )));
+    }
     std::fs::write(&picture, bytes).map_err(|error| super::at(&picture, &error))?;
     let (low, high) = world.bounds();
     let shown = Shown {
@@ -169,62 +175,78 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     Ok(simulation)
 }
 
-fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Vec<u8>, Failure> {
-    let mut canvas = backdrop(world, size);
+fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Canvas, Failure> {
+    let mut plane = backdrop(world, size)?;
     for (mover, at) in world.movers().iter().zip(simulation.movers()) {
-        canvas.polygon(&placed(&mover.shape, at), MOVER);
+        plane.polygon(&placed(&mover.shape, at), MOVER);
     }
     for robot in 0..simulation.robots() {
-        self::robot(&mut canvas, simulation, robot);
+        self::robot(&mut plane, simulation, robot);
     }
-    canvas.png()
+    if simulation.robots() > 0 {
+        plane.legend(Mark::Area, ROBOT, "robot");
+        plane.legend(Mark::Dot, SEEN, "laser scan");
+    }
+    plane.note(&format!("at {:.1} s", simulation.now().as_secs()));
+    plane.finish()
 }
 
-/// What does not move in a world, and the ways of what does, `size` pixels on the longer side.
-pub(crate) fn backdrop(world: &World, size: u32) -> Canvas {
+/// What does not move in a world, and the paths of what does, `size` pixels on the longer side.
+///
+/// # Errors
+/// A world without extent.
+pub(crate) fn backdrop(world: &World, size: u32) -> Result<Plane, Failure> {
     let (low, high) = world.bounds();
-    let margin = MARGIN * (high - low).amax();
-    let (from, extent) = (low - Vector2::repeat(margin), (high - low).add_scalar(2.0 * margin));
-    let scale = f64::from(size) / extent.amax();
-    let pixels = |metres: f64| ((metres * scale).round() as u32).max(1);
-    let mut canvas = Canvas::new(from, scale, pixels(extent.x), pixels(extent.y), OUTSIDE);
+    let margin = Vector2::repeat(MARGIN * (high - low).amax());
+    let mut plane = Plane::new(low - margin, high + margin, size, world.name(), OUTSIDE)?;
     let corners = [low, Point2::new(high.x, low.y), high, Point2::new(low.x, high.y)];
-    canvas.polygon(&corners, FREE);
+    plane.polygon(&corners, FREE);
     if let Some(map) = world.map() {
-        canvas.map(map);
+        plane.map(map);
     }
     if (high - low).amax() < MOST_LINES * METRE {
-        grid(&mut canvas, low, high);
+        grid(&mut plane, low, high);
+        plane.note("grid of 1 m");
     }
     for mover in world.movers() {
-        way(&mut canvas, mover);
+        path(&mut plane, mover);
     }
     for polygon in world.polygons() {
-        canvas.polygon(polygon, OCCUPIED);
+        plane.polygon(polygon, OCCUPIED);
     }
     for disc in world.discs() {
-        canvas.disc(disc.center, disc.radius, OCCUPIED);
+        plane.disc(disc.center, disc.radius, OCCUPIED);
+    }
+    plane.gap();
+    plane.legend(Mark::Area, OCCUPIED, "solid");
+    if !world.movers().is_empty() {
+        plane.legend(Mark::Area, MOVER, "moves, or a door");
+        plane.legend(Mark::Line, PATH, "its path");
     }
     for place in world.places() {
         let at = Point2::new(place.x, place.y);
-        canvas.dot(at, PLACE, 4);
+        plane.place(&place.name.to_string(), at);
         if let Some(yaw) = place.yaw {
-            canvas.line(at, at + Pose2::new(0.0, 0.0, yaw).heading() * 0.3, PLACE, 1);
+            let front = at + Pose2::new(0.0, 0.0, yaw).heading() * 0.3;
+            plane.polyline(&[at, front], PLACE, 2.0);
         }
     }
-    canvas
+    if !world.places().is_empty() {
+        plane.legend(Mark::Dot, PLACE, "named place");
+    }
+    Ok(plane)
 }
 
-fn grid(canvas: &mut Canvas, low: Point2<f64>, high: Point2<f64>) {
+fn grid(plane: &mut Plane, low: Point2<f64>, high: Point2<f64>) {
     let lines = |from: f64, to: f64| {
         let first = (from / METRE).ceil() as i64;
         (first..=(to / METRE).floor() as i64).map(|line| line as f64 * METRE)
     };
     for x in lines(low.x, high.x) {
-        canvas.line(Point2::new(x, low.y), Point2::new(x, high.y), GRID, 0);
+        plane.polyline(&[Point2::new(x, low.y), Point2::new(x, high.y)], GRID, 1.0);
     }
     for y in lines(low.y, high.y) {
-        canvas.line(Point2::new(low.x, y), Point2::new(high.x, y), GRID, 0);
+        plane.polyline(&[Point2::new(low.x, y), Point2::new(high.x, y)], GRID, 1.0);
     }
 }
 
@@ -236,40 +258,33 @@ fn placed(shape: &Shape, at: Point2<f64>) -> Vec<Point2<f64>> {
     }
 }
 
-/// The way of a mover: its corners with its outline there, or the box that it walks in. A door's are shut and slid aside.
-fn way(canvas: &mut Canvas, mover: &MoverModel) {
+/// The path of a mover: its corners with its outline there, or the box that it walks in. A door's are shut and slid aside.
+fn path(plane: &mut Plane, mover: &MoverModel) {
     match &mover.route {
         Route::Path(corners) => {
             let points: Vec<Point2<f64>> = corners.iter().map(|(at, _)| *at).collect();
-            canvas.outline(&points, WAY, 1);
+            plane.outline(&points, PATH, 2.0);
             for at in points {
-                canvas.outline(&placed(&mover.shape, at), WAY, 0);
+                plane.outline(&placed(&mover.shape, at), PATH, 1.0);
             }
         }
         Route::Walk { low, high, .. } => {
             let corners = [*low, Point2::new(high.x, low.y), *high, Point2::new(low.x, high.y)];
-            canvas.outline(&corners, WAY, 1);
+            plane.outline(&corners, PATH, 2.0);
         }
     }
 }
 
-/// A robot: its outline, its heading, and the returns of its lidar.
-fn robot(canvas: &mut Canvas, simulation: &Simulation, robot: usize) {
+/// A robot, and the returns of its lidar.
+fn robot(plane: &mut Plane, simulation: &Simulation, robot: usize) {
     let model = simulation.model(robot);
     let pose = simulation.truth(robot).map_from_base;
-    let outline: Vec<Point2<f64>> = match &model.footprint {
-        Footprint::Radius(radius) => circle(pose.position(), *radius),
-        Footprint::Polygon(corners) => corners.iter().map(|corner| pose.transform_point(*corner)).collect(),
-    };
-    canvas.polygon(&outline, ROBOT);
-    canvas.outline(&outline, ROBOT_EDGE, 0);
-    let nose = pose.position() + pose.heading() * model.footprint.inscribed_radius();
-    canvas.line(pose.position(), nose, FREE, 1);
+    plane.robot(pose, &model.footprint);
     if let Some(sweep) = simulation.readings(robot).sweep {
         let laser = pose * model.lidar.mount;
         for (beam, range) in sweep.ranges.iter().enumerate() {
             if let Some(hit) = hit(&model.lidar, laser, beam, f64::from(*range)) {
-                canvas.dot(hit, SEEN, 1);
+                plane.dot(hit, SEEN, 1.5);
             }
         }
     }
@@ -284,19 +299,20 @@ fn hit(lidar: &LidarModel, laser: Pose2, beam: usize, range: f64) -> Option<Poin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenav_mapping::image;
 
     fn gray(world: &World, at: &[(f64, f64)]) -> Vec<u8> {
         let simulation = Simulation::new(world, Vec::new(), 1).unwrap();
-        let picture = image::decode(draw(world, &simulation, 200).unwrap()).unwrap();
+        let picture = draw(world, &simulation, 200).unwrap();
+        let pixels = picture.rgb();
         let (low, high) = world.bounds();
         let margin = MARGIN * (high - low).amax();
         let scale = 200.0 / ((high - low).amax() + 2.0 * margin);
         at.iter()
             .map(|(x, y)| {
                 let column = ((x - low.x + margin) * scale) as u32;
-                let row = picture.height - 1 - ((y - low.y + margin) * scale) as u32;
-                picture.gray[(row * picture.width + column) as usize]
+                let row = ((high.y + margin - y) * scale) as u32;
+                let pixel = &pixels[(row * picture.width() + column) as usize * 3..][..3];
+                (pixel.iter().map(|part| u32::from(*part)).sum::<u32>() / 3) as u8
             })
             .collect()
     }
@@ -309,7 +325,7 @@ mod tests {
         let world = World::from_toml(text, "w.toml", &|_| Err(String::new())).unwrap();
         let shades = gray(&world, &[(1.0, 1.0), (5.0, 3.0), (6.5, 1.0), (3.4, 3.6)]);
         assert!(shades[0] < 60 && shades[1] < 60, "{shades:?}");
-        assert!((120..220).contains(&shades[2]) && shades[3] == 255, "{shades:?}");
+        assert!((100..220).contains(&shades[2]) && shades[3] == 255, "{shades:?}");
     }
 
     #[test]

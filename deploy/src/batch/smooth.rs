@@ -1,4 +1,4 @@
-//! Which trajectories come out, how long does each phase take, and is each free? `zenav smooth` answers many queries for one robot.
+//! `zenav smooth`: a batch of queries for one robot, from search to time law. Which trajectories result, how long does each phase take, is each collision-free?
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -25,7 +25,7 @@ const PERIOD: f64 = 0.01;
 /// Offline smoothing.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its way. \
+    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its path. \
 Results are lines `search_us corridor_us geometry_us timing_us length_m duration_s min_clearance_m status`, status `smoothed`, `fallback:REASON` or `no_path` (then lengths are -1); a clearance of `inf` means nothing near."
 )]
 pub struct SmoothArgs {
@@ -50,13 +50,13 @@ pub struct SmoothArgs {
     /// Planner
     #[arg(long, default_value = "astar", value_parser = planner)]
     planner: Planner,
-    /// Look for the shortest way, not for one that keeps off obstacles where there is room
+    /// Plan the shortest path, without preferring clearance from obstacles
     #[arg(long)]
     shortest: bool,
-    /// Give a search up after this time, ms
+    /// Time limit of a search, ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
-    /// Largest jerk along the way, m/s³; the robot's own where it has one, unlimited else
+    /// Jerk limit along the path, m/s³ [default: the robot's, or unlimited]
     #[arg(long, value_name = "J", value_parser = positive)]
     jerk_limit: Option<f64>,
     /// What the time law is to be good at, `fastest` or `economy`
@@ -146,7 +146,7 @@ struct Workshop {
 }
 
 impl Workshop {
-    /// Time of the search, µs, and the trajectory; `None` without a way.
+    /// Time of the search, µs, and the trajectory; `None` without a path.
     fn answer(&mut self, query: &Query) -> (f64, Option<Smoothed>) {
         let spec = *self.space.spec();
         let Some((from, to)) = query.cells(&spec) else {
@@ -178,7 +178,7 @@ impl Workshop {
             return (search_us, None);
         }
         let settings = self.settings;
-        // A query has no heading: the robot stands as its way begins, without the grid's own corners.
+        // A query has no heading: the robot stands as its path begins, without the grid's own corners.
         let corners = shortcut(&self.space, &path, settings.corridor.clearance, None, None);
         if let Some(along) = corners
             .iter()

@@ -1,4 +1,4 @@
-//! How is a search ended in time, when searches know no clock? A thread that sets their cancel flag.
+//! Watchdog. How does a search end in time although it knows no clock? A thread sets its cancel flag.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};

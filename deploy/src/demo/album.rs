@@ -1,4 +1,4 @@
-//! What did the robot know, look for and drive? A picture for every drive of a scenario, drawn beside the run.
+//! Album. What did the robot know, plan and drive? A picture for every drive of a scenario, drawn beside the run.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,7 +10,8 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, MapRequest, SearchTree};
 use zenav_protocol::topics;
 
-use super::picture::{Scene, draw};
+use super::write;
+use crate::drawing::scene::Scene;
 use crate::failure::Failure;
 
 /// Longest wait for the map, wall.
@@ -25,65 +26,72 @@ pub(super) struct Album {
     pub trees: Latest<SearchTree>,
     /// What the planner has shown first of the present drive.
     tree: Option<SearchTree>,
-    pages: JoinSet<Result<(), Failure>>,
+    places: Vec<(String, Point2<f64>)>,
+    pages: JoinSet<Result<PathBuf, Failure>>,
     count: usize,
 }
+
+/// Pixels of a picture's longer side, about.
+const SIZE: u32 = 1200;
 
 impl Album {
     /// # Errors
     /// When the planner's trees cannot be subscribed to.
-    pub fn new(bus: &Bus, robot: &Id, folder: &Path) -> Result<Self, Failure> {
+    pub fn new(bus: &Bus, robot: &Id, folder: &Path, places: Vec<(String, Point2<f64>)>) -> Result<Self, Failure> {
         Ok(Self {
             bus: bus.clone(),
             robot: robot.clone(),
             folder: folder.to_path_buf(),
             trees: bus.latest(&topics::TREE, &[robot.as_str()])?,
             tree: None,
+            places,
             pages: JoinSet::new(),
             count: 0,
         })
     }
 
-    /// Takes in what the planner shows: of each drive its first way, the one that it set out on.
+    /// Takes in what the planner shows: of each drive its first path, the one that it set out on.
     pub fn see(&mut self) {
         let tree = self.trees.take().filter(|tree| !tree.path.is_empty());
         self.tree = self.tree.take().or(tree);
     }
 
-    /// Draws the end of a drive: `planned` is the motion it ended with, `driven` the true way since the start.
-    pub fn page(&mut self, name: &str, goal: Option<GoalPoint>, planned: Vec<Point2<f64>>, driven: Vec<Point2<f64>>) {
+    /// Draws the end of a drive: `plan` is the one that it ended with, `trail` the true path since the start.
+    pub fn page(&mut self, name: &str, goal: Option<GoalPoint>, plan: Vec<Point2<f64>>, trail: Vec<Point2<f64>>) {
         self.see();
         self.count += 1;
         let plain = |c: char| if c.is_alphanumeric() { c } else { '_' };
+        let title = format!("{} {name}", self.count);
         let name: String = name.chars().map(plain).collect();
         let file = self.folder.join(format!("{}-{name}.png", self.count));
         let tree = self.tree.take();
-        let (bus, robot) = (self.bus.clone(), self.robot.clone());
+        let (bus, robot, places) = (self.bus.clone(), self.robot.clone(), self.places.clone());
         self.pages.spawn(async move {
             let map = bus
                 .ask(&topics::MAP, &[robot.as_str()], &MapRequest::default(), MAP_DEADLINE)
                 .await?;
             let map = map.grid().map_err(|error| Failure::failed(error.to_string()))?;
             let scene = Scene {
-                map: &map,
                 tree: tree.as_ref(),
-                planned: &planned,
-                driven: &driven,
+                plan: Some(&plan),
+                trail: Some(&trail),
                 goal: goal.map(|goal| Point2::new(goal.x, goal.y)),
+                places: &places,
+                ..Scene::new(&title, &map)
             };
-            let bytes = draw(&scene)?;
-            std::fs::write(&file, bytes).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
+            write(&file, scene.draw(SIZE)?.png()?)?;
+            Ok(file)
         });
     }
 
-    /// Waits for the last page.
+    /// Waits for the last page; returns the files.
     ///
     /// # Errors
     /// A picture that could not be drawn or written.
-    pub async fn finish(mut self) -> Result<(), Failure> {
-        while let Some(page) = self.pages.join_next().await {
-            page.map_err(|error| Failure::failed(error.to_string()))??;
-        }
-        Ok(())
+    pub async fn finish(self) -> Result<Vec<PathBuf>, Failure> {
+        let pages: Result<Vec<PathBuf>, Failure> = self.pages.join_all().await.into_iter().collect();
+        let mut files = pages?;
+        files.sort();
+        Ok(files)
     }
 }

@@ -1,4 +1,4 @@
-//! Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
+//! `zenav demo`. Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
 //!
 //! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
 //! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.
@@ -9,12 +9,12 @@
 //! | `wall_follow` | how does a robot follow walls by itself, without a cloud? |
 //! | `watch` | how did it go, as a client and the referee saw it? |
 //! | `refusals` | is a goal that nobody can reach refused, and with which words? |
-//! | `album`, `picture` | what did the robot know, look for and drive? pictures |
+//! | `album`, `film` | what did the robot know, plan and drive? pictures, and a moving one |
 
 mod album;
+mod film;
 mod kitchen;
 mod online;
-mod picture;
 mod refusals;
 mod wall_follow;
 mod watch;
@@ -39,6 +39,7 @@ use crate::launch::{interrupted, runtime};
 use crate::output::{Format, value};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
+use film::Film;
 use refusals::Impossible;
 use watch::Watch;
 
@@ -96,7 +97,7 @@ pub struct DemoArgs {
     /// Which scenario
     #[arg(value_enum, default_value = "kitchen")]
     scenario: Scenario,
-    /// Simulated seconds a second of wall time
+    /// Simulated time against wall time
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// Seed of all noise
@@ -105,18 +106,35 @@ pub struct DemoArgs {
     /// Planner, instead of the scenario's
     #[arg(long)]
     planner: Option<Planner>,
-    /// What motions are to be good at, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already
-    #[arg(long, default_value = "zenav-out")]
-    out: PathBuf,
+    /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already [default:
+    /// zenav-out/SCENARIO]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Write a moving picture of the run (kitchen and online)
+    #[arg(long, value_name = "FILE.gif")]
+    film: Option<PathBuf>,
     /// Plain log lines instead of a live display
     #[arg(long)]
     no_ui: bool,
-    /// Form of the report on stdout
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
+}
+
+impl DemoArgs {
+    /// Where files go.
+    fn folder(&self) -> PathBuf {
+        let own = || Path::new("zenav-out").join(self.scenario.script().name);
+        self.out.clone().unwrap_or_else(own)
+    }
+}
+
+/// Writes a file.
+fn write(file: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
+    std::fs::write(file, bytes).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
 }
 
 /// `zenav demo`.
@@ -127,12 +145,23 @@ pub fn run(args: &DemoArgs) -> Outcome {
     if !(args.speed.is_finite() && args.speed > 0.0) {
         return Err(Failure::usage("--speed: expected a positive number"));
     }
+    if let Some(film) = &args.film {
+        let ending = film.extension().and_then(|ending| ending.to_str());
+        if !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("gif")) || args.scenario.script().alone {
+            return Err(Failure::usage(format!(
+                "--film {}: expected a name that ends with .gif, and a run of kitchen or online",
+                film.display()
+            )));
+        }
+    }
     crate::receivers::ensure_enough();
-    std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
-    let report = runtime()?.block_on(scenario(args))?;
+    let folder = args.folder();
+    std::fs::create_dir_all(&folder).map_err(|error| Failure::failed(format!("{}: {error}", folder.display())))?;
+    let mut report = runtime()?.block_on(scenario(args))?;
+    let file = folder.join("report.json");
+    report.files.insert(0, file.clone());
     let text = serde_json::to_string_pretty(&report).map_err(|error| Failure::failed(error.to_string()))?;
-    let file = args.out.join("report.json");
-    std::fs::write(&file, text + "\n").map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
+    write(&file, text + "\n")?;
     value(args.output, &report, DemoReport::text)?;
     Ok(if report.outcome == ScenarioOutcome::Succeeded {
         exit_code::OK
@@ -173,26 +202,29 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
 /// The files of a stored map.
 const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
 
-fn copy_map(from: &Path, to: &Path) -> Result<bool, Failure> {
+/// Copies a stored map; returns the files that there were.
+fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
     std::fs::create_dir_all(to).map_err(|error| Failure::failed(format!("{}: {error}", to.display())))?;
-    let mut found = false;
+    let mut copied = Vec::new();
     for name in MAP_FILES {
-        if from.join(name).is_file() {
-            std::fs::copy(from.join(name), to.join(name))
-                .map_err(|error| Failure::failed(format!("{}: {error}", to.join(name).display())))?;
-            found |= name == "map.yaml";
+        let (source, target) = (from.join(name), to.join(name));
+        if source.is_file() {
+            std::fs::copy(&source, &target)
+                .map_err(|error| Failure::failed(format!("{}: {error}", target.display())))?;
+            copied.push(target);
         }
     }
-    Ok(found)
+    Ok(copied)
 }
 
 async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     let began = Instant::now();
     let script = args.scenario.script();
     // Goals and epochs of a demo are its own; the map alone outlives it.
-    let state = args.out.join(format!(".run-{}", std::process::id()));
+    let folder = args.folder();
+    let state = folder.join(format!(".run-{}", std::process::id()));
     let robot_dir = state.join(script.robot.0);
-    let map_found = script.uses_stored_map && copy_map(&args.out, &robot_dir)?;
+    let map_found = script.uses_stored_map && !copy_map(&folder, &robot_dir)?.is_empty();
     let result = async {
         let router = Router::open(&RouterConfig {
             listen: vec!["tcp/127.0.0.1:0".to_owned()],
@@ -218,10 +250,10 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         played
     }
     .await;
-    let kept = copy_map(&robot_dir, &args.out);
+    let kept = copy_map(&robot_dir, &folder);
     let _ = std::fs::remove_dir_all(&state);
     let mut report = result?;
-    kept?;
+    report.files.extend(kept?);
     report.map_found = map_found;
     report.wall_time_s = began.elapsed().as_secs_f64();
     Ok(report)
@@ -240,12 +272,17 @@ async fn play(
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
     let referee = parts.edge(deployment, world)?;
+    let film = args
+        .film
+        .as_deref()
+        .map(|file| Film::new(file, script, world, referee.clone()));
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
     if script.drawn {
-        watch.album = Some(Album::new(&bus, id, &args.out)?);
+        watch.album = Some(Album::new(&bus, id, &args.folder(), film::places(world))?);
     }
+    let film = film.map(|film| film.start(&bus, id, args.speed)).transpose()?;
     let request = GoalRequest {
         id: Some(format!("{}-{}", script.name, args.seed)),
         tree: Some(script.name.to_owned()),
@@ -281,12 +318,18 @@ async fn play(
     if let Some(bar) = &watch.bar {
         bar.finish_and_clear();
     }
-    if let Some(album) = watch.album.take() {
-        album.finish().await?;
+    let mut files = match watch.album.take() {
+        Some(album) => album.finish().await?,
+        None => Vec::new(),
+    };
+    if let Some(film) = film {
+        watch.narrate("developing the film");
+        files.push(film.finish().await?);
     }
     let refusals = if end.is_some() { Some(asking.await) } else { None };
     bus.close().await;
     let mut report = watch.report(script, args, end);
+    report.files = files;
     match refusals {
         Some(Ok(Ok(refused))) => report.refused = refused,
         Some(Ok(Err(why))) => report.fail(why),

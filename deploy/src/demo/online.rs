@@ -1,4 +1,4 @@
-//! Online planning: a small robot in a house that it has never seen drives to one room after the other, while the map grows and what
+//! `zenav demo online`: a small robot in a house that it has never seen drives to one room after the other, while the map grows and what
 //! has not been seen counts as free; meanwhile goals that nobody can reach are refused.
 
 use super::Script;

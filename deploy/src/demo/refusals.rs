@@ -1,4 +1,4 @@
-//! Is a goal that nobody can reach refused, and with which words? Asked while the robot drives, as any client might.
+//! Unreachable goals. Is one refused, and with which words? Asked while the robot drives, as any client might.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Following walls: a Neato with 360 beams and a bumper, no cloud and no goal, follows the walls of a room with inner and outer corners
-//! for ten minutes.
+//! `zenav demo wall_follow`. How does a robot follow walls by itself? A Neato with 360 beams and a bumper, no cloud and no goal, follows
+//! the walls of a room with inner and outer corners for ten minutes.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -8,16 +8,18 @@ use std::time::{Duration, Instant};
 use nalgebra::Point2;
 use zenav_edge::Referee;
 use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription};
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState, exit_code};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::World;
 
-use super::{DemoArgs, Script, progress_bar};
+use super::{DemoArgs, Script, progress_bar, write};
 use crate::batch::backdrop;
-use crate::canvas::Color;
 use crate::components::Parts;
 use crate::config::Deployment;
+use crate::drawing::canvas::Color;
+use crate::drawing::plane::Mark;
 use crate::failure::Failure;
 use crate::files;
 use crate::launch::interrupted;
@@ -32,8 +34,8 @@ pub(super) const SCRIPT: Script = Script {
     time_limit: 600.0,
     uses_stored_map: false,
     impossible: &[],
-    drawn: false,
     alone: true,
+    drawn: false,
 };
 
 /// Simulated time between two samples of the distance, s.
@@ -44,12 +46,14 @@ const LOG_EVERY: Duration = Duration::from_secs(5);
 const ALLOWED: f64 = 0.03;
 /// Share of the time that the robot must spend along walls.
 const FOLLOWING: f64 = 0.5;
-/// Pixels of the picture's longer side, and the colour of the way.
+/// Pixels of the picture's longer side, and the colour of the path.
 const PICTURE: u32 = 1000;
 const DRIVEN: Color = [215, 60, 40];
 /// Time for the robot to come up, and for the last events to arrive, wall.
 const PATIENCE: Duration = Duration::from_secs(20);
 const LAST_EVENTS: Duration = Duration::from_millis(500);
+/// How often events that the robot keeps are asked for while the first are missing, wall.
+const ASK_AGAIN: Duration = Duration::from_secs(3);
 
 /// What is seen of the run.
 struct Watch<'a> {
@@ -58,6 +62,11 @@ struct Watch<'a> {
     referee: Referee,
     states: Latest<EdgeState>,
     events: Subscription<Event>,
+    /// What the robot keeps of its events, asked for again while the first of them are missing: on a busy machine they may come before
+    /// the link does.
+    kept: Option<Subscription<Event>>,
+    bus: Bus,
+    robot: Id,
     state: Option<EdgeState>,
     log: BTreeMap<u64, Event>,
     errors: Errors,
@@ -93,6 +102,9 @@ pub(super) async fn play(
         events: bus.subscribe(&topics::EVENT, robot, 1024)?,
         states: bus.latest(&topics::STATE, robot)?,
         referee: parts.edge(deployment, world)?,
+        kept: None,
+        bus: bus.clone(),
+        robot: id.clone(),
         state: None,
         log: BTreeMap::new(),
         errors: Errors::default(),
@@ -109,12 +121,16 @@ pub(super) async fn play(
     bus.close().await;
     write_log(args, &watch.log)?;
     draw(args, world, &watch.driven)?;
-    Ok(watch.report(script, args))
+    let mut report = watch.report(script, args);
+    report.files = ["events.ndjson", "path.png"]
+        .map(|name| args.folder().join(name))
+        .into();
+    Ok(report)
 }
 
 /// The event log, one event a line.
 fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure> {
-    let file = args.out.join("events.ndjson");
+    let file = args.folder().join("events.ndjson");
     let failed = |error: std::io::Error| Failure::failed(format!("{}: {error}", file.display()));
     let mut out = std::io::BufWriter::new(std::fs::File::create(&file).map_err(failed)?);
     for event in log.values() {
@@ -124,12 +140,20 @@ fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure>
     out.flush().map_err(failed)
 }
 
-/// The room and the way driven.
+/// The room and the path driven.
 fn draw(args: &DemoArgs, world: &World, driven: &[Point2<f64>]) -> Result<(), Failure> {
-    let mut canvas = backdrop(world, PICTURE);
-    canvas.polyline(driven, DRIVEN, 1);
-    let file = args.out.join("path.png");
-    std::fs::write(&file, canvas.png()?).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
+    let mut plane = backdrop(world, PICTURE)?;
+    plane.polyline(driven, DRIVEN, 2.0);
+    plane.legend(Mark::Line, DRIVEN, "driven");
+    write(&args.folder().join("path.png"), plane.finish()?.png()?)
+}
+
+/// The next event of those that the robot keeps; for ever where none are asked for.
+async fn kept(kept: &mut Option<Subscription<Event>>) -> Option<Event> {
+    match kept {
+        Some(kept) => kept.next().await.map(|event| event.message),
+        None => std::future::pending().await,
+    }
 }
 
 impl Watch<'_> {
@@ -140,13 +164,23 @@ impl Watch<'_> {
         let bar = super::shows_bar(args).then(progress_bar);
         let began = Instant::now();
         let mut told = began;
+        let mut asked = began;
         while self.referee.now() < self.end {
             tokio::select! {
                 biased;
                 event = self.events.next() => self.note(event.map(|event| event.message)),
+                event = kept(&mut self.kept) => self.note(event),
                 _ = self.states.changed() => self.state = self.states.take().or(self.state.take()),
                 _ = pace.tick() => {
                     self.sample();
+                    if self.lacks_first() {
+                        if asked.elapsed() > ASK_AGAIN {
+                            asked = Instant::now();
+                            self.kept = Some(self.bus.subscribe(&topics::EVENT, &[self.robot.as_str()], 1024)?);
+                        }
+                    } else {
+                        self.kept = None;
+                    }
                     let line = self.line();
                     if let Some(bar) = &bar {
                         bar.set_message(line);
@@ -173,6 +207,11 @@ impl Watch<'_> {
             bar.finish_and_clear();
         }
         Ok(())
+    }
+
+    /// Whether events have come, but not the first one.
+    fn lacks_first(&self) -> bool {
+        self.log.keys().next().is_some_and(|first| *first > 1)
     }
 
     fn note(&mut self, event: Option<Event>) {
@@ -291,6 +330,7 @@ impl Watch<'_> {
                 missed_ticks: self.state.as_ref().map_or(0, |state| state.missed_ticks),
             }),
             notes: Vec::new(),
+            files: Vec::new(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! How did it go? What any client sees of a run, and the referee's truth, gathered into the report.
+//! Observer of a run. How did it go? What any client sees and the simulator's truth, gathered into the report.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,9 @@ use nalgebra::Point2;
 use zenav_edge::Referee;
 use zenav_protocol::bus::{Bus, Latest, Subscription};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, GoalPhase, GoalPoint, GoalState, Leg, MapInfo, MapRef, Plan, PoseEstimate, Scan,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::{Truth, World};
@@ -54,14 +56,14 @@ pub(super) struct Watch {
     goal_to_motion: Vec<f64>,
     waiting_for_motion: Option<Instant>,
     seen_motion: Option<u64>,
-    motions: u64,
+    plans_seen: u64,
     goal: Option<GoalState>,
     state: Option<EdgeState>,
     told: String,
     last_log: Instant,
     /// Drives that have ended.
     ended: usize,
-    /// The motion in force.
+    /// The plan in force.
     planned: Vec<Point2<f64>>,
     /// A live display, where there is one.
     pub bar: Option<ProgressBar>,
@@ -76,11 +78,7 @@ impl Watch {
         let robot = &[id.as_str()];
         Ok(Self {
             referee,
-            places: world
-                .places()
-                .iter()
-                .map(|place| (place.name.to_string(), Point2::new(place.x, place.y)))
-                .collect(),
+            places: super::film::places(world),
             scans: bus.latest(&topics::SCAN, robot)?,
             poses: bus.latest(&topics::POSE, robot)?,
             states: bus.latest(&topics::STATE, robot)?,
@@ -94,7 +92,7 @@ impl Watch {
             goal_to_motion: Vec::new(),
             waiting_for_motion: None,
             seen_motion: None,
-            motions: 0,
+            plans_seen: 0,
             goal: None,
             state: None,
             told: String::new(),
@@ -164,13 +162,13 @@ impl Watch {
         self.arrivals.drain(..excess);
     }
 
-    /// A new motion: what it is based on arrived some time before it.
+    /// A new plan: what it is based on arrived some time before it.
     fn see_plan(&mut self, plan: &Plan) {
         if self.seen_motion == Some(plan.trajectory_id) || (plan.trajectory.is_empty() && plan.waypoints.is_empty()) {
             return;
         }
         self.seen_motion = Some(plan.trajectory_id);
-        self.motions += 1;
+        self.plans_seen += 1;
         self.planned = if plan.trajectory.is_empty() {
             plan.waypoints.clone()
         } else {
@@ -303,7 +301,7 @@ impl Watch {
             min_clearance_m: truth.min_clearance,
             sim_time_s: self.referee.now().as_secs(),
             wall_time_s: 0.0,
-            plans: self.motions,
+            plans: self.plans_seen,
             replans: feedback.replans,
             latency: Latency {
                 scan_to_plan_ms: Percentiles::of(&self.scan_to_plan),
@@ -313,6 +311,7 @@ impl Watch {
             energy_per_m: per_metre(truth.drawn_j, truth.length),
             walls: None,
             notes,
+            files: Vec::new(),
         }
     }
 

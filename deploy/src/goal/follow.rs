@@ -1,4 +1,4 @@
-//! How does a goal go? Its state as the mission publishes it, and by asking now and then: a mission that was restarted,
+//! Watching a goal. How does it proceed? Its state as the mission publishes it, and by asking now and then: a mission that was restarted,
 //! or a link that was cut, must not leave a watcher waiting for ever.
 
 use std::io::IsTerminal as _;
@@ -47,7 +47,7 @@ impl Watch {
         loop {
             let state = tokio::select! {
                 _ = &mut interrupted => {
-                    eprintln!("zenav: detached; goal {} goes on (`zenav goal watch {}`, `zenav goal cancel {}`)", self.id, self.id, self.id);
+                    eprintln!("zenav: detached; goal {} continues (`zenav goal watch {}`, `zenav goal cancel {}`)", self.id, self.id, self.id);
                     return Ok(exit_code::INTERRUPTED);
                 }
                 received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,

@@ -1,4 +1,4 @@
-//! Which goals are there, and how is one held or taken back?
+//! Goal list. Which goals are there, and how is one paused or cancelled?
 
 use zenav_protocol::messages::{
     CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest, exit_code,

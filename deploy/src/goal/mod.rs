@@ -1,4 +1,4 @@
-//! How are goals given to a robot, followed and taken back from anywhere?
+//! `zenav goal`. How are goals submitted, watched and cancelled from anywhere?
 //!
 //! | file | answers |
 //! |---|---|
@@ -20,10 +20,10 @@ use crate::output::Format;
 /// Goals: submit, list, watch, cancel.
 #[derive(Debug, clap::Args)]
 pub struct GoalArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     #[command(subcommand)]
@@ -32,7 +32,7 @@ pub struct GoalArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum GoalCommand {
-    /// Give the robot a goal: X Y [YAW] in the map, a named place, or a behaviour tree
+    /// Submit a goal: X Y [YAW] in the map, a named place, or a behaviour tree
     Submit(submit::SubmitArgs),
     /// List goals, newest first
     List(list::ListArgs),
@@ -46,14 +46,14 @@ enum GoalCommand {
         /// Goal to cancel
         id: Option<String>,
     },
-    /// Hold a goal; without an id, the running one
+    /// Pause a goal; without an id, the running one
     Pause {
-        /// Goal to hold
+        /// Goal to pause
         id: Option<String>,
     },
-    /// Let a held goal go on
+    /// Resume a paused goal
     Resume {
-        /// Goal to go on with
+        /// Goal to resume
         id: Option<String>,
     },
 }

@@ -1,4 +1,4 @@
-//! What does the command line ask a robot to achieve? The request, with its id made before it is first sent.
+//! Submitting a goal. What is the robot asked to do? The request, with its id made before it is first sent.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -27,40 +27,40 @@ pub(super) struct SubmitArgs {
     /// Map y, m
     #[arg(allow_negative_numbers = true, value_parser = finite)]
     y: Option<f64>,
-    /// Heading wanted at the end, rad
+    /// Final heading, rad
     #[arg(allow_negative_numbers = true, value_parser = finite)]
     yaw: Option<f64>,
-    /// A place named in the world or deployment
+    /// Named place of the world
     #[arg(long, conflicts_with = "waypoint")]
     place: Option<String>,
-    /// A behaviour tree: an XML file, or the name of a shipped one; it runs for the place or waypoints, where there are such
+    /// Behaviour tree to run: an XML file or the name of a shipped tree; a place or waypoints become its goal
     #[arg(long, value_name = "FILE")]
     tree: Option<String>,
-    /// A place to pass, in order; may be repeated
+    /// Waypoint to pass through; may be repeated, in order
     #[arg(long, value_name = "X,Y[,YAW]", allow_hyphen_values = true, value_parser = waypoint)]
     waypoint: Vec<GoalPoint>,
-    /// An entry of the tree's blackboard: JSON, or else text
+    /// Blackboard entry for the tree: JSON or plain text
     #[arg(long, value_name = "NAME=VALUE", requires = "tree", value_parser = entry)]
     blackboard: Vec<(String, serde_json::Value)>,
-    /// Name of the goal: sent twice, it is the same goal [default: a fresh one]
+    /// Id of the goal; sending the same id again is idempotent [default: generated]
     #[arg(long, value_parser = goal_id)]
     id: Option<String>,
-    /// What to do when another goal runs
+    /// What to do while another goal is running
     #[arg(long, value_enum, default_value_t)]
     on_busy: OnBusyArg,
-    /// Of goals that wait the one with the greatest priority has its turn first
+    /// Queue priority, highest first
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     priority: i32,
-    /// A group of robots instead of one: the nearest of those that are free takes the goal
+    /// Group of robots instead of one: the nearest free robot takes the goal
     #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = goal_id)]
     group: Option<String>,
-    /// Give the goal up after this time, s
+    /// Abort the goal after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
     deadline: Option<f64>,
     /// Distance that counts as reached, m
     #[arg(long, value_name = "M", value_parser = positive)]
     tolerance: Option<f64>,
-    /// What its motions are to be good at, `fastest` or `economy` [default: the deployment's choice]
+    /// Driving profile, `fastest` or `economy` [default: the deployment's choice]
     #[arg(long)]
     profile: Option<DrivingProfile>,
     /// Wait for the end; Ctrl-C detaches (exit 130) and the robot goes on, `goal cancel` ends it
@@ -68,7 +68,7 @@ pub(super) struct SubmitArgs {
     wait: bool,
 }
 
-/// What to do when another goal runs.
+/// What to do while another goal is running.
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
 enum OnBusyArg {
     /// Wait for its turn
@@ -193,7 +193,7 @@ async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, 
 async fn finish(watch: follow::Watch, reply: &GoalReply, format: Format) -> Outcome {
     let mut progress = follow::Progress::new();
     progress.say(&format!(
-        "{} {:?}; Ctrl-C detaches, the robot goes on",
+        "{} {:?}; Ctrl-C detaches, the robot keeps driving",
         reply.id, reply.state
     ));
     watch.until_end(format, |state| progress.show(state)).await

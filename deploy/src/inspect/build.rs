@@ -1,4 +1,4 @@
-//! What did a robot of a log see? A CARMEN log with poses becomes `map_server` files.
+//! `zenav map build`. What did the robot of a log see? A CARMEN log with poses becomes `map_server` files.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! How is one check told? Its verdict, what was seen, and what to do.
+//! A check of the doctor. How is it reported? Verdict, observation, and what to do.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! How does a map become another kind of file? `map_server` pictures with their description, and Moving AI maps.
+//! `zenav map convert`. How does a map become a file of another format? `map_server` pictures with their description, and Moving AI maps.
 
 use std::path::PathBuf;
 

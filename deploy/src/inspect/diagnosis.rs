@@ -1,4 +1,4 @@
-//! Is a deployment well? Each observation judged: ok, warn or fail, with what to do. Pure: what was seen is passed in.
+//! Diagnosis. Is a deployment healthy? Each observation judged: ok, warn or fail, with what to do. Pure: what was seen is passed in.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -198,7 +198,7 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
         return Check::warn(
             name,
             "lease",
-            format!("nobody may command (last epoch {})", state.lease.epoch),
+            format!("nobody holds the lease (last epoch {})", state.lease.epoch),
             "start a mission (`zenav cloud mission`), or take it: `zenav teleop`",
         );
     };
@@ -223,7 +223,7 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
             name,
             "lease",
             seen,
-            "an operator drives: missions wait until it is given back (Enter in `zenav teleop`, or `zenav lease release`)",
+            "an operator is driving: missions wait until the lease is released (Enter in `zenav teleop`, or `zenav lease release`)",
         )
     } else {
         Check::ok(name, "lease", seen)
@@ -233,13 +233,13 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
 fn mode(name: &str, state: &EdgeState) -> Check {
     let seen = format!("{:?}, {:+.2} m/s", state.mode, state.velocity.v);
     if state.mode == Mode::Stopped {
-        Check::warn(name, "mode", seen, "stopped by hand: `zenav resume` lets it go")
+        Check::warn(name, "mode", seen, "stopped by an operator: `zenav resume` releases it")
     } else if state.guard == GuardZone::Stop {
         Check::warn(
             name,
             "mode",
-            format!("{seen}, held by its guard"),
-            "something is too near: clear the way, or drive away by `zenav teleop`",
+            format!("{seen}, held by its collision monitor"),
+            "an obstacle is too near: remove it, or drive away with `zenav teleop`",
         )
     } else {
         Check::ok(name, "mode", seen)

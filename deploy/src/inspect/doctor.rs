@@ -1,4 +1,4 @@
-//! Is everything there and well? Listens for two seconds, asks everybody who they are, and says what to do about what is wrong.
+//! `zenav doctor`. Is everything there and healthy? Listens for two seconds, asks every component for its info, and says what to do about what is wrong.
 
 use std::io::IsTerminal as _;
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub struct DoctorArgs {
     /// Which robot; without a name, all.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -255,7 +255,7 @@ fn text(report: &Report) -> String {
     }
     let count = |verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
     lines.push(format!(
-        "{} ok, {} to look at, {} failed",
+        "{} ok, {} warnings, {} failed",
         count(Verdict::Ok),
         count(Verdict::Warn),
         count(Verdict::Fail)

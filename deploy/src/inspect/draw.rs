@@ -1,4 +1,4 @@
-//! How does a map look in a terminal? Half-block characters, two cells' heights to a row, scaled to a width; the robot as an arrow.
+//! Map in a terminal. How is it drawn? Half-block characters, two cells' heights to a row, scaled to a width; the robot as an arrow.
 //! Pure: text out of a grid.
 
 use nalgebra::Point2;
@@ -180,18 +180,7 @@ mod tests {
 
     /// From rows counted from the top: `#` occupied, `.` free, `?` unknown; cells of 1 m from the origin.
     fn grid(rows: &[&str]) -> OccupancyGrid {
-        let spec = GridSpec {
-            origin: Point2::origin(),
-            resolution: 1.0,
-            width: rows[0].len() as u32,
-            height: rows.len() as u32,
-        };
-        let value = |byte| match byte {
-            b'#' => Occupancy::OCCUPIED,
-            b'.' => Occupancy::FREE,
-            _ => Occupancy::UNKNOWN,
-        };
-        OccupancyGrid::from_values(spec, rows.iter().rev().flat_map(|row| row.bytes().map(value)).collect()).unwrap()
+        zenav_fixtures::drawn_map(1.0, rows)
     }
 
     const PLAIN: Canvas = Canvas {

@@ -1,4 +1,4 @@
-//! What comes on a key? Printed as it is, or measured: how often, how much.
+//! Listening to keys. What arrives on one? Printed as it is, or measured: how often, how much.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -44,6 +44,8 @@ pub(super) async fn listen(
     let mut live = bus.raw_subscribe(pattern, BACKLOG)?;
     let mut kept = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let mut meters = BTreeMap::<String, (Meter, String)>::new();
+    // What has come while the other subscription was made waits here all at once, as nothing comes over the wire.
+    while let Ok(Some(_)) = tokio::time::timeout(Duration::ZERO, live.next()).await {}
     let start = Instant::now();
     let gather = async {
         loop {

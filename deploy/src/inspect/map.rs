@@ -1,4 +1,4 @@
-//! How are maps looked at, kept and made? From a running robot, from files, from logs.
+//! `zenav map`. How are maps shown, saved, converted and built? From a running robot, from files, from logs.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
@@ -7,13 +7,16 @@ use std::time::Duration;
 use serde::Serialize;
 use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::messages::{MapRequest, exit_code};
+use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
 use super::draw::{self, Canvas};
 use super::{build, convert};
 use crate::connect::{self, RobotArgs};
+use crate::drawing::scene::Scene;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -21,10 +24,10 @@ use crate::output::{self, Format};
 /// Maps.
 #[derive(Debug, clap::Args)]
 pub struct MapArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     #[command(subcommand)]
@@ -39,13 +42,16 @@ enum MapCommand {
         #[arg(default_value = "map")]
         name: PathBuf,
     },
-    /// Draw a map in the terminal: a robot's, or a file's
+    /// Draw a map in the terminal or as a picture: a robot's, or a file's
     Show {
         /// A map file; without one, the robot's map
         file: Option<PathBuf>,
         /// Columns at most [default: the terminal's]
         #[arg(long)]
         width: Option<usize>,
+        /// Write a picture, a PNG, instead
+        #[arg(long, value_name = "FILE.png", conflicts_with = "width")]
+        out: Option<PathBuf>,
     },
     /// Convert a map file to another kind
     Convert(convert::ConvertArgs),
@@ -60,7 +66,9 @@ enum MapCommand {
 pub fn map(args: &MapArgs) -> Outcome {
     match &args.command {
         MapCommand::Save { name } => save(&args.robot, args.output, name),
-        MapCommand::Show { file, width } => show(&args.robot, args.output, file.as_deref(), *width),
+        MapCommand::Show { file, width, out } => {
+            show(&args.robot, args.output, file.as_deref(), *width, out.as_deref())
+        }
         MapCommand::Convert(convert_args) => convert::convert(convert_args, args.output),
         MapCommand::Build(build_args) => build::build(build_args, args.output),
     }
@@ -182,7 +190,14 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
     })
 }
 
-fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<usize>) -> Outcome {
+fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<usize>, out: Option<&Path>) -> Outcome {
+    let is_png = |out: &Path| out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
+    if let Some(out) = out.filter(|out| !is_png(out)) {
+        return Err(Failure::usage(format!(
+            "--out {}: expected a name that ends with .png",
+            out.display()
+        )));
+    }
     let terminal = std::io::stdout().is_terminal();
     // A window of no size is one whose size is not known.
     let size = crossterm::terminal::size()
@@ -217,8 +232,37 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
             })?
         }
     };
-    output::value(format, &summary, |summary| {
-        format!("{}\n{}", draw::map(&grid, pose, canvas), summary.line())
+    if let Some(out) = out {
+        picture(out, &grid, pose, &summary)?;
+    }
+    output::value(format, &summary, |summary| match out {
+        Some(out) => format!("{}\nwrote {}", summary.line(), out.display()),
+        None => format!("{}\n{}", draw::map(&grid, pose, canvas), summary.line()),
     })?;
     Ok(exit_code::OK)
+}
+
+/// Pixels of a picture's longer side, about.
+const PICTURE: u32 = 1200;
+/// Radius of the dot that stands for a robot whose footprint is not known, m.
+const ROBOT: f64 = 0.15;
+
+/// Writes a map as a picture.
+fn picture(out: &Path, grid: &OccupancyGrid, pose: Option<Pose2>, summary: &Summary) -> Result<(), Failure> {
+    if grid.spec().is_empty() {
+        return Err(Failure::not_found("the map is empty: nothing was drawn"));
+    }
+    let name = summary.file.as_ref().and_then(|file| file.file_name());
+    let name = name.map_or_else(|| "map".into(), |name| name.to_string_lossy());
+    let footprint = Footprint::Radius(ROBOT);
+    let scene = Scene {
+        notes: vec![
+            format!("{} x {} cells", summary.width, summary.height),
+            format!("of {} m", summary.resolution),
+        ],
+        robot: pose.map(|pose| (pose, &footprint)),
+        ..Scene::new(&name, grid)
+    };
+    std::fs::write(out, scene.draw(PICTURE)?.png()?)
+        .map_err(|error| Failure::failed(format!("{}: {error}", out.display())))
 }

@@ -1,4 +1,4 @@
-//! How often does something come, and how much of it? Intervals and sizes over a window. Pure: time is passed in.
+//! Meter. How often does something arrive, and how many bytes? Intervals and sizes over a window. Pure: time is passed in.
 
 use std::collections::VecDeque;
 use std::time::Duration;

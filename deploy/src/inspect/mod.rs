@@ -1,10 +1,10 @@
-//! What is going on? Topics, maps, trees and health, seen from any machine.
+//! Inspection. What is going on? Topics, maps, trees and health, seen from any machine.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
 //! | `map`, `draw`, `convert`, `build` | maps: saved, drawn in the terminal, converted, built from logs |
-//! | `bt`, `tree_picture`, `glyphs` | behaviour trees: valid? what do they look like, do now, and under a script? |
+//! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
 //! | `doctor`, `diagnosis`, `check` | is everything there and well? |
 
 pub(crate) mod bt;
@@ -14,13 +14,11 @@ mod convert;
 mod diagnosis;
 mod doctor;
 mod draw;
-mod glyphs;
 mod listen;
 mod map;
 mod meter;
 mod payload;
 mod topic;
-mod tree_picture;
 
 pub use bt::{BtArgs, bt};
 pub use doctor::{DoctorArgs, doctor};

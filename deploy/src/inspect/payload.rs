@@ -1,4 +1,4 @@
-//! How is a payload shown to a person? JSON as it came; CBOR as JSON; anything else by its size.
+//! Payloads. How is one shown to a person? JSON as it came; CBOR as JSON; anything else by its size.
 
 use std::fmt;
 

@@ -1,4 +1,4 @@
-//! Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
+//! `zenav topic`. Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,10 +17,10 @@ use crate::output::{self, Format};
 /// Topics.
 #[derive(Debug, clap::Args)]
 pub struct TopicArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     #[command(subcommand)]

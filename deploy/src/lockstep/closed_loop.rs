@@ -1,7 +1,7 @@
-//! How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
+//! Closed loop in lockstep. How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
 //!
 //! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
-//! links' delay stands for the whole way from scan to plan.
+//! links' delay stands for everything from scan to plan.
 
 use std::sync::Arc;
 
@@ -12,18 +12,19 @@ use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalRequest, GoalState, Heartbeat, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
-use zenav_smoothing::SmoothingSettings;
 
 use super::delay::Link;
 
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
 
-/// What a stage is set up with.
+/// What a run is made of.
 #[derive(Debug)]
 pub struct ClosedLoopConfig {
     /// The robot.
@@ -74,7 +75,7 @@ pub struct ClosedLoop {
 }
 
 impl ClosedLoop {
-    /// Sets the stage; the simulation has one robot.
+    /// Prepares a run; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
         let settings = MappingSettings {
@@ -97,7 +98,7 @@ impl ClosedLoop {
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
             mapper,
             replica: MapReplica::new(),
-            worker: MotionWorker::new(Arc::clone(&config.mission.zones), SmoothingSettings::default()),
+            worker: MotionWorker::new(Arc::clone(&config.mission.zones), Default::default()),
             mission: Mission::new(config.mission, Restored::fresh()),
             up: Link::new(0.5 * config.cloud_delay, config.seed),
             down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),

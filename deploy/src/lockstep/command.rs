@@ -1,4 +1,4 @@
-//! What does `zenav run` do? One goal in a world, from a seed, to its end; the report is the simulator's truth.
+//! `zenav run`: one goal in a world, from a seed, to its end. The report is the simulator's truth.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -60,13 +60,13 @@ pub struct RunArgs {
     /// Mean delay from scan to plan, ms
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
-    /// What motions are to be good at, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Write the driven way as CSV `t,x,y,yaw,v,w`
+    /// Write the driven path as CSV `t,x,y,yaw,v,w`
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
-    /// Form of the report
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -81,7 +81,7 @@ pub enum RunOutcome {
     Timeout,
     /// The robot touched something.
     Collision,
-    /// The mission found no way.
+    /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,

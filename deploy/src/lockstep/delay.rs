@@ -1,4 +1,4 @@
-//! When does a message arrive? After a seeded delay, in order, as on a link that keeps its order.
+//! Delay line. When does a message arrive? After a seeded delay, in order, as on a link that keeps its order.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! How would it go, exactly, every time? The same cores as over the network, in a fixed order, from a seed.
+//! Lockstep runs. How would it go, exactly, every time? The same cores as over the network, in a fixed order, from a seed.
 //!
 //! | file | answers |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Which key means which motion, and for how long? A terminal tells of keys pressed and repeated, never of keys let go.
+//! Keyboard teleoperation. Which key means which motion, and for how long? A terminal tells of keys pressed and repeated, never of keys let go.
 //!
 //! A first press holds until the keyboard's own repetition begins, a repeated one only until the next repetition is due,
 //! so that a key let go stops the robot within a fifth of a second. Pure: time is passed in.
@@ -34,7 +34,7 @@ pub(super) enum Command {
 }
 
 /// What a key asks for; `None` for keys without a meaning.
-pub(super) fn wish(key: char, control: bool) -> Option<Command> {
+pub(super) fn command_of(key: char, control: bool) -> Option<Command> {
     let motion = |forward, left| Some(Command::Move { forward, left });
     match (key.to_ascii_lowercase(), control) {
         ('c' | 'd' | '\\', true) => Some(Command::Quit),
@@ -127,50 +127,50 @@ mod tests {
 
     #[test]
     fn a_key_held_drives_on_and_a_key_let_go_stops_within_a_fifth_of_a_second() {
-        let mut hand = Keyboard::new(Twist2::new(1.0, 2.0));
-        hand.press(ms(1000), 1, 0);
+        let mut keyboard = Keyboard::new(Twist2::new(1.0, 2.0));
+        keyboard.press(ms(1000), 1, 0);
         assert_eq!(
-            hand.twist(ms(1500)),
+            keyboard.twist(ms(1500)),
             Twist2::new(0.5, 0.0),
             "until the keyboard repeats"
         );
         for at in (1500..3000).step_by(33) {
-            hand.press(ms(at), 1, 0);
+            keyboard.press(ms(at), 1, 0);
         }
-        assert_eq!(hand.twist(ms(3000)).v, 0.5);
-        assert_eq!(hand.twist(ms(3200)), Twist2::ZERO);
+        assert_eq!(keyboard.twist(ms(3000)).v, 0.5);
+        assert_eq!(keyboard.twist(ms(3200)), Twist2::ZERO);
     }
 
     #[test]
     fn another_key_takes_over_at_once() {
-        let mut hand = Keyboard::new(Twist2::new(1.0, 2.0));
-        hand.press(ms(0), 1, 0);
-        hand.press(ms(100), 0, -1);
-        assert_eq!(hand.twist(ms(101)), Twist2::new(0.0, -1.0));
-        hand.rest();
-        assert_eq!(hand.twist(ms(101)), Twist2::ZERO);
+        let mut keyboard = Keyboard::new(Twist2::new(1.0, 2.0));
+        keyboard.press(ms(0), 1, 0);
+        keyboard.press(ms(100), 0, -1);
+        assert_eq!(keyboard.twist(ms(101)), Twist2::new(0.0, -1.0));
+        keyboard.rest();
+        assert_eq!(keyboard.twist(ms(101)), Twist2::ZERO);
     }
 
     #[test]
     fn speed_stays_between_a_tenth_and_the_greatest() {
-        let mut hand = Keyboard::new(Twist2::new(1.0, 2.0));
+        let mut keyboard = Keyboard::new(Twist2::new(1.0, 2.0));
         for _ in 0..20 {
-            hand.scale(true);
+            keyboard.scale(true);
         }
-        assert_eq!(hand.limit(), Twist2::new(1.0, 2.0));
+        assert_eq!(keyboard.limit(), Twist2::new(1.0, 2.0));
         for _ in 0..20 {
-            hand.scale(false);
+            keyboard.scale(false);
         }
-        assert!((hand.limit().v - 0.1).abs() < 1e-12);
+        assert!((keyboard.limit().v - 0.1).abs() < 1e-12);
     }
 
     #[test]
     fn the_keys_are_as_promised() {
-        assert_eq!(wish(' ', false), Some(Command::Take));
-        assert_eq!(wish('\r', false), Some(Command::Give));
-        assert_eq!(wish('W', false), Some(Command::Move { forward: 1, left: 0 }));
-        assert_eq!(wish('c', true), Some(Command::Quit));
-        assert_eq!(wish('c', false), None);
-        assert_eq!(wish('w', true), None);
+        assert_eq!(command_of(' ', false), Some(Command::Take));
+        assert_eq!(command_of('\r', false), Some(Command::Give));
+        assert_eq!(command_of('W', false), Some(Command::Move { forward: 1, left: 0 }));
+        assert_eq!(command_of('c', true), Some(Command::Quit));
+        assert_eq!(command_of('c', false), None);
+        assert_eq!(command_of('w', true), None);
     }
 }

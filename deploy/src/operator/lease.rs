@@ -1,4 +1,4 @@
-//! Who may command a robot? Shown from the robot's own state; taken and given back as an operator.
+//! `zenav lease`. Who may command a robot? Shown from the robot's own state; acquired and released as an operator.
 
 use std::time::Duration;
 
@@ -16,10 +16,10 @@ use crate::output::{self, Format};
 /// The lease.
 #[derive(Debug, clap::Args)]
 pub struct LeaseArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     /// Name to command under [default: operator-USER]

@@ -1,4 +1,4 @@
-//! How does an operator keep the right to command? By heartbeats, until it is given back; when they end, the robot takes it back itself.
+//! Lease of an operator. How is it kept? By heartbeats until it is released; when they stop, it expires on the robot.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 

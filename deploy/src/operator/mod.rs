@@ -1,4 +1,4 @@
-//! How does a person take a robot in hand? Stop and resume need no lease and no cloud; driving by hand needs the operator's lease.
+//! Operator commands. How does a person take control of a robot? Stop and resume need no lease and no cloud; driving by hand needs the operator's lease.
 //!
 //! | file | answers |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Who commands the robot now, and what is shown of it? The robot's own word counts, and only as long as it is heard. Pure.
+//! Status line of teleoperation. Who commands the robot now, and what does it do? The robot's own word counts, and only as long as it is heard. Pure.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ pub(super) fn lost(grant: &LeaseReply, holder: &str, state: &EdgeState) -> Optio
     Some(match &lease.holder {
         Some(other) if lease.live => format!("control was lost to {other}"),
         Some(_) => format!("control has lapsed: the robot heard nothing for {} s", grant.ttl_secs),
-        None => "control was given back elsewhere".to_owned(),
+        None => "control was released elsewhere".to_owned(),
     })
 }
 
@@ -50,7 +50,7 @@ impl View<'_> {
             format!("{:?}", state.link)
         };
         let stopped = match state.mode {
-            Mode::Stopped => " (R lets it go)",
+            Mode::Stopped => " (R resumes)",
             _ => "",
         };
         let guard = match state.guard {
@@ -93,13 +93,13 @@ pub(super) fn unstopped(commanded: bool, alone: Option<LostPolicy>, heard: Optio
     };
     let then = match (state.mode, commanded, alone) {
         (Mode::Stopped, _, _) => "it stays so until resumed",
-        (_, _, Some(LostPolicy::WallFollow)) => "it follows walls on its own once nobody commands it",
-        (_, _, Some(LostPolicy::ReturnHome)) => "it drives back to its start on its own once nobody commands it",
+        (_, _, Some(LostPolicy::WallFollow)) => "it follows walls on its own when it loses its commander",
+        (_, _, Some(LostPolicy::ReturnHome)) => "it returns to its start on its own when it loses its commander",
         (_, true, Some(LostPolicy::FinishHorizon | LostPolicy::Stop)) => {
-            "it brakes without commands, but is not kept from obeying somebody else"
+            "it brakes without commands, but still obeys other commanders"
         }
         (_, true, None) => "it brakes without commands; what it does then is not known",
-        (_, false, _) => "it goes on as others command it",
+        (_, false, _) => "it keeps obeying its present commander",
     };
     let ago = age.as_secs_f64();
     format!("heard last {ago:.1} s ago in mode {:?}, {then}", state.mode)
@@ -162,7 +162,7 @@ mod tests {
     fn a_lapsed_lease_is_lost_although_its_epoch_stays() {
         assert_eq!(why(&state(5, Some("me"), true)), None);
         assert!(why(&state(5, Some("me"), false)).unwrap().contains("lapsed"));
-        assert!(why(&state(5, None, false)).unwrap().contains("given back"));
+        assert!(why(&state(5, None, false)).unwrap().contains("released"));
         assert!(why(&state(6, Some("you"), true)).unwrap().contains("lost to you"));
         let restarted = EdgeState {
             boot_id: "b2".to_owned(),

@@ -1,4 +1,4 @@
-//! How is a robot stopped, and let go again? By asking the robot itself: no lease, no cloud, and on its own endpoint no router either.
+//! `zenav stop` and `zenav resume`. How is a robot stopped and released? By asking the robot itself: no lease, no cloud, and on its own endpoint no router either.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -18,13 +18,13 @@ use crate::output::{self, Format};
 /// Stop or resume.
 #[derive(Debug, clap::Args)]
 pub struct StopArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Every robot that shows
     #[arg(long, conflicts_with = "robot")]
     all: bool,
-    /// Form of what is printed
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -118,30 +118,30 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
     }
 }
 
-/// Stops a robot on every way to it at once: over `bus`, and over a link of its own to each of the endpoints.
+/// Stops a robot over every link at once: over `bus`, and over a link of its own to each of the endpoints.
 ///
 /// # Errors
 /// When none of them brought a confirmation within the link's patience.
 pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Result<(), Failure> {
     let patience = link.patience();
-    let mut ways = JoinSet::new();
-    ways.spawn(confirmed(bus.clone(), robot.to_owned(), patience));
+    let mut links = JoinSet::new();
+    links.spawn(confirmed(bus.clone(), robot.to_owned(), patience));
     for endpoint in &link.connect {
         let (robot, mut link) = (robot.to_owned(), link.clone());
         link.connect = vec![endpoint.clone()];
-        ways.spawn(async move { confirmed(connect::open(&link).await?, robot, patience).await });
+        links.spawn(async move { confirmed(connect::open(&link).await?, robot, patience).await });
     }
     let mut failure = None;
     let end = Instant::now() + patience;
-    while let Ok(Some(way)) = tokio::time::timeout_at(end, ways.join_next()).await {
-        match way {
+    while let Ok(Some(link)) = tokio::time::timeout_at(end, links.join_next()).await {
+        match link {
             Ok(Ok(())) => return Ok(()),
             Ok(Err(error)) => failure = Some(error),
             Err(error) => failure = Some(Failure::failed(error.to_string())),
         }
     }
     let silent = || Failure::new(exit_code::TIMEOUT, "no answer in time");
-    Err(failure.filter(|_| ways.is_empty()).unwrap_or_else(silent))
+    Err(failure.filter(|_| links.is_empty()).unwrap_or_else(silent))
 }
 
 async fn confirmed(bus: Bus, robot: String, within: Duration) -> Result<(), Failure> {

@@ -1,4 +1,4 @@
-//! How is a robot driven by hand in a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
+//! `zenav teleop`. How is a robot driven from a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
 //! from the robot: when the link or this program freezes, the echo grows old and the robot brakes by itself.
 //!
 //! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`; Enter gives control
@@ -19,7 +19,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::keyboard::{Command, Keyboard, wish};
+use super::keyboard::{Command, Keyboard, command_of};
 use super::lease_session::LeaseSession;
 use super::status::{self, OLD, View};
 use super::{holder, stop};
@@ -40,13 +40,13 @@ const HELP: [&str; 2] = [
     "W A S D (Q E) drive   + - speed   R resume",
 ];
 
-/// Driving by hand.
+/// Keyboard teleoperation.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R lets a stopped robot go. Ctrl-C leaves the robot stopped: `zenav resume` lets it go."
+    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it."
 )]
 pub struct TeleopArgs {
-    /// Which robot.
+    /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
     /// Greatest speed, m/s [default: what the robot can]
@@ -57,7 +57,7 @@ pub struct TeleopArgs {
     turn: Option<f64>,
 }
 
-/// Drives by hand until Ctrl-C.
+/// Drives from the keyboard until Ctrl-C.
 ///
 /// # Errors
 /// [`exit_code::USAGE`] without a terminal; what goes wrong on the way, after the robot was stopped.
@@ -82,7 +82,7 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let stopped = session.leave(&last).await;
         drop(screen);
         stopped?;
-        eprintln!("{robot} is stopped; `zenav resume` lets it go");
+        eprintln!("{robot} is stopped; `zenav resume` releases it");
         driven.map(|()| exit_code::OK)
     })
 }
@@ -126,7 +126,7 @@ impl Drop for RawTerminal {
     }
 }
 
-/// Wishes as they are typed; ends when the terminal does.
+/// Commands as they are typed; ends when the terminal does.
 fn keys() -> mpsc::UnboundedReceiver<Command> {
     let (sender, receiver) = mpsc::unbounded_channel();
     std::thread::spawn(move || {
@@ -137,12 +137,12 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
             }
             let control = key.modifiers.contains(KeyModifiers::CONTROL);
             let found = match key.code {
-                KeyCode::Char(letter) => wish(letter, control),
-                KeyCode::Enter => wish('\n', false),
-                KeyCode::Up => wish('w', false),
-                KeyCode::Down => wish('s', false),
-                KeyCode::Left => wish('a', false),
-                KeyCode::Right => wish('d', false),
+                KeyCode::Char(letter) => command_of(letter, control),
+                KeyCode::Enter => command_of('\n', false),
+                KeyCode::Up => command_of('w', false),
+                KeyCode::Down => command_of('s', false),
+                KeyCode::Left => command_of('a', false),
+                KeyCode::Right => command_of('d', false),
                 _ => None,
             };
             if found.is_some_and(|found| sender.send(found).is_err()) {
@@ -153,12 +153,12 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
     receiver
 }
 
-/// One sitting at the keys.
+/// A session at the keyboard.
 struct Session {
     bus: Bus,
     robot: String,
     holder: String,
-    hand: Keyboard,
+    keyboard: Keyboard,
     states: Latest<EdgeState>,
     /// For its stamps: they come every tick of the robot, five times as often as its state.
     odometry: Latest<Odometry>,
@@ -179,7 +179,7 @@ impl Session {
             bus: bus.clone(),
             robot: robot.to_owned(),
             holder: holder(),
-            hand: Keyboard::new(top),
+            keyboard: Keyboard::new(top),
             states: bus.latest(&topics::STATE, &[robot])?,
             odometry: bus.latest(&topics::ODOMETRY, &[robot])?,
             teleop: bus.publisher(&topics::TELEOP, &[robot])?,
@@ -205,7 +205,7 @@ impl Session {
                 () = &mut ended => return Ok(()),
                 key = keys.recv() => match key {
                     None | Some(Command::Quit) => return Ok(()),
-                    Some(wish) => self.act(wish).await,
+                    Some(command) => self.act(command).await,
                 },
                 _ = pace.tick() => {
                     self.hear();
@@ -216,26 +216,26 @@ impl Session {
         }
     }
 
-    async fn act(&mut self, wish: Command) {
-        if !matches!(wish, Command::Move { .. }) {
+    async fn act(&mut self, command: Command) {
+        if !matches!(command, Command::Move { .. }) {
             // Asked again, told again; a key that is held is told once.
             self.note.clear();
         }
-        match wish {
+        match command {
             Command::Take => self.take().await,
             Command::Give => {
-                self.hand.rest();
+                self.keyboard.rest();
                 self.drive();
                 if let Some(held) = self.held.take()
                     && let Err(error) = held.release().await
                 {
-                    self.tell(format!("not given back, it lapses by itself: {error}"));
+                    self.tell(format!("control not released ({error}); it expires by itself"));
                 }
             }
             Command::Move { .. } if self.held.is_none() => self.tell("Space takes control first".to_owned()),
-            Command::Move { forward, left } => self.hand.press(self.start.elapsed(), forward, left),
-            Command::Faster => self.hand.scale(true),
-            Command::Slower => self.hand.scale(false),
+            Command::Move { forward, left } => self.keyboard.press(self.start.elapsed(), forward, left),
+            Command::Faster => self.keyboard.scale(true),
+            Command::Slower => self.keyboard.scale(false),
             Command::Resume => {
                 let by = Some(self.holder.clone());
                 let (robot, request) = ([self.robot.as_str()], ResumeRequest { by });
@@ -250,7 +250,7 @@ impl Session {
 
     /// Stops, and takes control unless it is sure to be here already.
     async fn take(&mut self) {
-        self.hand.rest();
+        self.keyboard.rest();
         self.drive();
         self.hear();
         if self.held.is_some() && self.seen.as_ref().is_some_and(|(at, _)| at.elapsed() <= OLD) {
@@ -278,7 +278,7 @@ impl Session {
             && let Some(why) = status::lost(&held.grant, &self.holder, &state)
         {
             self.held = None;
-            self.hand.rest();
+            self.keyboard.rest();
             self.tell(format!("{why}; Space takes it again"));
         }
         self.seen = Some((Instant::now(), state));
@@ -288,7 +288,7 @@ impl Session {
         if let (Some(held), Some(echo)) = (&self.held, self.echo) {
             self.teleop.put(&Teleop {
                 epoch: held.grant.epoch,
-                twist: self.hand.twist(self.start.elapsed()),
+                twist: self.keyboard.twist(self.start.elapsed()),
                 echo,
             });
         }
@@ -322,14 +322,14 @@ impl Session {
             held: self.held.as_ref().map(|held| &held.grant),
             age: at.elapsed(),
             state,
-            limit: self.hand.limit(),
+            limit: self.keyboard.limit(),
         };
         view.line()
     }
 
     /// Leaves the robot stopped, whoever was in command: on every way that `link` names.
     async fn leave(&mut self, link: &LinkArgs) -> Result<(), Failure> {
-        self.hand.rest();
+        self.keyboard.rest();
         self.drive();
         stop::everywhere(&self.bus, link, &self.robot).await.map_err(|error| {
             let heard = self.seen.as_ref().map(|(at, state)| (at.elapsed(), state));

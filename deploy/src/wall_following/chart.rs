@@ -1,159 +1,126 @@
-//! How is a search drawn? Cost by generation, each unseen room before and after, and the distance error over time in one; as SVG.
+//! Chart of a search. Cost by generation, each unseen room before and after, and the distance error over time in one; as SVG.
 
-use std::fmt::Write as _;
+use plotters::coord::Shift;
+use plotters::prelude::*;
 
 use super::tune::{Traces, TuneReport};
+use crate::failure::Failure;
 
-/// Size of the picture and of a panel's inner part, px.
-const WIDTH: f64 = 900.0;
-const HEIGHT: f64 = 640.0;
-const BEFORE: &str = "#9aa4b2";
-const AFTER: &str = "#1f6fd0";
+/// Size of the picture, px.
+const SIZE: (u32, u32) = (900, 640);
+const UPPER: i32 = 290;
+const BEFORE: RGBColor = RGBColor(154, 164, 178);
+const AFTER: RGBColor = RGBColor(31, 111, 208);
+/// Errors beyond this are cut off, mm.
+const MOST: f64 = 60.0;
 
-/// A rectangle with scales.
-struct Panel {
-    left: f64,
-    top: f64,
-    width: f64,
-    height: f64,
-    x: (f64, f64),
-    y: (f64, f64),
-}
-
-impl Panel {
-    fn at(&self, x: f64, y: f64) -> (f64, f64) {
-        let share = |value: f64, (low, high): (f64, f64)| (value - low) / (high - low).max(1e-12);
-        (
-            self.left + self.width * share(x, self.x),
-            self.top + self.height * (1.0 - share(y, self.y)),
-        )
-    }
-
-    /// Axes with five marks on the left, and a title.
-    fn frame(&self, out: &mut String, title: &str, across: &str) {
-        // Writing to a String cannot fail.
-        let _ = writeln!(
-            out,
-            r##"<text x="{}" y="{}" class="t">{title}</text><text x="{}" y="{}" text-anchor="middle">{across}</text>"##,
-            self.left,
-            self.top - 12.0,
-            self.left + 0.5 * self.width,
-            self.top + self.height + 32.0
-        );
-        for mark in 0..=4 {
-            let value = self.y.0 + (self.y.1 - self.y.0) * f64::from(mark) / 4.0;
-            let (_, y) = self.at(self.x.0, value);
-            let _ = writeln!(
-                out,
-                r##"<line x1="{}" x2="{}" y1="{y:.1}" y2="{y:.1}" stroke="#e2e6eb"/><text x="{}" y="{:.1}" text-anchor="end">{value:.1}</text>"##,
-                self.left,
-                self.left + self.width,
-                self.left - 6.0,
-                y + 4.0
-            );
-        }
-    }
-
-    fn line(&self, out: &mut String, points: impl Iterator<Item = (f64, f64)>, color: &str) {
-        let path: String = points
-            .map(|(x, y)| self.at(x, y.clamp(self.y.0, self.y.1)))
-            .map(|(x, y)| format!("{x:.1},{y:.1} "))
-            .collect();
-        let _ = writeln!(
-            out,
-            r##"<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.6"/>"##
-        );
-    }
-}
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Draws a report; lengths in millimetres.
-#[must_use]
-pub fn draw(report: &TuneReport, traces: &Traces) -> String {
-    let mut out = format!(
-        r##"<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" font-size="12" fill="#222"><style>.t{{font-size:14px;font-weight:bold}}</style><rect width="100%" height="100%" fill="white"/>"##
-    );
-    let mm = |metres: f64| 1e3 * metres;
-    let first = report.cost_seen[0];
-    let most = report.history.iter().copied().fold(first, f64::max);
-    let generations = Panel {
-        left: 60.0,
-        top: 50.0,
-        width: 350.0,
-        height: 200.0,
-        x: (0.0, report.history.len().max(1) as f64),
-        y: (0.0, mm(most) * 1.1),
-    };
-    generations.frame(&mut out, "least cost in the rooms of the search, mm", "generation");
-    let ends = [(0.0, mm(first)), (generations.x.1, mm(first))];
-    generations.line(&mut out, ends.into_iter(), BEFORE);
-    let history = report
-        .history
-        .iter()
-        .enumerate()
-        .map(|(index, cost)| (index as f64 + 1.0, mm(*cost)));
-    generations.line(&mut out, [(0.0, mm(first))].into_iter().chain(history), AFTER);
+///
+/// # Errors
+/// What cannot be drawn.
+pub fn draw(report: &TuneReport, traces: &Traces) -> Result<String, Failure> {
+    let mut text = String::new();
+    paint(&mut text, report, traces).map_err(|error| Failure::failed(format!("the chart: {error}")))?;
+    Ok(text)
+}
 
-    let costs = report
-        .unseen
-        .iter()
-        .flat_map(|room| [room.before.cost, room.after.cost]);
-    let rooms = Panel {
-        left: 500.0,
-        top: 50.0,
-        width: 370.0,
-        height: 200.0,
-        x: (0.0, report.unseen.len().max(1) as f64),
-        y: (0.0, mm(costs.fold(1e-3, f64::max)) * 1.1),
-    };
-    rooms.frame(&mut out, "cost in rooms that the search has not seen, mm", "room");
-    for (index, room) in report.unseen.iter().enumerate() {
-        for (offset, judged, color) in [(0.15, room.before, BEFORE), (0.5, room.after, AFTER)] {
-            let (x, y) = rooms.at(index as f64 + offset, mm(judged.cost));
-            let _ = writeln!(
-                out,
-                r##"<rect x="{x:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" fill="{color}"/>"##,
-                0.35 * rooms.width / rooms.x.1,
-                rooms.top + rooms.height - y
-            );
-        }
-    }
+type Painted = Result<(), Box<dyn std::error::Error>>;
 
-    let last = traces.iter().flatten().map(|(time, _)| *time).fold(1.0, f64::max);
-    let trace = Panel {
-        left: 60.0,
-        top: 330.0,
-        width: 810.0,
-        height: 230.0,
-        x: (0.0, last),
-        y: (-60.0, 60.0),
-    };
-    let name = report.unseen.first().map_or("", |room| &room.room);
-    trace.frame(
-        &mut out,
-        &format!("distance error over time in {name}, mm (cut off beyond 60)"),
-        "simulated time, s",
-    );
-    for (points, color) in traces.iter().zip([BEFORE, AFTER]) {
-        trace.line(&mut out, points.iter().map(|(time, error)| (*time, mm(*error))), color);
-    }
-    for (index, (what, color)) in [("before", BEFORE), ("after", AFTER)].into_iter().enumerate() {
-        let y = HEIGHT - 24.0;
-        let x = 60.0 + 110.0 * index as f64;
-        let _ = writeln!(
-            out,
-            r##"<rect x="{x}" y="{}" width="14" height="10" fill="{color}"/><text x="{}" y="{y}">{what}</text>"##,
-            y - 9.0,
-            x + 20.0
-        );
-    }
-    let _ = writeln!(
-        out,
-        r##"<text x="{}" y="{}" text-anchor="end">{}: {:.1} % less in unseen rooms (seed {})</text></svg>"##,
-        WIDTH - 30.0,
-        HEIGHT - 24.0,
+fn paint(text: &mut String, report: &TuneReport, traces: &Traces) -> Painted {
+    let root = SVGBackend::with_string(text, SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let title = format!(
+        "{}: {:.1} % less in unseen rooms (seed {})",
         report.robot,
         100.0 * report.improvement,
         report.seed
     );
-    out
+    let root = root.titled(&title, ("sans-serif", 18))?;
+    let (upper, lower) = root.split_vertically(UPPER);
+    let (left, right) = upper.split_horizontally(SIZE.0 as i32 / 2);
+    generations(&left, report)?;
+    rooms(&right, report)?;
+    errors(&lower, report, traces)?;
+    root.present()?;
+    Ok(())
+}
+
+fn mm(metres: f64) -> f64 {
+    1e3 * metres
+}
+
+fn generations(area: &Area<'_>, report: &TuneReport) -> Painted {
+    let first = report.cost_seen[0];
+    let most = report.history.iter().copied().fold(first, f64::max);
+    let last = report.history.len().max(1) as f64;
+    let mut chart = ChartBuilder::on(area)
+        .caption("least cost in the rooms of the search", ("sans-serif", 14))
+        .margin(12)
+        .x_label_area_size(34)
+        .y_label_area_size(48)
+        .build_cartesian_2d(0.0..last, 0.0..mm(most) * 1.1)?;
+    chart.configure_mesh().x_desc("generation").y_desc("mm").draw()?;
+    chart.draw_series(LineSeries::new([(0.0, mm(first)), (last, mm(first))], &BEFORE))?;
+    let costs = report.history.iter().enumerate();
+    let costs = costs.map(|(index, cost)| (index as f64 + 1.0, mm(*cost)));
+    let line = LineSeries::new([(0.0, mm(first))].into_iter().chain(costs), AFTER.stroke_width(2));
+    chart.draw_series(line)?;
+    Ok(())
+}
+
+fn rooms(area: &Area<'_>, report: &TuneReport) -> Painted {
+    let costs = report
+        .unseen
+        .iter()
+        .flat_map(|room| [room.before.cost, room.after.cost]);
+    let most = mm(costs.fold(1e-3, f64::max)) * 1.1;
+    let mut chart = ChartBuilder::on(area)
+        .caption("cost in rooms that the search has not seen", ("sans-serif", 14))
+        .margin(12)
+        .x_label_area_size(34)
+        .y_label_area_size(48)
+        .build_cartesian_2d(0.5..report.unseen.len().max(1) as f64 + 0.5, 0.0..most)?;
+    let mut mesh = chart.configure_mesh();
+    mesh.x_desc("room").y_desc("mm").disable_x_mesh().draw()?;
+    for (offset, color) in [(-0.35, BEFORE), (0.0, AFTER)] {
+        let bars = report.unseen.iter().enumerate().map(|(index, room)| {
+            let cost = if color == BEFORE {
+                room.before.cost
+            } else {
+                room.after.cost
+            };
+            let left = index as f64 + 1.0 + offset;
+            Rectangle::new([(left, 0.0), (left + 0.35, mm(cost))], color.filled())
+        });
+        chart.draw_series(bars)?;
+    }
+    Ok(())
+}
+
+fn errors(area: &Area<'_>, report: &TuneReport, traces: &Traces) -> Painted {
+    let last = traces.iter().flatten().map(|(time, _)| *time).fold(1.0, f64::max);
+    let name = report.unseen.first().map_or("", |room| &room.room);
+    let caption = format!("distance error over time in {name} (cut off beyond {MOST} mm)");
+    let mut chart = ChartBuilder::on(area)
+        .caption(caption, ("sans-serif", 14))
+        .margin(12)
+        .x_label_area_size(34)
+        .y_label_area_size(48)
+        .build_cartesian_2d(0.0..last, -MOST..MOST)?;
+    chart.configure_mesh().x_desc("simulated time, s").y_desc("mm").draw()?;
+    for ((points, color), name) in traces.iter().zip([BEFORE, AFTER]).zip(["before", "after"]) {
+        let points = points
+            .iter()
+            .map(|(time, error)| (*time, mm(*error).clamp(-MOST, MOST)));
+        let key = move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2));
+        chart
+            .draw_series(LineSeries::new(points, &color))?
+            .label(name)
+            .legend(key);
+    }
+    let mut labels = chart.configure_series_labels();
+    labels.background_style(WHITE.mix(0.8)).border_style(BEFORE).draw()?;
+    Ok(())
 }

@@ -1,4 +1,7 @@
-//! Which point makes a function least, when nothing but its values is known? Covariance matrix adaptation.
+//! CMA-ES. Which point makes a function least, when nothing but its values is known?
+//!
+//! Own code: the crate `cmaes` 0.2 brings a second nalgebra, rand, rand_distr and statrs with it, and owns the loop, which here runs on
+//! threads over candidates and rooms at once.
 //!
 //! The (mu/mu_w, lambda) CMA-ES as Hansen writes it down in "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772, with its
 //! default parameters (table 1, without negative weights). Pure: candidates out, costs in; the same seed gives the same candidates.

@@ -1,4 +1,4 @@
-//! How well does a robot follow walls by itself, and with which gains does it best?
+//! Wall following, judged and tuned. How well does a robot follow walls by itself, and with which gains best?
 //!
 //! | file | answers |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Which rooms is a wall follower tried in? Drawn from a seed: four walls at odd angles, buttresses and pillars, the gaps between them
+//! Random rooms. Which rooms is a wall follower tried in? Drawn from a seed: four walls at odd angles, buttresses and pillars, the gaps between them
 //! wide enough to drive through.
 
 use std::fmt::Write as _;

@@ -1,4 +1,4 @@
-//! How far was a robot from where it should be? The distance from the nearest solid by the simulator's truth, against the target.
+//! Score. How far was a robot from where it should be? The distance from the nearest solid by the simulator's truth, against the target.
 
 use nalgebra::{Point2, Vector2};
 use serde::Serialize;

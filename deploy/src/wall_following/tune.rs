@@ -1,4 +1,4 @@
-//! What does `zenav tune wall_follow` do? It searches the gains of the wall follower in rooms drawn from a seed, and tells how much
+//! `zenav tune wall_follow`: searches the gains of the wall follower in rooms drawn from a seed, and tells how much
 //! better they are in rooms that the search has not seen.
 //!
 //! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's truth, along all walls and
@@ -79,7 +79,7 @@ struct WallFollowArgs {
     /// Folder for the robot file, `report.json` and `tuning.svg`
     #[arg(long, default_value = "zenav-tune")]
     out: PathBuf,
-    /// Form of the report on stdout
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -205,7 +205,7 @@ pub fn tune(args: &TuneArgs) -> Outcome {
         .map_err(|error| Failure::failed(format!("{}: {error}", report.robot_file.display())))?;
     let json = serde_json::to_string_pretty(&report).map_err(|error| failed(&error))?;
     write("report.json", json + "\n")?;
-    write("tuning.svg", chart::draw(&report, &traces))?;
+    write("tuning.svg", chart::draw(&report, &traces)?)?;
     output::value(args.output, &report, text)?;
     let better = report.improvement > 0.0 && report.unseen.iter().all(|room| room.after.collisions == 0);
     Ok(if better { exit_code::OK } else { exit_code::FAILED })

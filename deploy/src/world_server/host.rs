@@ -1,4 +1,4 @@
-//! Who drives which robot of a served world, and for how long does one stay that nobody drives? Pure: the wall's time is passed in.
+//! Host of a served world. Who drives which robot, and for how long does one stay that nobody drives? Pure: the wall's time is passed in.
 //!
 //! A robot obeys the edge that attached it last. While that edge drives, no other gets it; once it has been silent for a second, the next
 //! one that asks does: an edge that was started anew finds its robot where it left it. A robot that nobody drives for a minute leaves.
@@ -88,7 +88,7 @@ impl Host {
         let here = self.simulation.truth(index).map_from_base;
         let same_model = *self.simulation.model(index) == request.model;
         let Some(robot) = self.robots.get_mut(index) else {
-            return Err(Refusal::bad_request(format!("robot `{id}` is nobody's")));
+            return Err(Refusal::bad_request(format!("robot `{id}` is driven by no edge")));
         };
         if robot.edge != request.edge && now.saturating_sub(robot.heard) < HOLD {
             return Err(Refusal::Busy {
@@ -98,7 +98,7 @@ impl Host {
         if !same_model {
             let left = LEAVE.saturating_sub(now.saturating_sub(robot.heard)).as_secs();
             return Err(Refusal::bad_request(format!(
-                "robot `{id}` is in this world with another model; where nobody drives it, it leaves in {left} s"
+                "robot `{id}` is in this world with another model; if no edge drives it, it leaves in {left} s"
             )));
         }
         (robot.edge, robot.heard) = (request.edge, now);
@@ -166,7 +166,7 @@ impl Host {
             let report = self.report_of(index);
             self.simulation.remove(index);
             let robot = self.robots.remove(index);
-            tracing::info!(robot = %robot.id, "left the world: nobody drove it for {} s", LEAVE.as_secs());
+            tracing::info!(robot = %robot.id, "left the world: no edge drove it for {} s", LEAVE.as_secs());
             self.left.push(report);
         }
     }
@@ -195,7 +195,6 @@ impl Host {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn host() -> Host {
         let text = "size = [10, 10]\n[start]\nx = 1\ny = 1\n";
@@ -207,7 +206,7 @@ mod tests {
     fn request(robot: &str, edge: u64) -> AttachRequest {
         AttachRequest {
             robot: robot.to_owned(),
-            model: RobotModel::from_toml(shipped("neato").unwrap(), "neato").unwrap(),
+            model: zenav_fixtures::robot("neato"),
             start: None,
             edge,
         }

@@ -1,4 +1,4 @@
-//! How do robots on several machines share one world? `zenav sim serve` holds it and moves its time on; edges attach over the bus, each
+//! World server (`zenav sim serve`). How do robots on several machines share one world? The server holds it and moves its time on; edges attach over the bus, each
 //! with a robot of its own, and hear and move it there as they would a real one.
 //!
 //! The world waits for nobody: a robot whose edge is silent for 0.1 s of its time stops its wheels, as hardware would.
@@ -39,7 +39,7 @@ pub struct ServeArgs {
     /// World: a file or shipped name
     #[arg(long, value_name = "W", default_value = "kitchen")]
     world: String,
-    /// Simulated seconds a second of wall time
+    /// Simulated time against wall time
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     speed: f64,
     /// Seed of all noise and of what walks at random
@@ -51,7 +51,7 @@ pub struct ServeArgs {
     /// Join this router instead
     #[arg(long)]
     connect: Option<String>,
-    /// Form of the report at the end
+    /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }

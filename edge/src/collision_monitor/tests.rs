@@ -6,7 +6,6 @@ use super::*;
 use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::shipped;
 
 const NO_BUMP: Bump = Bump {
     stamp: Stamp::ZERO,
@@ -15,7 +14,7 @@ const NO_BUMP: Bump = Bump {
 };
 
 fn tiago() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
 }
 
 /// A TIAGo that looks all around.
@@ -48,7 +47,7 @@ fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
 }
 
 fn judge(model: &RobotModel, obstacles: &LocalObstacles, wanted: Twist2) -> Verdict {
-    CollisionMonitor::new(model, 0.02, 0.5).judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
+    CollisionMonitor::new(model, 0.02).judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
 }
 
 #[test]
@@ -96,7 +95,7 @@ fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
 #[test]
 fn without_a_fresh_scan_nothing_moves() {
     let model = tiago();
-    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
     let stale = monitor.judge(
         Stamp::from_secs(1.6),
         Twist2::new(0.1, 0.0),
@@ -125,7 +124,7 @@ fn contact_allows_only_the_way_back() {
         pressed: true,
         bearing: Some(0.3),
     };
-    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
     let now = Stamp::from_secs(1.05);
     assert_eq!(
         monitor
@@ -145,7 +144,7 @@ fn contact_allows_only_the_way_back() {
 #[test]
 fn another_reason_to_stop_is_reported_too() {
     let model = tiago();
-    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
     let obstacles = wall(&model, 0.27);
     let mut reported = |secs: f64| {
         let verdict = monitor.judge(
@@ -165,7 +164,7 @@ fn another_reason_to_stop_is_reported_too() {
 }
 
 fn jackal() -> RobotModel {
-    RobotModel::from_toml(shipped("jackal").unwrap(), "jackal").unwrap()
+    zenav_fixtures::robot("jackal")
 }
 
 /// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
@@ -199,7 +198,7 @@ fn an_obstacle_that_moves_away_may_turn_round() {
     let fast = Twist2::new(1.5, 0.0);
     let share = |velocity: f64| {
         let (obstacles, stamp) = beside(&model, Point2::new(1.2 - 0.95 * velocity, 0.0), velocity);
-        let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
         let verdict = monitor.judge(stamp.plus_secs(0.02), fast, &obstacles, Pose2::IDENTITY, &NO_BUMP);
         (verdict.twist.v / fast.v, verdict.change.unwrap_or_default())
     };
@@ -228,13 +227,7 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
             };
             assert!(obstacles.insert(&sweep, Pose2::IDENTITY));
         }
-        CollisionMonitor::new(&model, 0.02, 0.5).judge(
-            now.plus_secs(0.02),
-            twist,
-            &obstacles,
-            Pose2::IDENTITY,
-            &NO_BUMP,
-        )
+        CollisionMonitor::new(&model, 0.02).judge(now.plus_secs(0.02), twist, &obstacles, Pose2::IDENTITY, &NO_BUMP)
     };
     let soon = judge(1.0, turn);
     assert!(
@@ -256,8 +249,7 @@ fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
         looked(&mut obstacles, &model, second, 0.0);
         let now = Stamp::from_secs(second + 0.05);
         let wanted = Twist2::new(0.0, 1.0);
-        let verdict =
-            CollisionMonitor::new(&model, 0.02, 0.5).judge(now, wanted, &obstacles, Pose2::IDENTITY, &NO_BUMP);
+        let verdict = CollisionMonitor::new(&model, 0.02).judge(now, wanted, &obstacles, Pose2::IDENTITY, &NO_BUMP);
         verdict.twist.w
     };
     assert_eq!(turn(0.2), 1.0);
@@ -295,7 +287,7 @@ fn looked(obstacles: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f6
 #[test]
 fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowed_speed() {
     let model = tiago();
-    let mut monitor = CollisionMonitor::new(&model, 0.02, 0.5);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
     let mut back = |obstacles: &LocalObstacles, allowed: f64| {
         monitor.blind_speed = allowed;
         let wanted = Twist2::new(-0.3, 0.0);

@@ -1,9 +1,10 @@
-//! What is believed at a moment, and how does one input change it? An extended Kalman filter over the pose in the map, the gyro's bias
-//! and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their separation.
+//! Extended Kalman filter. What is the estimate at a moment, and how does one input change it? The states are the pose in the map, the
+//! gyro's bias and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their
+//! separation.
 //!
-//! Every noise is that of the robot's file, and nothing is widened by hand: encoder noise and slip a wheel, gyro noise a reading,
-//! half a step of what is quantised. The steps of encoders count for nothing, because they do not add up. A constant error is a state,
-//! not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and
+//! Every noise comes from the robot file, and nothing is inflated by hand: encoder noise and slip for each wheel, gyro noise for each
+//! reading, half a step of what is quantised. Encoder steps are ignored, because they do not add up. A constant error is a state, not
+//! noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and
 //! Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
 
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
@@ -11,25 +12,11 @@ use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
+use crate::settings::EstimatorSettings;
+
 /// Gates at 99.9 % of the chi-square distribution for one, two and three dimensions.
 const GATE: [f64; 3] = [10.83, 13.82, 16.27];
-/// After so many rejected measurements in a row the estimate is doubted rather than the sensor.
-const DOUBT_AFTER: u32 = 25;
-/// Least random walk of a wheel beyond the encoder's own noise (slip, floor), m² for each m rolled.
-const SLIP: f64 = 1e-6;
-/// Share of the forward variance that acts sideways: no floor is perfect, and the covariance stays regular.
-const SIDEWAYS: f64 = 1e-3;
-/// Wheels that have not turned for this long are at rest, s.
-const STILL: f64 = 0.5;
-/// Random walk of the gyro's bias, (rad/s)² for each s.
-const BIAS_WALK: f64 = 1e-11;
-/// How far a wheel's radius may be from what is stated, as a share (standard deviation).
-const RADIUS: f64 = 0.01;
-/// The same of the wheels' separation.
-const SEPARATION: f64 = 0.02;
-/// How those wander, 1/s.
-const WANDER: f64 = 1e-10;
-/// No measurement is better than this, m² or rad².
+/// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
 /// Places in the state after x, y and yaw.
@@ -39,15 +26,18 @@ const RIGHT: usize = 5;
 const APART: usize = 6;
 const STATES: usize = 7;
 
+/// What the filter knows of the robot, and how it is tuned.
+pub(super) type Known<'a> = (&'a RobotModel, &'a EstimatorSettings);
+
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
 
-/// What a sensor said, checked for being numbers.
+/// An input of a sensor, checked to be finite.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Input {
     /// Mean yaw rate since the gyro's reading before, rad/s.
     Gyro(f64),
-    /// Angles of both wheels since start, rad; not a number where nobody knows.
+    /// Angles of both wheels since start, rad; NaN where unknown.
     Wheels([f64; 2]),
     /// Heading, rad.
     Compass(f64),
@@ -58,7 +48,7 @@ pub(super) enum Input {
 }
 
 impl Input {
-    /// Whether it is made of numbers, or says itself that it is not.
+    /// Whether it is finite; wheel angles may be NaN.
     pub(super) fn is_finite(&self) -> bool {
         match self {
             Self::Gyro(value) | Self::Compass(value) => value.is_finite(),
@@ -68,7 +58,7 @@ impl Input {
         }
     }
 
-    /// Order of inputs with one stamp: what moves comes before what measures.
+    /// Order of inputs with one stamp: prediction before measurement.
     pub(super) fn rank(&self) -> u8 {
         match self {
             Self::Gyro(_) => 0,
@@ -80,18 +70,18 @@ impl Input {
     }
 }
 
-/// A measurement of the pose was compared with what was believed.
+/// A pose measurement was compared with the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Compared {
-    /// Compass, GPS, correction.
+    /// Index of the sensor: compass, GPS, correction.
     pub(super) sensor: usize,
     /// Normalised innovation squared.
     pub(super) distance: f64,
-    /// It fitted and counts.
+    /// Whether it passed the gate and was fused.
     pub(super) fused: bool,
 }
 
-/// How the robot moves until the next input, as far as sensors tell.
+/// Motion until the next input, as far as sensors know.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Stamp and angles (rad) of the wheels' reading that ends the interval.
@@ -100,18 +90,18 @@ pub(super) struct Motion {
     pub(super) gyro: Option<(Stamp, f64)>,
 }
 
-/// Dead reckoning since the beginning, with neither bias nor wheels corrected.
+/// Dead reckoning since start, not corrected for gyro bias and wheel errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Reckoned {
-    /// Way, m.
+    /// Distance rolled, m.
     pub(super) way: f64,
-    /// Turn, rad.
+    /// Angle turned, rad.
     pub(super) turn: f64,
-    /// Time in which the gyro told the turn, s.
+    /// Time in which the turn came from the gyro, s.
     pub(super) by_gyro: f64,
 }
 
-/// The filter at a moment.
+/// The state of the filter at one stamp.
 #[derive(Clone, Debug)]
 pub(super) struct Ekf {
     time: Stamp,
@@ -126,10 +116,18 @@ pub(super) struct Ekf {
 }
 
 impl Ekf {
-    /// A robot that stands at `start` in the map, known to the given standard deviations (m, rad).
-    pub(super) fn new(model: &RobotModel, start: Pose2, std: f64, yaw_std: f64) -> Self {
+    /// A robot that stands at `start` in the map.
+    pub(super) fn new(model: &RobotModel, start: Pose2, settings: &EstimatorSettings) -> Self {
         let bias_std = model.imu.gyro_bias.abs().max(0.5 * model.imu.gyro_noise).max(1e-5);
-        let std = State::from([std, std, yaw_std, bias_std, RADIUS, RADIUS, SEPARATION]);
+        let std = State::from([
+            settings.start_std,
+            settings.start_std,
+            settings.start_yaw_std,
+            bias_std,
+            settings.radius_std,
+            settings.radius_std,
+            settings.separation_std,
+        ]);
         Self {
             time: Stamp::ZERO,
             state: State::from([start.x, start.y, start.yaw, 0.0, 0.0, 0.0, 0.0]),
@@ -143,13 +141,13 @@ impl Ekf {
         }
     }
 
-    /// The same at rest at another time: its clock began anew, or just now.
+    /// The same estimate at rest at another time: the clock has restarted, or starts now.
     pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
         (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
         (self.still, self.stood_at) = (0.0, wheels);
     }
 
-    /// When it holds.
+    /// Stamp of the estimate.
     pub(super) fn time(&self) -> Stamp {
         self.time
     }
@@ -184,19 +182,19 @@ impl Ekf {
         self.reckoned
     }
 
-    /// Moves on to an input's stamp, and takes it. `motion` is what the sensors say about the time in between.
+    /// Predicts to an input's stamp, and applies it. `motion` is the motion since the last input.
     pub(super) fn take(
         &mut self,
-        model: &RobotModel,
+        (model, settings): Known<'_>,
         stamp: Stamp,
         motion: &Motion,
         input: &Input,
     ) -> Option<Compared> {
-        self.advance(model, stamp, motion);
+        self.advance((model, settings), stamp, motion);
         match input {
             Input::Gyro(rate) => {
                 self.gyro = Some(stamp);
-                self.learn_bias_at_rest(model, *rate);
+                self.learn_bias_at_rest((model, settings), *rate);
                 None
             }
             Input::Wheels(angles) => {
@@ -210,14 +208,14 @@ impl Ekf {
                 let mut jacobian = RowSVector::<f64, STATES>::zeros();
                 jacobian[2] = 1.0;
                 let noise = SMatrix::<f64, 1, 1>::new(noise * noise + LEAST_VARIANCE);
-                Some(self.gated(0, innovation, jacobian, noise))
+                Some(self.gated(settings, 0, innovation, jacobian, noise))
             }
             Input::Gps(position, variance) => {
                 let steps = model.gps.as_ref().map_or(0.0, |gps| gps.resolution.powi(2) / 12.0);
                 let innovation = position - self.state.fixed_rows::<2>(0);
                 let jacobian = SMatrix::<f64, 2, STATES>::identity();
                 let noise = Matrix2::identity() * (variance + steps + LEAST_VARIANCE);
-                Some(self.gated(1, innovation, jacobian, noise))
+                Some(self.gated(settings, 1, innovation, jacobian, noise))
             }
             Input::Correction(pose, noise) => {
                 let innovation = Vector3::new(
@@ -225,13 +223,13 @@ impl Ekf {
                     pose.y - self.state[1],
                     wrap_angle(pose.yaw - self.state[2]),
                 );
-                Some(self.gated(2, innovation, SMatrix::<f64, 3, STATES>::identity(), *noise))
+                Some(self.gated(settings, 2, innovation, SMatrix::<f64, 3, STATES>::identity(), *noise))
             }
         }
     }
 
-    /// Moves on to a stamp within the interval that `motion` tells about.
-    fn advance(&mut self, model: &RobotModel, to: Stamp, motion: &Motion) {
+    /// Predicts to a stamp within the interval that `motion` covers.
+    fn advance(&mut self, (model, settings): Known<'_>, to: Stamp, motion: &Motion) {
         let secs = to.secs_since(self.time);
         let interval = motion.wheels.0.secs_since(self.wheels.0);
         if secs <= 0.0 || interval <= 0.0 {
@@ -240,18 +238,18 @@ impl Ekf {
         self.time = to;
         let drive = &model.drive;
         let mut turns = [0, 1].map(|side: usize| motion.wheels.1[side] - self.wheels.1[side]);
-        // An encoder that is silent, was reset or lost counts: no wheel turns at thrice its limit.
+        // A silent or reset encoder, or lost counts: no wheel turns at three times its limit.
         let limit = 3.0 * drive.max_wheel_speed * interval + 0.1;
         let known = turns.iter().all(|turn| turn.abs() <= limit);
         if !known {
             turns = [0.0; 2];
         }
-        // Of what the wheels rolled, m, the share that falls into this time; variances add up over the interval.
+        // The part of the distance rolled, m, in this time; variances add up over the interval.
         let share = secs / interval;
-        let slip = SLIP.max(drive.errors.slip.powi(2));
+        let slip = settings.slip.max(drive.errors.slip.powi(2));
         let variances = turns.map(|turn| {
             if !known {
-                // It may go at its limit for about a second in a row.
+                // It may have moved at its limit for about a second.
                 return (drive.max_wheel_speed * drive.wheel_radius).powi(2) * secs;
             }
             let metres = turn * drive.wheel_radius;
@@ -262,13 +260,13 @@ impl Ekf {
         let apart = drive.wheel_separation * (1.0 + self.state[APART]);
         self.reckoned.way += 0.5 * (left + right);
 
-        // How way and turn depend on the parameters and on what each wheel did wrong.
+        // How distance and turn depend on the parameters and on the error of each wheel.
         let mut way_by = RowSVector::<f64, STATES>::zeros();
         let mut turn_by = RowSVector::<f64, STATES>::zeros();
         (way_by[LEFT], way_by[RIGHT]) = (0.5 * left, 0.5 * right);
         let (turn, wheel_turns, own_variance) = match motion.gyro {
             Some((until, rate)) => {
-                // A reading's one error, as a random walk over all the time that it covers.
+                // The error of one reading, as a random walk over the time that it covers.
                 let span = self.gyro.map_or(secs, |since| until.secs_since(since));
                 let noise = model.imu.gyro_noise.powi(2) + model.imu.resolution.powi(2) / 12.0;
                 self.reckoned.turn += rate * secs;
@@ -310,18 +308,18 @@ impl Ekf {
         let pose_noise = by_left * by_left.transpose() * variances[0]
             + by_right * by_right.transpose() * variances[1]
             + by_gyro * by_gyro.transpose() * own_variance
-            + sideways * sideways.transpose() * (SIDEWAYS * 0.25 * (variances[0] + variances[1]));
+            + sideways * sideways.transpose() * (settings.sideways_share * 0.25 * (variances[0] + variances[1]));
         let mut pose = self.covariance.fixed_view_mut::<3, 3>(0, 0);
         pose += pose_noise;
-        self.covariance[(BIAS, BIAS)] += BIAS_WALK * secs;
+        self.covariance[(BIAS, BIAS)] += settings.bias_walk * secs;
         for parameter in [LEFT, RIGHT, APART] {
-            self.covariance[(parameter, parameter)] += WANDER * secs;
+            self.covariance[(parameter, parameter)] += settings.wheel_walk * secs;
         }
     }
 
-    /// Keeps how long the wheels have stood still.
+    /// Updates how long the wheels have been at rest.
     fn rest(&mut self, model: &RobotModel, secs: f64, wheels: [f64; 2]) {
-        // Against where the wheels stood when they came to rest: a slow creep is no rest.
+        // Compared with the angles when they came to rest: a slow creep is no rest.
         let flicker = 1.01 * model.encoders.resolution + 1e-9;
         let resting = wheels
             .iter()
@@ -334,9 +332,9 @@ impl Ekf {
         }
     }
 
-    /// A gyro that turns while the wheels stand still shows its bias.
-    fn learn_bias_at_rest(&mut self, model: &RobotModel, rate: f64) {
-        if self.still > STILL {
+    /// A yaw rate measured while the wheels are at rest is the gyro's bias.
+    fn learn_bias_at_rest(&mut self, (model, settings): Known<'_>, rate: f64) {
+        if self.still > settings.still_after {
             let noise = SMatrix::<f64, 1, 1>::new((2.0 * model.imu.gyro_noise).powi(2) + 1e-6);
             let mut jacobian = RowSVector::<f64, STATES>::zeros();
             jacobian[BIAS] = 1.0;
@@ -344,9 +342,10 @@ impl Ekf {
         }
     }
 
-    /// Updates unless the measurement lies too far off; after many such in a row the estimate itself is doubted.
+    /// Updates unless the gate rejects the measurement; after many rejections in a row the estimate itself is doubted.
     fn gated<const N: usize>(
         &mut self,
+        settings: &EstimatorSettings,
         sensor: usize,
         innovation: SVector<f64, N>,
         jacobian: SMatrix<f64, N, STATES>,
@@ -355,7 +354,7 @@ impl Ekf {
         let (fused, distance) = self.update(innovation, jacobian, noise);
         let rejected = &mut self.rejected[sensor];
         *rejected = if fused { 0 } else { *rejected + 1 };
-        if *rejected >= DOUBT_AFTER {
+        if *rejected >= settings.doubt_after {
             *rejected = 0;
             self.covariance += SMatrix::from_diagonal(&State::from([1.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.0]));
         }

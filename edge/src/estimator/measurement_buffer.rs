@@ -1,36 +1,35 @@
-//! What would be believed if every input had come in the order of its stamp? Inputs of the last seconds, each with the belief after it;
+//! What would be believed if every input had come in the order of its stamp? Inputs of the last seconds, each with the ekf after it;
 //! one that comes late is put where it belongs, and everything after it is applied again.
 //!
-//! So the belief is a function of the set of inputs, whatever order they came in (re-application of history: Bar-Shalom 2002 calls it
+//! So the ekf is a function of the set of inputs, whatever order they came in (re-application of history: Bar-Shalom 2002 calls it
 //! the optimal answer to out-of-sequence measurements, at the cost of the memory). Wheels between two of their readings turn evenly,
 //! and until a gyro's reading covers a time the wheels tell the turn. Bounded in time and in number.
 
 use std::collections::VecDeque;
 
-use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
-use super::ekf::{Compared, Ekf, Input, Motion};
+use super::ekf::{Compared, Ekf, Input, Known, Motion};
 
-/// An input that is later than this is too late, s.
+/// An input older than this is dropped, s.
 pub(super) const WINDOW: f64 = 2.0;
-/// Inputs kept at most: less than the window is covered where more come.
+/// Most inputs kept; with more, less than the window is covered.
 const CAPACITY: usize = 1024;
 /// An input may be this far ahead of the wheels' newest reading, s; it waits until they come.
 const AHEAD: f64 = 1.0;
-/// A gyro's reading that comes longer after the one before does not tell what happened meanwhile, s.
+/// A gyro reading covers at most this time since the one before, s.
 const LONGEST_SPAN: f64 = 0.5;
 
 /// What became of an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
-    /// It has its place.
+    /// Inserted.
     Taken,
-    /// There is one of its kind with this stamp.
+    /// An input of its kind with this stamp is known already.
     Repeated,
-    /// What it tells about lies before the window.
+    /// Older than the window.
     TooLate,
-    /// No clock of this robot says so.
+    /// Too far in the future.
     Ahead,
 }
 
@@ -88,7 +87,7 @@ impl MeasurementBuffer {
     }
 
     /// What is believed at the wheels' newest reading, once [`Self::replay`] has been called.
-    pub(super) fn belief(&self) -> &Ekf {
+    pub(super) fn ekf(&self) -> &Ekf {
         match self.applied.checked_sub(1).and_then(|last| self.entries.get(last)) {
             Some(entry) => &entry.after,
             None => &self.before,
@@ -172,8 +171,8 @@ impl MeasurementBuffer {
         true
     }
 
-    /// Applies everything that is not, in the order of stamps; `told` hears of measurements that are compared for the first time.
-    pub(super) fn replay(&mut self, model: &RobotModel, mut told: impl FnMut(Compared)) {
+    /// Applies everything that is not, in the order of stamps; `report` gets each measurement that is compared for the first time.
+    pub(super) fn replay(&mut self, known: Known<'_>, mut report: impl FnMut(Compared)) {
         let (mut wheels_ahead, mut gyro_ahead) = (self.applied, self.applied);
         while let Some(entry) = self
             .entries
@@ -181,26 +180,25 @@ impl MeasurementBuffer {
             .filter(|entry| entry.stamp <= self.newest)
         {
             let index = self.applied;
-            let mut belief = self.belief().clone();
+            let mut ekf = self.ekf().clone();
             let wheels = self.next(&mut wheels_ahead, index, Entry::wheels);
             let gyro = self.next(&mut gyro_ahead, index, Entry::gyro);
             let motion = Motion {
                 // None is ahead only at the stamp of the newest itself, where nothing moves any more.
                 wheels: wheels.unwrap_or((entry.stamp, [0.0; 2])),
                 gyro: gyro.filter(|(until, _)| {
-                    belief
-                        .gyro_at()
+                    ekf.gyro_at()
                         .is_some_and(|since| until.secs_since(since) < LONGEST_SPAN)
                 }),
             };
-            let compared = belief.take(model, entry.stamp, &motion, &entry.input);
+            let compared = ekf.take(known, entry.stamp, &motion, &entry.input);
             if entry.fresh
                 && let Some(compared) = compared
             {
-                told(compared);
+                report(compared);
             }
             if let Some(entry) = self.entries.get_mut(index) {
-                entry.after = belief;
+                entry.after = ekf;
                 entry.fresh = false;
             }
             self.applied += 1;

@@ -1,8 +1,8 @@
-//! Where is the robot? Dead reckoning (`odom_from_base`, continuous) and its correction (`map_from_odom`), REP-105.
+//! Pose estimator. Where is the robot? Dead reckoning (`odom_from_base`, continuous) and its correction (`map_from_odom`), REP-105.
 //!
-//! Encoders and gyro predict, compass, GPS and corrections from off board update (`belief`). An input counts at its own stamp,
-//! however late and in whatever order it comes, because what came after it is applied again (`timeline`): the pose in the map is a function
-//! of the set of inputs. Odometry only ever goes on from where it is: neither a correction nor a late reading makes it jump.
+//! Encoders and gyro predict; compass, GPS and corrections from off board update (`ekf`). An input counts at its own stamp, however late
+//! and in whatever order it arrives, because everything after it is applied again (`measurement_buffer`): the pose in the map is a function
+//! of the set of inputs. Odometry is continuous: neither a correction nor a late reading makes it jump.
 
 mod ekf;
 mod measurement_buffer;
@@ -17,28 +17,25 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::history::PoseHistory;
+use crate::settings::EstimatorSettings;
 use ekf::{Ekf, Input, Reckoned};
 use measurement_buffer::{Admission, MeasurementBuffer};
 
-/// After so many readings in a row that are too late, the body's clock has begun anew.
+/// After this many readings in a row that are too late, the body's clock has restarted.
 const ANOTHER_CLOCK_AFTER: u32 = 25;
-/// Without the wheels' angles for longer, s, the robot may have gone anywhere.
-const WHEELS_PATIENCE: f64 = 0.3;
-/// Velocity is averaged over about this time, s: encoder steps are coarse against one tick.
-const SMOOTHING: f64 = 0.05;
 
-/// What became of the inputs since the beginning.
+/// Counts of the inputs since start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Measurements of the pose that counted.
+    /// Pose measurements that were fused.
     pub fused: u64,
-    /// Measurements of the pose that did not fit what was believed when they first came.
+    /// Pose measurements rejected by their gate.
     pub outliers: u64,
-    /// Inputs that came when their time was no longer kept.
+    /// Inputs older than the buffer.
     pub too_late: u64,
-    /// Inputs that came once more.
+    /// Inputs that arrived again.
     pub repeated: u64,
-    /// Inputs that were no numbers, no covariance, or of a time yet to come.
+    /// Inputs that are not finite, have no valid covariance, or are stamped in the future.
     pub broken: u64,
 }
 
@@ -46,10 +43,11 @@ pub struct Tally {
 #[derive(Clone, Debug)]
 pub struct Estimator {
     model: RobotModel,
+    settings: EstimatorSettings,
     start: Ekf,
-    timeline: Option<MeasurementBuffer>,
+    buffer: Option<MeasurementBuffer>,
     odom_from_base: Pose2,
-    /// As far as odometry has taken it up.
+    /// Dead reckoning that odometry has taken in.
     reckoned: Reckoned,
     velocity: Twist2,
     history: PoseHistory,
@@ -59,13 +57,14 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// A robot that stands at `start` in the map, known to the given standard deviations (m, rad).
+    /// A robot that stands at `start` in the map, known as well as the settings say.
     #[must_use]
-    pub fn new(model: &RobotModel, start: Pose2, std: f64, yaw_std: f64) -> Self {
+    pub fn new(model: &RobotModel, start: Pose2, settings: &EstimatorSettings) -> Self {
         Self {
             model: model.clone(),
-            start: Ekf::new(model, start, std, yaw_std),
-            timeline: None,
+            settings: settings.clone(),
+            start: Ekf::new(model, start, settings),
+            buffer: None,
             odom_from_base: Pose2::IDENTITY,
             reckoned: Reckoned::default(),
             velocity: Twist2::ZERO,
@@ -96,7 +95,7 @@ impl Estimator {
     /// Pose in the map.
     #[must_use]
     pub fn map_from_base(&self) -> Pose2 {
-        self.belief().map_from_base()
+        self.ekf().map_from_base()
     }
 
     /// The normalised innovation squared of this tick's measurements: compass (1 degree of freedom), GPS (2), correction (3).
@@ -105,7 +104,7 @@ impl Estimator {
         self.nis
     }
 
-    /// What became of the inputs.
+    /// Counts of the inputs.
     #[must_use]
     pub fn tally(&self) -> Tally {
         self.tally
@@ -138,26 +137,27 @@ impl Estimator {
     /// Row-major covariance of (x, y, yaw): m², m rad, rad².
     #[must_use]
     pub fn covariance(&self) -> [f64; 9] {
-        let covariance = self.belief().covariance();
+        let covariance = self.ekf().covariance();
         std::array::from_fn(|i| covariance[(i / 3, i % 3)])
     }
 
-    fn belief(&self) -> &Ekf {
-        self.timeline.as_ref().map_or(&self.start, MeasurementBuffer::belief)
+    fn ekf(&self) -> &Ekf {
+        self.buffer.as_ref().map_or(&self.start, MeasurementBuffer::ekf)
     }
 
-    /// The wheels' angles. Without them everything waits for the next ones, which make up for it, but not for long.
+    /// Wheel angles. Without them everything waits for the next ones, which make up for it, up to the encoder timeout.
     fn wheels(&mut self, readings: &Readings) {
         if !readings.wheels.iter().all(|angle| angle.is_finite()) {
             self.tally.broken += 1;
-            let patient =
-                |timeline: &MeasurementBuffer| readings.stamp.secs_since(timeline.newest()) <= WHEELS_PATIENCE;
-            if self.timeline.as_ref().is_none_or(patient) {
+            let patient = |buffer: &MeasurementBuffer| {
+                readings.stamp.secs_since(buffer.newest()) <= self.settings.encoder_timeout
+            };
+            if self.buffer.as_ref().is_none_or(patient) {
                 return;
             }
         }
-        if self.timeline.is_none() {
-            self.timeline = Some(MeasurementBuffer::new(
+        if self.buffer.is_none() {
+            self.buffer = Some(MeasurementBuffer::new(
                 self.start.clone(),
                 readings.stamp,
                 readings.wheels,
@@ -166,8 +166,8 @@ impl Estimator {
         } else if self.admit(readings.stamp, Input::Wheels(readings.wheels)) == Some(Admission::TooLate) {
             self.late_in_a_row += 1;
             if self.late_in_a_row >= ANOTHER_CLOCK_AFTER {
-                self.timeline = Some(MeasurementBuffer::new(
-                    self.belief().clone(),
+                self.buffer = Some(MeasurementBuffer::new(
+                    self.ekf().clone(),
                     readings.stamp,
                     readings.wheels,
                 ));
@@ -180,7 +180,7 @@ impl Estimator {
         self.late_in_a_row = 0;
     }
 
-    /// A gyro's and a compass's reading.
+    /// A gyro and compass reading.
     fn imu(&mut self, imu: &Imu) {
         self.admit(imu.stamp, Input::Gyro(imu.yaw_rate));
         if let Some(yaw) = imu.yaw.filter(|_| self.model.imu.compass_noise.is_some()) {
@@ -209,12 +209,12 @@ impl Estimator {
     }
 
     fn admit(&mut self, stamp: Stamp, input: Input) -> Option<Admission> {
-        let timeline = self.timeline.as_mut()?;
+        let buffer = self.buffer.as_mut()?;
         if !input.is_finite() {
             self.tally.broken += 1;
             return None;
         }
-        let admission = timeline.insert(stamp, input);
+        let admission = buffer.insert(stamp, input);
         match admission {
             Admission::Taken => {}
             Admission::Repeated => self.tally.repeated += 1,
@@ -224,12 +224,12 @@ impl Estimator {
         Some(admission)
     }
 
-    /// Applies what was admitted, and lets odometry go on by what is new.
+    /// Applies what was admitted, and advances odometry.
     fn settle(&mut self) {
-        let Some(timeline) = &mut self.timeline else {
+        let Some(buffer) = &mut self.buffer else {
             return;
         };
-        timeline.replay(&self.model, |compared| {
+        buffer.replay((&self.model, &self.settings), |compared| {
             self.nis[compared.sensor] = Some(compared.distance);
             *(if compared.fused {
                 &mut self.tally.fused
@@ -237,20 +237,20 @@ impl Estimator {
                 &mut self.tally.outliers
             }) += 1;
         });
-        let newest = timeline.newest();
-        let belief = timeline.belief();
-        let (now, then) = (belief.reckoned(), self.reckoned);
+        let newest = buffer.newest();
+        let ekf = buffer.ekf();
+        let (now, then) = (ekf.reckoned(), self.reckoned);
         let Some(last) = self.history.newest().filter(|last| *last < newest) else {
             return;
         };
         self.reckoned = now;
-        // The bias as it is known by now: what it was believed to be earlier stays as it was driven.
-        let turn = now.turn - then.turn - belief.gyro_bias() * (now.by_gyro - then.by_gyro);
+        // The bias as it is known now: odometry that was integrated with earlier estimates stays as it is.
+        let turn = now.turn - then.turn - ekf.gyro_bias() * (now.by_gyro - then.by_gyro);
         let way = now.way - then.way;
         self.odom_from_base = self.odom_from_base.advance(Twist2::new(way, turn), 1.0);
         self.history.push(newest, self.odom_from_base);
         let secs = newest.secs_since(last);
-        let share = (secs / SMOOTHING).min(1.0);
+        let share = (secs / self.settings.velocity_smoothing).min(1.0);
         self.velocity = Twist2::new(
             self.velocity.v + share * (way / secs - self.velocity.v),
             self.velocity.w + share * (turn / secs - self.velocity.w),

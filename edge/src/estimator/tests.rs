@@ -2,7 +2,6 @@
 
 use proptest::prelude::*;
 use zenav_protocol::messages::{Battery, Bump};
-use zenav_protocol::robot::shipped;
 
 use super::measurement_buffer::WINDOW;
 use super::*;
@@ -13,7 +12,17 @@ const TICKS: usize = 200;
 const WINDOW_TICKS: usize = (WINDOW * 50.0) as usize;
 
 fn model() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
+}
+
+/// An estimator that knows its start to `std`, m and rad.
+fn estimator(start: Pose2, std: f64) -> Estimator {
+    let settings = EstimatorSettings {
+        start_std: std,
+        start_yaw_std: std,
+        ..EstimatorSettings::default()
+    };
+    Estimator::new(&model(), start, &settings)
 }
 
 fn stamp(tick: usize) -> Stamp {
@@ -111,7 +120,7 @@ fn estimate(items: &[(usize, Item)], delay: impl Fn(usize) -> usize) -> Estimato
         .map(|(index, (made, item))| (made + delay(index), item))
         .collect();
     arrivals.sort_by_key(|(arrival, _)| *arrival);
-    let mut estimator = Estimator::new(&model(), Pose2::new(1.0, 2.0, 0.3), 0.05, 0.05);
+    let mut estimator = self::estimator(Pose2::new(1.0, 2.0, 0.3), 0.05);
     for tick in arrivals.chunk_by(|a, b| a.0 == b.0) {
         tick.iter().for_each(|(_, item)| take(&mut estimator, item));
         estimator.settle();
@@ -200,7 +209,7 @@ proptest! {
 
     #[test]
     fn no_correction_makes_odometry_jump(speeds in speeds(), noise in noise(), offsets in prop::collection::vec((-0.5..0.5, -0.5..0.5), 10)) {
-        let mut estimator = Estimator::new(&model(), Pose2::new(1.0, 2.0, 0.3), 0.5, 0.5);
+        let mut estimator = self::estimator(Pose2::new(1.0, 2.0, 0.3), 0.5);
         let mut before = estimator.odom_from_base();
         let mut jumped = 0.0_f64;
         let mut offsets = offsets.into_iter().cycle();
@@ -226,7 +235,7 @@ proptest! {
 
 #[test]
 fn a_gyro_that_comes_late_takes_the_place_of_the_wheels_turn() {
-    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
     // The base turns by 0.5 rad/s, and the wheels slip: they do not show it.
     for tick in 0..100 {
         let mut readings = readings(tick, [0.02 * tick as f64; 2]);
@@ -254,7 +263,7 @@ fn a_gyro_that_comes_late_takes_the_place_of_the_wheels_turn() {
 #[test]
 fn wheels_that_fall_silent_are_made_up_for_and_without_end_nothing_is_sure() {
     let silent = |from: usize, to: usize| {
-        let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+        let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
         for tick in 0..150 {
             let angle = 0.04 * tick as f64;
             let wheels = if (from..to).contains(&tick) { f64::NAN } else { angle };
@@ -274,7 +283,7 @@ fn wheels_that_fall_silent_are_made_up_for_and_without_end_nothing_is_sure() {
 
 #[test]
 fn a_body_whose_clock_begins_anew_is_followed_again() {
-    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
     for tick in 500..600 {
         estimator.step(&readings(tick, [0.04 * tick as f64; 2]), &[]);
     }
@@ -289,7 +298,7 @@ fn a_body_whose_clock_begins_anew_is_followed_again() {
 
 #[test]
 fn a_flood_of_inputs_is_bounded() {
-    let mut estimator = Estimator::new(&model(), Pose2::IDENTITY, 0.01, 0.01);
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
     for tick in 0..20 {
         let corrections: Vec<_> = (0..500)
             .map(|i| Correction {
@@ -302,10 +311,5 @@ fn a_flood_of_inputs_is_bounded() {
         estimator.step(&readings(tick, [0.0; 2]), &corrections);
     }
     assert!(estimator.map_from_base().is_finite());
-    assert!(
-        estimator
-            .timeline
-            .as_ref()
-            .is_some_and(|timeline| timeline.len() <= 1024)
-    );
+    assert!(estimator.buffer.as_ref().is_some_and(|buffer| buffer.len() <= 1024));
 }

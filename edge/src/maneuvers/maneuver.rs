@@ -7,23 +7,14 @@ use zenav_protocol::robot::Drive;
 use zenav_protocol::time::Stamp;
 
 use super::nearest_free::Escape;
-
-/// Remaining turn and distance at which a motion is done, rad and m.
-const DONE: (f64, f64) = (0.02, 0.005);
-/// Stopped by the collision monitor for this long a maneuver has failed, s.
-const BLOCKED: f64 = 1.0;
-/// Heading feedback of a straight drive, 1/s.
-const STRAIGHT_GAIN: f64 = 2.0;
-/// Speed of the drive to a free place, m/s.
-const CAREFUL: f64 = 0.1;
-/// Share of the robot's top speeds that maneuvers use.
-const SHARE: f64 = 0.8;
+use crate::settings::ManeuverSettings;
 
 /// A maneuver in progress.
 #[derive(Clone, Debug)]
 pub struct Maneuver {
     id: String,
     drive: Drive,
+    settings: ManeuverSettings,
     motion: Motion,
     /// The motion after it.
     next: Option<Motion>,
@@ -69,6 +60,7 @@ impl Maneuver {
         now: Stamp,
         odom_from_base: Pose2,
         drive: &Drive,
+        settings: &ManeuverSettings,
         escape: impl FnOnce(f64, f64) -> Option<Escape>,
     ) -> Result<Self, String> {
         let mut next = None;
@@ -89,7 +81,7 @@ impl Maneuver {
                 if !(distance.abs() <= 10.0 && speed > 0.0 && speed.is_finite()) {
                     return Err("expected a distance of at most 10 m and a positive speed".into());
                 }
-                let speed = speed.min(SHARE * drive.top_speed());
+                let speed = speed.min(settings.speed_share * drive.top_speed());
                 (Motion::Drive { distance, speed }, 5.0 + 4.0 * distance.abs() / speed)
             }
             BehaviourAction::ToFree { clearance, within } => {
@@ -99,7 +91,7 @@ impl Maneuver {
                 match escape(clearance, within) {
                     None => (Motion::Nowhere, 1.0),
                     Some(Escape { turn, distance }) => {
-                        let speed = CAREFUL.min(SHARE * drive.top_speed());
+                        let speed = settings.escape_speed.min(settings.speed_share * drive.top_speed());
                         next = Some(Motion::Drive { distance, speed });
                         let spin = Motion::Spin {
                             left: turn,
@@ -128,6 +120,7 @@ impl Maneuver {
         Ok(Self {
             id: id.to_owned(),
             drive: drive.clone(),
+            settings: settings.clone(),
             motion,
             next,
             deadline: now.plus_secs(allowance),
@@ -155,7 +148,7 @@ impl Maneuver {
     /// One tick. `stopped`: the collision monitor stopped the robot at the last one.
     pub fn step(&mut self, now: Stamp, dt: f64, odom_from_base: Pose2, velocity: Twist2, stopped: bool) -> Step {
         self.blocked = if stopped { self.blocked + dt } else { 0.0 };
-        if self.blocked > BLOCKED {
+        if self.blocked > self.settings.blocked_timeout {
             return Step::Done(self.report(BehaviourState::Failed, Some("obstacle in the way")));
         }
         if now >= self.deadline {
@@ -182,21 +175,22 @@ impl Maneuver {
             Motion::Spin { left, last_yaw } => {
                 *left -= wrap_angle(odom_from_base.yaw - *last_yaw);
                 *last_yaw = odom_from_base.yaw;
-                if left.abs() < DONE.0 && slow {
+                if left.abs() < self.settings.turn_tolerance && slow {
                     return Step::Done(self.report(BehaviourState::Succeeded, None));
                 }
                 let brakes = 2.0 * self.drive.acceleration() / self.drive.wheel_separation;
-                let speed = approach(left.abs(), 0.5 * brakes, 3.0).min(SHARE * self.drive.top_yaw_rate());
+                let speed =
+                    approach(left.abs(), 0.5 * brakes, 3.0).min(self.settings.speed_share * self.drive.top_yaw_rate());
                 Step::Go(Twist2::new(0.0, speed * left.signum()))
             }
             Motion::Drive { distance, speed } => {
                 let gone = self.begun.inverse() * odom_from_base;
                 let left = *distance - gone.x;
-                if left.abs() < DONE.1 && slow {
+                if left.abs() < self.settings.distance_tolerance && slow {
                     return Step::Done(self.report(BehaviourState::Succeeded, None));
                 }
                 let v = approach(left.abs(), 0.5 * self.drive.acceleration(), 2.0).min(*speed);
-                Step::Go(Twist2::new(v * left.signum(), -STRAIGHT_GAIN * gone.yaw))
+                Step::Go(Twist2::new(v * left.signum(), -self.settings.straight_gain * gone.yaw))
             }
             Motion::Nowhere => Step::Done(self.report(BehaviourState::Failed, Some("no free place within reach"))),
             Motion::Wait { until } => {
@@ -229,10 +223,9 @@ fn approach(left: f64, deceleration: f64, gain: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     fn run(action: &BehaviourAction, stopped: bool) -> (BehaviourReport, Pose2) {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         let mut pose = Pose2::new(1.0, 2.0, 3.0);
         let mut now = Stamp::from_secs(5.0);
         let way = |_, within: f64| {
@@ -241,7 +234,7 @@ mod tests {
                 distance: -within,
             })
         };
-        let mut maneuver = Maneuver::begin("b1", action, now, pose, &drive, way).unwrap();
+        let mut maneuver = Maneuver::begin("b1", action, now, pose, &drive, &ManeuverSettings::default(), way).unwrap();
         let mut limiter = Limiter::new(&drive);
         loop {
             now = now.plus_secs(0.02);
@@ -311,7 +304,7 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        let drive = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap().drive;
+        let drive = zenav_fixtures::robot("tiago").drive;
         for action in [
             BehaviourAction::Spin { angle: f64::NAN },
             BehaviourAction::Drive {
@@ -325,7 +318,16 @@ mod tests {
             },
         ] {
             assert!(
-                Maneuver::begin("b", &action, Stamp::ZERO, Pose2::IDENTITY, &drive, |_, _| None).is_err(),
+                Maneuver::begin(
+                    "b",
+                    &action,
+                    Stamp::ZERO,
+                    Pose2::IDENTITY,
+                    &drive,
+                    &ManeuverSettings::default(),
+                    |_, _| None
+                )
+                .is_err(),
                 "{action:?}"
             );
         }

@@ -45,8 +45,6 @@ use crate::wheel_coordination::WheelCoordination;
 const LONGEST_TICK: f64 = 0.1;
 /// After this many ticks without a command the wheels may have come to rest.
 const SILENT_TICKS: f64 = 5.0;
-/// Maneuvers may back up at this speed over floor that was seen before, m/s: their path was checked when they began.
-const RECOVERY_BLIND_SPEED: f64 = 0.15;
 
 /// The robot's side, whole and pure.
 #[derive(Clone, Debug)]
@@ -83,23 +81,24 @@ impl Pilot {
     /// A robot at rest. `boot_id` must be new at every start; `stored` is what the last boot persisted.
     #[must_use]
     pub fn new(config: EdgeConfig, boot_id: String, stored: Persisted) -> Self {
-        let model = &config.model;
+        let (model, settings) = (&config.model, &config.settings);
         Self {
             gains: model.controller.clone(),
             authority: Authority::new(&config, stored),
             maneuvers: Maneuvers::default(),
             events: EventLog::new(boot_id),
-            estimator: Estimator::new(model, config.start, config.start_std, config.start_yaw_std),
-            obstacles: LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed()),
-            collision_monitor: CollisionMonitor::new(model, config.tick, config.scan_timeout),
+            estimator: Estimator::new(model, config.start, &settings.estimator),
+            obstacles: LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed())
+                .with_settings(settings),
+            collision_monitor: CollisionMonitor::new(model, config.tick).with_settings(settings),
             active_plan: None,
             wall_following: model.wall_following.clone(),
-            wall_follower: WallFollower::new(model),
-            return_home: ReturnHome::default(),
+            wall_follower: WallFollower::new(model, &settings.wall_follower),
+            return_home: ReturnHome::new(&settings.return_home),
             limiter: Limiter::new(&model.drive),
             wheel_coordination: WheelCoordination::new(&model.drive),
-            dead_man: DeadMan::new(config.dead_man),
-            telemetry: Telemetry::default(),
+            dead_man: DeadMan::new(settings.teleop.dead_man),
+            telemetry: Telemetry::new(&settings.telemetry),
             newest: None,
             refused: VecDeque::new(),
             discarded: VecDeque::new(),
@@ -193,7 +192,7 @@ impl Pilot {
         let drive = &self.config.model.drive;
         let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
         self.collision_monitor.blind_speed = match self.mode {
-            Mode::Behaviour => self.gains.blind_speed.max(RECOVERY_BLIND_SPEED),
+            Mode::Behaviour => self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
             _ => self.gains.blind_speed,
         };
         let verdict = self.collision_monitor.judge(

@@ -78,7 +78,7 @@ impl Pilot {
             stopped: self.authority.is_stopped(),
             resumed: self.authority.resumed(),
             newest,
-            max_validity: self.config.max_validity,
+            max_validity: self.config.settings.acceptance.max_validity,
         };
         let expiry = judge_head(&plan, &grant)?;
         if self.discarded.contains(&plan.trajectory_id) {
@@ -92,7 +92,8 @@ impl Pilot {
             map_from_base: self.estimator.map_from_base(),
             map_from_odom: self.estimator.map_from_odom(),
             velocity: self.estimator.velocity(),
-            around: &self.obstacles,
+            obstacles: &self.obstacles,
+            settings: &self.config.settings,
         };
         ActivePlan::take(&mut self.active_plan, plan, expiry, &scene)
     }

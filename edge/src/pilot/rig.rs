@@ -7,7 +7,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
 use zenav_protocol::readings::{Readings, Sweep};
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
@@ -43,7 +43,7 @@ pub struct Rig {
 
 impl Rig {
     pub fn new(stored: Persisted) -> Self {
-        let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let mut model = zenav_fixtures::robot("tiago");
         // It looks behind itself, too: it may back up.
         model.lidar.field_of_view = std::f64::consts::TAU;
         Self::of(model, stored)

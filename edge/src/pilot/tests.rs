@@ -1,4 +1,4 @@
-//! What does the robot promise, whatever the network does? Claims, driven in closed loop.
+//! Claims about the robot's promises, whatever the network does, driven in closed loop.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

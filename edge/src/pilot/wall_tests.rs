@@ -1,10 +1,9 @@
-//! What does a robot do that follows walls, or goes home, when nobody commands it? Claims, driven in closed loop in a square room.
+//! Claims about wall following and return to home, driven in closed loop in a square room.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
 
 use super::rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
@@ -21,7 +20,7 @@ fn left_alone() -> (Rig, u64) {
 
 /// A mission commands a robot of this policy.
 fn commanded(policy: LostPolicy) -> (Rig, u64) {
-    let mut model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    let mut model = zenav_fixtures::robot("tiago");
     // Enough for walls, and quick; and it sees where it backs up to.
     model.lidar.beams = 180;
     model.lidar.field_of_view = std::f64::consts::TAU;

@@ -1,4 +1,4 @@
-//! Which twist drives through a list of waypoints, turning first? The go-to-goal law of the classic exercise:
+//! Heading-first law. Which twist drives through a list of waypoints, turning first? The go-to-goal law of the classic exercise:
 //! `w = Kw * alpha`, and `v = Kv * rho` once the bearing `alpha` is within a tenth of a radian; a waypoint nearer than 0.2 m is
 //! reached.
 
@@ -16,7 +16,7 @@ const ALIGNED: f64 = 0.1;
 const TOLERANCE: f64 = 0.2;
 
 /// Turns, then drives.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct HeadingFirst;
 
 impl WaypointLaw for HeadingFirst {

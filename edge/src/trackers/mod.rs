@@ -1,4 +1,4 @@
-//! Which twist follows a plan? One trait, one file a law; the robot's file names the law (`[controller] tracker = …`).
+//! Trackers. Which twist follows a plan? One trait, one file a law; the robot file names the law (`[controller] tracker = …`).
 //!
 //! | `tracker` | law | after |
 //! |---|---|---|
@@ -32,7 +32,7 @@ pub use wheel_law::WheelLaw;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::robot::{ControllerGains, Drive, TrackerKind};
+use zenav_protocol::robot::{ControllerGains, Drive};
 use zenav_protocol::trajectory::Trajectory;
 
 /// A law that follows a plan.
@@ -62,72 +62,101 @@ impl Clone for Box<dyn Tracker> {
     }
 }
 
-/// The law of a kind for a trajectory, from plan time `time` (s) on; `waypoints` are the plan's own.
-#[must_use]
-pub fn along_trajectory(
-    kind: TrackerKind,
-    drive: &Drive,
-    trajectory: Trajectory,
-    time: f64,
-    waypoints: &[Point2<f64>],
-) -> Box<dyn Tracker> {
-    // Without corner points the trajectory's own points will do.
-    let corners = || {
-        if waypoints.is_empty() {
-            trajectory.positions_spaced(0.5)
-        } else {
-            waypoints.to_vec()
-        }
-    };
-    match kind {
-        TrackerKind::TimeLaw => Box::new(TrajectoryTracker::new(drive, trajectory, time)),
-        TrackerKind::WheelLaw => {
-            let corners = corners();
-            Box::new(ThroughWaypoints::new(
-                WheelLaw,
-                drive,
-                corners,
-                Some(PathProjection::new(trajectory, time)),
-            ))
-        }
-        TrackerKind::HeadingFirst => {
-            let corners = corners();
-            Box::new(ThroughWaypoints::new(
-                HeadingFirst,
-                drive,
-                corners,
-                Some(PathProjection::new(trajectory, time)),
-            ))
-        }
-        TrackerKind::Pid => Box::new(OnPath::new(
-            Pid::default(),
-            drive,
-            PathProjection::new(trajectory, time),
-        )),
-        TrackerKind::PurePursuit => Box::new(OnPath::new(
-            PurePursuit::default(),
-            drive,
-            PathProjection::new(trajectory, time),
-        )),
-    }
+/// A law that `[controller] tracker` names. A new tracker is a file with its law, and a row of [`LAWS`].
+#[derive(Clone, Copy, Debug)]
+pub struct Law {
+    /// Its name in the robot file.
+    pub name: &'static str,
+    along: fn(&Drive, Trajectory, f64, &[Point2<f64>]) -> Box<dyn Tracker>,
+    through: fn(&Drive, Pose2, Vec<Point2<f64>>) -> Box<dyn Tracker>,
 }
 
-/// The law of a kind for bare waypoints, from a robot at `map_from_base`.
-#[must_use]
-pub fn through_waypoints(
-    kind: TrackerKind,
-    drive: &Drive,
-    map_from_base: Pose2,
-    waypoints: Vec<Point2<f64>>,
-) -> Box<dyn Tracker> {
-    let projection = || PathProjection::through(drive, map_from_base, &waypoints);
-    match kind {
-        TrackerKind::TimeLaw | TrackerKind::WheelLaw => {
-            Box::new(ThroughWaypoints::new(WheelLaw, drive, waypoints, None))
+/// Every law; the first is the default.
+pub const LAWS: [Law; 5] = [
+    Law {
+        name: "time_law",
+        along: |drive, trajectory, time, _| Box::new(TrajectoryTracker::new(drive, trajectory, time)),
+        through: |drive, _, waypoints| Box::new(ThroughWaypoints::new(WheelLaw, drive, waypoints, None)),
+    },
+    Law::on_path::<PurePursuit>("pure_pursuit"),
+    Law::on_path::<Pid>("pid"),
+    Law::at_waypoints::<WheelLaw>("wheel_law"),
+    Law::at_waypoints::<HeadingFirst>("heading_first"),
+];
+
+/// The robot file names a tracker that there is none of.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`controller.tracker` is `{0}`: expected one of {list}", list = LAWS.map(|law| law.name).join(", "))]
+pub struct UnknownTracker(String);
+
+impl Law {
+    /// The law of a name.
+    ///
+    /// # Errors
+    /// [`UnknownTracker`] lists what there is.
+    pub fn named(name: &str) -> Result<Self, UnknownTracker> {
+        let known = LAWS.into_iter().find(|law| law.name == name);
+        known.ok_or_else(|| UnknownTracker(name.chars().take(64).collect()))
+    }
+
+    /// The law that a robot's gains name; the default where the name was not checked.
+    pub(crate) fn of(gains: &ControllerGains) -> Self {
+        Self::named(&gains.tracker).unwrap_or(LAWS[0])
+    }
+
+    /// A law of feedback from a path.
+    const fn on_path<L: PathLaw + Default>(name: &'static str) -> Self {
+        Self {
+            name,
+            along: |drive, trajectory, time, _| {
+                Box::new(OnPath::new(L::default(), drive, PathProjection::new(trajectory, time)))
+            },
+            through: |drive, map_from_base, waypoints| {
+                let projection = PathProjection::through(drive, map_from_base, &waypoints);
+                Box::new(OnPath::new(L::default(), drive, projection))
+            },
         }
-        TrackerKind::HeadingFirst => Box::new(ThroughWaypoints::new(HeadingFirst, drive, waypoints, None)),
-        TrackerKind::Pid => Box::new(OnPath::new(Pid::default(), drive, projection())),
-        TrackerKind::PurePursuit => Box::new(OnPath::new(PurePursuit::default(), drive, projection())),
+    }
+
+    /// A law that drives at the next waypoint.
+    const fn at_waypoints<L: WaypointLaw + Default>(name: &'static str) -> Self {
+        Self {
+            name,
+            along: |drive, trajectory, time, waypoints| {
+                // Without corner points the trajectory's own points will do.
+                let corners = if waypoints.is_empty() {
+                    trajectory.positions_spaced(0.5)
+                } else {
+                    waypoints.to_vec()
+                };
+                let projection = PathProjection::new(trajectory, time);
+                Box::new(ThroughWaypoints::new(L::default(), drive, corners, Some(projection)))
+            },
+            through: |drive, _, waypoints| Box::new(ThroughWaypoints::new(L::default(), drive, waypoints, None)),
+        }
+    }
+
+    /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own.
+    #[must_use]
+    pub fn along_trajectory(
+        &self,
+        drive: &Drive,
+        trajectory: Trajectory,
+        time: f64,
+        waypoints: &[Point2<f64>],
+    ) -> Box<dyn Tracker> {
+        (self.along)(drive, trajectory, time, waypoints)
+    }
+
+    /// A tracker through bare waypoints, from a robot at `map_from_base`.
+    #[must_use]
+    pub fn through_waypoints(
+        &self,
+        drive: &Drive,
+        map_from_base: Pose2,
+        waypoints: Vec<Point2<f64>>,
+    ) -> Box<dyn Tracker> {
+        (self.through)(drive, map_from_base, waypoints)
     }
 }
 
@@ -172,4 +201,20 @@ fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
 fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
     let share = (cap / crate::limiter::wheel_surface_speed(drive, twist).max(1e-9)).min(1.0);
     Twist2::new(share * twist.v, share * twist.w)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_law_is_found_by_its_name_and_an_unknown_one_is_refused_with_all_that_there_are() {
+        assert!(
+            LAWS.iter()
+                .all(|law| Law::named(law.name).is_ok_and(|known| known.name == law.name))
+        );
+        assert_eq!(Law::of(&ControllerGains::default()).name, LAWS[0].name);
+        let refusal = Law::named("mpc").map_err(|error| error.to_string());
+        assert!(refusal.is_err_and(|text| text.contains("`mpc`") && LAWS.iter().all(|law| text.contains(law.name))));
+    }
 }

@@ -1,4 +1,4 @@
-//! How does a law that knows no time follow a path? Its place on the path is kept here, and whether it has arrived; the law only says how
+//! Path follower. How does a law without time follow a path? Its place on the path is kept here, and whether it has arrived; the law only says how
 //! to get back to the path from where the robot is.
 
 use nalgebra::Point2;

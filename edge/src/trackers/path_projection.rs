@@ -138,7 +138,6 @@ impl PathProjection {
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn a_path_that_comes_back_is_not_cut_short() {
@@ -168,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_path_through_waypoints_is_as_long_as_its_legs() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let waypoints = [Point2::new(3.0, 0.0), Point2::new(3.0, 1.0)];
         let projection = PathProjection::through(&model.drive, Pose2::IDENTITY, &waypoints);
         assert!((projection.left() - 4.0).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! Which twist keeps a robot on a path by feedback alone? A PID on the distance from the path, at the plan's speed; the textbook
+//! PID. Which twist keeps a robot on a path by feedback alone? A PID on the distance from the path, at the plan's speed; the textbook
 //! form with a clamped integral and the derivative taken from the heading, so that noise is not differentiated.
 
 use nalgebra::Point2;
@@ -10,7 +10,7 @@ use super::{PathProjection, TrackerInput};
 
 /// The integral is held within this, m s.
 const WINDUP: f64 = 0.3;
-/// Slowest on the way, m/s.
+/// Least speed before the end, m/s.
 const LEAST_SPEED: f64 = 0.08;
 /// Heading error beyond which the robot turns on the spot, rad.
 const TURN_FIRST: f64 = 0.8;

@@ -1,6 +1,6 @@
-//! Which arc leads back to the path? Regulated pure pursuit, after Macenski, Singh, Martin, Ginés, "Regulated pure pursuit for
+//! Regulated pure pursuit. Which arc leads back to the path? After Macenski, Singh, Martin, Ginés, "Regulated pure pursuit for
 //! robot path tracking", Autonomous Robots 47, 2023: curvature `2 y / L²` to a point ahead, at a distance that grows with speed;
-//! slowed in bends and near the end; turns on the spot where the way leads elsewhere.
+//! slowed in bends and near the end; turns on the spot where the path leads elsewhere.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Twist2;

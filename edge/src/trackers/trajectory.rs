@@ -1,4 +1,4 @@
-//! Which twist follows a time-stamped trajectory? Feed-forward plus feedback on the pose error, after
+//! Trajectory tracker. Which twist follows a time-stamped trajectory? Feed-forward plus feedback on the pose error, after
 //! Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous mobile robot", ICRA 1990,
 //! with the cross-track term of Samson and Ait-Abderrahim (`v * sin(e)/e * error`).
 //!
@@ -176,7 +176,7 @@ impl Tracker for TrajectoryTracker {
     }
 }
 
-/// A robot that is to go forwards does not drive back for a few centimetres: behind it nobody may look.
+/// A robot that drives forwards does not back up by a few centimetres: its lidar may not see behind it.
 fn onwards(speed: f64, planned: f64) -> f64 {
     if planned < 0.0 { speed } else { speed.max(-GENTLE) }
 }
@@ -187,10 +187,10 @@ mod tests {
     use super::*;
     use crate::limiter::{Braking, Limiter};
     use zenav_protocol::geometry::wrap_angle;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::RobotModel;
 
     fn model() -> RobotModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+        zenav_fixtures::robot("tiago")
     }
 
     /// Rest, 0.5 m/s on a circle of 1 m radius, rest; 20 ms apart.

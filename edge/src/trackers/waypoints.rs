@@ -1,4 +1,4 @@
-//! How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only says how to drive at
+//! Waypoint follower. How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only says how to drive at
 //! the next one.
 
 use nalgebra::Point2;
@@ -114,11 +114,10 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
 mod tests {
     use super::super::WheelLaw;
     use super::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
 
     #[test]
     fn the_wheels_get_what_the_law_says() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let mut tracker = ThroughWaypoints::new(WheelLaw, &model.drive, vec![Point2::new(1.0, 0.0)], None);
         let view = TrackerInput {
             dt: 0.02,
@@ -144,7 +143,7 @@ mod tests {
 
     #[test]
     fn waypoints_are_passed_within_the_threshold_and_the_last_one_is_reached() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let mut tracker = ThroughWaypoints::new(
             WheelLaw,
             &model.drive,

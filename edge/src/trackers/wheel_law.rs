@@ -1,4 +1,4 @@
-//! Which twist drives through a list of waypoints? The proportional wheel law of the classic two-wheel exercise:
+//! Wheel law. Which twist drives through a list of waypoints? The proportional law of the classic two-wheel exercise:
 //! `left = -p_alpha * alpha + p_rho * rho`, `right = p_alpha * alpha + p_rho * rho`, with the bearing `alpha` and the
 //! distance `rho` of the next waypoint, clamped to the wheels' limit.
 //!
@@ -15,13 +15,13 @@ use super::{TrackerInput, bearing};
 
 /// Bearing beyond which the robot turns on the spot, rad.
 const TURN_FIRST: f64 = 1.0;
-/// Least `rho` on the way, m: the law alone would creep towards every waypoint.
+/// Least `rho` before the end, m: the law alone would creep towards every waypoint.
 const LEAST_RHO: f64 = 0.6;
 /// Waypoints looked at: farther ahead the speed limit rules anyway.
 const LOOK: usize = 8;
 
 /// The wheel law.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct WheelLaw;
 
 impl WaypointLaw for WheelLaw {
@@ -49,7 +49,7 @@ impl WaypointLaw for WheelLaw {
     }
 }
 
-/// The distance that the law sees: to the next waypoint, and on beyond it as far as the way goes straight on.
+/// The distance that the law uses: to the next waypoint, and beyond it as far as the path goes straight on.
 fn effective_distance(here: Point2<f64>, rest: &[Point2<f64>]) -> f64 {
     let mut rho = 0.0;
     let mut weight = 1.0;

@@ -13,9 +13,9 @@ use super::line::Wall;
 const FORE_AND_AFT: f64 = 1.732;
 /// A wall that is left behind or lies ahead counts as this many times farther.
 const PASSING: f64 = 1.5;
-/// What stands out from a wall by less is the wall, m.
+/// A return that stands out from a wall by less belongs to the wall, m.
 const ROUGHNESS: f64 = 0.05;
-/// Farther from the wall than it can correct at once, the robot heads towards it by no more than this, as a sine.
+/// Steepest heading towards the wall, as a sine.
 const STEEPEST: f64 = 0.45;
 /// The distance error is summed up within this only, m.
 const SUMMED_WITHIN: f64 = 0.1;
@@ -84,7 +84,7 @@ impl Beside {
     #[must_use]
     pub fn wanted(&self, settings: &WallFollowing, body: f64, points: impl Iterator<Item = Point2<f64>>) -> f64 {
         let target = settings.target_distance;
-        // What stands out so far that the robot fits between it and the wall is not in the way.
+        // An obstacle so far from the wall that the robot fits between is not in the way.
         let passable = target + body;
         let height = points
             .filter(|point| {

@@ -22,37 +22,28 @@ use zenav_protocol::wall_following::WallFollowing;
 
 use crate::event_log::EventLog;
 use crate::local_obstacles::LocalObstacles;
+use crate::settings::WallFollowerSettings;
 use beside::{Beside, DistanceController};
 use line::Wall;
 
-/// A wall bends where a return is farther than this from its chord, m, or than so many deviations of the lidar.
+/// A wall bends where a return is farther from its chord than this, m, or than this many standard deviations of the lidar.
 const BEND: (f64, f64) = (0.02, 4.0);
-/// Another wall is approached only where it is nearer by this, m.
+/// Another wall is approached only if it is nearer by this, m.
 const NEARER: f64 = 0.1;
-/// A wall that was approached is the same one within this, m.
+/// Tolerance for recognising the approached wall, m.
 const SAME: f64 = 0.3;
 /// Steering towards a wall, rad/s for each rad.
 const STEERING: f64 = 2.0;
-/// Heading error at which an approach is given up, rad.
+/// Heading error that ends an approach, rad.
 const ASTRAY: f64 = 0.6;
-/// Free on both sides of the robot's body where it goes straight, m.
-const ELBOW_ROOM: f64 = 0.05;
-/// A way ahead is clear when it is free for so many target distances.
+/// The path ahead is clear when it is free for this many target distances.
 const CLEAR: f64 = 2.0;
-/// Directions tried on each side for the better one.
+/// Directions tried on each side.
 const DIRECTIONS: u32 = 36;
-/// Stopped by the collision monitor for this long the robot turns elsewhere, s.
-const BLOCKED: f64 = 1.0;
-/// A wall this many times farther than any distance that is kept is lost.
-const LOST: f64 = 1.4;
 /// The distance to keep changes by at most this share of the speed.
 const WIDENING: f64 = 0.6;
-/// A wall shorter than this is approached only where there is no longer one: a pillar is no wall, m.
-const SHORT: f64 = 0.5;
-/// A robot that has turned so far towards its wall, on the whole, goes around an island, rad.
+/// A robot that has turned this far towards its wall in total circles an island, rad.
 const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
-/// A bump is left when the robot has been driven this far from what it touched, m.
-const AWAY: f64 = 0.05;
 
 /// Inputs of one tick.
 #[derive(Clone, Copy, Debug)]
@@ -76,9 +67,10 @@ pub struct WallFollowerInput<'a> {
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct WallFollower {
+    settings: WallFollowerSettings,
     /// Half the width that the robot needs to go straight, m.
     body: f64,
-    /// Off its chord by more a return is another wall's, m.
+    /// A return farther than this from the chord belongs to another wall, m.
     bend: f64,
     /// Deceleration, m/s².
     braking: f64,
@@ -86,25 +78,25 @@ pub struct WallFollower {
     scan: Option<Stamp>,
     /// Filtered returns, odometry frame.
     points: Vec<Point2<f64>>,
-    /// What they show, odometry frame.
+    /// Walls fitted to them, odometry frame.
     walls: Vec<Wall>,
-    /// The nearest point of the wall that is searched or approached, odometry frame.
+    /// Nearest point of the wall that is searched or approached, odometry frame.
     goal: Option<Point2<f64>>,
     /// +1 with the wall on the left, -1 on the right.
     side: f64,
-    /// What is left to turn before the robot gives up, rad.
+    /// Turn left before the robot gives up, rad.
     patience: f64,
     last_yaw: f64,
     distance_controller: DistanceController,
     /// The distance to keep now, m.
     wanted: f64,
     blocked: f64,
-    /// Where it touched something, odometry frame, and in which direction.
+    /// Pose and bearing of the last contact, odometry frame.
     touched: Option<(Pose2, f64)>,
-    /// The turn towards the wall since the following began, rad, and the box of the way, odometry frame.
+    /// The turn towards the wall since following began, rad, and the bounding box of the path, odometry frame.
     turned: f64,
     way: Option<(Point2<f64>, Point2<f64>)>,
-    /// The box of the way around an island that was left: its walls are not approached again.
+    /// Bounding box of the path around an island: its walls are not approached again.
     island: Option<(Point2<f64>, Point2<f64>)>,
     /// The wall that it follows, base frame of that tick carried to the odometry frame.
     followed: Option<Wall>,
@@ -113,9 +105,10 @@ pub struct WallFollower {
 impl WallFollower {
     /// In the initial state.
     #[must_use]
-    pub fn new(model: &RobotModel) -> Self {
+    pub fn new(model: &RobotModel, settings: &WallFollowerSettings) -> Self {
         Self {
-            body: model.footprint.circumscribed_radius() + ELBOW_ROOM,
+            settings: settings.clone(),
+            body: model.footprint.circumscribed_radius() + settings.side_clearance,
             bend: BEND.0.max(BEND.1 * model.lidar.noise),
             braking: 0.5 * model.drive.acceleration(),
             state: State::WallSearch,
@@ -149,7 +142,7 @@ impl WallFollower {
             self.touch(now, bump, odom_from_base, events);
         } else if let Some((place, bearing)) = self.touched {
             let gone = place.inverse() * odom_from_base;
-            if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -AWAY {
+            if operated && gone.x * bearing.cos() + gone.y * bearing.sin() <= -self.settings.bump_clearance {
                 self.touched = None;
                 self.enter(now, State::WallSearch, "driven away by an operator", events);
             }
@@ -172,7 +165,7 @@ impl WallFollower {
         self.take_scan(input);
         let turn = wrap_angle(odom_from_base.yaw - std::mem::replace(&mut self.last_yaw, odom_from_base.yaw));
         self.blocked = if input.stopped { self.blocked + input.dt } else { 0.0 };
-        if self.blocked > BLOCKED && self.state != State::Turn {
+        if self.blocked > self.settings.blocked_timeout && self.state != State::Turn {
             self.blocked = 0.0;
             self.begin_turn(input, None, "blocked by the collision monitor", events);
         }
@@ -249,8 +242,7 @@ impl WallFollower {
         self.points = runs.concat();
     }
 
-    /// The nearest point of the walls that are worth approaching, base frame; of the wall that was chosen before unless another is
-    /// clearly nearer.
+    /// Nearest point of the walls worth approaching, base frame; of the wall chosen before unless another is clearly nearer.
     fn nearest(&mut self, odom_from_base: Pose2) -> Option<Point2<f64>> {
         let here = odom_from_base.position();
         let of = |wall: &Wall| {
@@ -265,7 +257,7 @@ impl WallFollower {
             };
             !self.island.is_some_and(on_island)
         };
-        let long = |wall: &&Wall| (wall.to - wall.from).norm() >= SHORT;
+        let long = |wall: &&Wall| (wall.to - wall.from).norm() >= self.settings.short_wall;
         let worth: Vec<&Wall> = self.walls.iter().filter(elsewhere).filter(long).collect();
         let worth = if worth.is_empty() {
             self.walls.iter().filter(elsewhere).collect()
@@ -287,7 +279,7 @@ impl WallFollower {
     fn search(&mut self, input: &WallFollowerInput<'_>, events: &mut EventLog) -> Twist2 {
         let settings = input.settings;
         let Some(wall) = self.nearest(input.odom_from_base) else {
-            // Nothing to be seen: farther on there may be something.
+            // No wall in view: drive on to find one.
             return Twist2::new(settings.greatest_speed, 0.0);
         };
         let bearing = wall.y.atan2(wall.x);
@@ -306,7 +298,7 @@ impl WallFollower {
             self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;
         };
-        // Something else may stand in the way: then that is followed.
+        // Another obstacle may be in the way: then that is followed.
         let distance = self.ahead(input, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
         let (left, bearing) = (distance - settings.identify_wall_distance, wall.y.atan2(wall.x));
         if left <= 0.0 {
@@ -374,7 +366,7 @@ impl WallFollower {
                 to: mirror(wall.to),
             }
         });
-        let farthest = LOST * settings.widest_distance.max(settings.identify_wall_distance);
+        let farthest = self.settings.lost_factor * settings.widest_distance.max(settings.identify_wall_distance);
         let Some(beside) = Beside::of(walls).filter(|beside| beside.distance < farthest) else {
             self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;

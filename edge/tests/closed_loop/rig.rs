@@ -5,7 +5,7 @@ use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Ticke
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::EdgeRequest;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
@@ -29,7 +29,7 @@ impl Rig {
     }
 
     pub fn within(world: &World, robot: &str, seed: u64, role: LeaseRole) -> Self {
-        let model = RobotModel::from_toml(shipped(robot).unwrap(), robot).unwrap();
+        let model = zenav_fixtures::robot(robot);
         let id = Id::robot(robot).unwrap();
         let sim = Simulation::new(
             world,

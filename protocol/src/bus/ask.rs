@@ -105,7 +105,7 @@ impl Drop for Replies {
     }
 }
 
-/// A decoded reply.
+/// A reply after decoding.
 enum Verdict<R> {
     Answer(Answer<R>),
     Unreadable(CodecError),

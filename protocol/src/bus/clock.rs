@@ -112,7 +112,7 @@ impl Clock {
         matches!(self.0, Kind::Simulated(_))
     }
 
-    /// The time now.
+    /// The time that the clock shows now.
     #[must_use]
     pub fn now(&self) -> Stamp {
         match &self.0 {

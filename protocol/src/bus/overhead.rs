@@ -30,7 +30,7 @@ const PAUSE: Duration = Duration::from_micros(500);
 /// Latency of one operation, typed and raw.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Comparison {
-    /// The operation measured.
+    /// Name of the operation.
     pub what: String,
     /// Size of the payload, bytes.
     pub bytes: usize,
@@ -49,9 +49,9 @@ pub struct Comparison {
 /// Percentiles of a latency.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Latency {
-    /// Median, µs.
+    /// Median of the latency, µs.
     pub p50_us: f64,
-    /// 99th percentile, µs.
+    /// 99th percentile of the latency, µs.
     pub p99_us: f64,
 }
 

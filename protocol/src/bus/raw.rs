@@ -50,9 +50,9 @@ impl From<&Sample> for RawSample {
 /// One reply to a raw query.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RawReply {
-    /// A reply.
+    /// A reply with a value.
     Ok(RawSample),
-    /// An error reply.
+    /// A reply with an error.
     Err {
         /// Payload of the error reply.
         bytes: Vec<u8>,

@@ -33,7 +33,7 @@ pub struct Router {
 }
 
 impl Router {
-    /// Starts a router.
+    /// Starts a router that listens on the configured endpoints.
     ///
     /// # Errors
     /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Config`] for text that is no endpoint.

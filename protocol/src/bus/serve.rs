@@ -139,7 +139,7 @@ fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, 
 
 /// A request to be answered once. When it is dropped without a reply, the client asks again until its deadline.
 pub struct Request<Q, R> {
-    /// The decoded request.
+    /// The request, as the client sent it.
     pub body: Q,
     /// The named chunks of the key, in the order of the pattern's names.
     pub chunks: Vec<String>,
@@ -185,7 +185,7 @@ impl<Q, R> Request<Q, R> {
         );
     }
 
-    /// Refuses the request.
+    /// Refuses the request, with the reason.
     pub fn refuse(self, refusal: &Refusal) {
         refuse(&self.query, refusal);
     }

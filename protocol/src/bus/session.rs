@@ -93,21 +93,21 @@ pub enum BusError {
     CannotListen {
         /// The endpoints, separated by commas.
         endpoint: String,
-        /// Zenoh's error.
+        /// What Zenoh reports.
         reason: String,
     },
     /// An endpoint is malformed, or there is none at all.
     #[error("bad bus configuration: {reason}")]
     Config {
-        /// Zenoh's error.
+        /// What Zenoh reports.
         reason: String,
     },
     /// The text is no key.
     #[error("bad key {key}: {reason}")]
     Key {
-        /// The key.
+        /// The text that is no key.
         key: String,
-        /// Zenoh's error.
+        /// What Zenoh reports.
         reason: String,
     },
     /// The bus was closed.
@@ -135,7 +135,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Opens a session.
+    /// Opens a session with the configured endpoints.
     ///
     /// # Errors
     /// [`BusError::CannotConnect`] unless `retry` is set; with it, this waits until a router is there (drop the future to give up).
@@ -213,7 +213,7 @@ impl Bus {
         }
     }
 
-    /// Parses a key.
+    /// Parses the text of a key.
     pub(super) fn key(key: String) -> Result<zenoh::key_expr::KeyExpr<'static>, BusError> {
         zenoh::key_expr::KeyExpr::new(key.clone()).map_err(|error| BusError::Key {
             key,

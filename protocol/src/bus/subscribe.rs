@@ -27,7 +27,7 @@ pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
 pub struct Received<T> {
     /// The chunks in the order of the pattern's names: `["tiago"]` for `zenav/tiago/edge/scan`.
     pub chunks: Vec<String>,
-    /// The decoded value.
+    /// The value that was published.
     pub message: T,
 }
 

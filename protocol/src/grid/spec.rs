@@ -30,9 +30,9 @@ pub struct GridSpec {
     pub origin: Point2<f64>,
     /// Side of a cell, m.
     pub resolution: f64,
-    /// Columns.
+    /// Number of columns, along x.
     pub width: u32,
-    /// Rows.
+    /// Number of rows, along y.
     pub height: u32,
 }
 
@@ -48,19 +48,19 @@ pub enum GridError {
     /// More cells than the stack supports.
     #[error("{width} x {height} cells: expected at most {limit} a side")]
     TooLarge {
-        /// Columns asked for.
+        /// Number of columns asked for.
         width: u64,
-        /// Rows asked for.
+        /// Number of rows asked for.
         height: u64,
-        /// Largest side.
+        /// Largest side allowed, cells.
         limit: u32,
     },
     /// The number of values differs from the number of cells.
     #[error("{got} values for {expected} cells")]
     Length {
-        /// Values given.
+        /// Number of values given.
         got: usize,
-        /// Cells of the grid.
+        /// Number of cells of the grid.
         expected: usize,
     },
 }

@@ -59,26 +59,29 @@ async fn bad_samples_are_counted_and_harmless() {
     let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
     let mut events = reader.subscribe(&topics::EVENT, &["r1"], 100).unwrap();
     let key = "zenav/r1/edge/event";
-    // The subscription is in place once anything arrives.
-    until("the subscription", async || {
-        writer.raw_put(key, b"?".to_vec(), "application/json").unwrap();
-        assert!(events.try_next().is_none());
-        (events.unreadable() > 0).then_some(())
+    // Zenoh may drop a sample under congestion, and before the subscription is in place: each is sent until it is counted.
+    let bad: [(Vec<u8>, &str); 5] = [
+        (b"?".to_vec(), "application/json"),
+        (vec![b' '; 10 << 20], "application/json"),
+        ("[".repeat(16_000).into_bytes(), "text/plain"),
+        (vec![0x81; 16_000], "application/cbor"),
+        (br#"{"stamp": NaN}"#.to_vec(), "application/json"),
+    ];
+    for (payload, encoding) in bad {
+        let before = events.unreadable();
+        until("a bad sample", async || {
+            writer.raw_put(key, payload.clone(), encoding).unwrap();
+            assert!(events.try_next().is_none());
+            (events.unreadable() > before).then_some(())
+        })
+        .await;
+    }
+    // JSON typed into any client is a message, whatever encoding that client claims.
+    let good = serde_json::to_vec(&event(7)).unwrap();
+    let received = until("the good one", async || {
+        writer.raw_put(key, good.clone(), "zenoh/bytes").unwrap();
+        events.try_next()
     })
     .await;
-    writer.raw_put(key, vec![b' '; 10 << 20], "application/json").unwrap();
-    writer
-        .raw_put(key, "[".repeat(16_000).into_bytes(), "text/plain")
-        .unwrap();
-    writer.raw_put(key, vec![0x81; 16_000], "application/cbor").unwrap();
-    writer
-        .raw_put(key, br#"{"stamp": NaN}"#.to_vec(), "application/json")
-        .unwrap();
-    // JSON typed into any client is a message, whatever encoding that client claims.
-    writer
-        .raw_put(key, serde_json::to_vec(&event(7)).unwrap(), "zenoh/bytes")
-        .unwrap();
-    let received = within("the good one", events.next()).await.unwrap();
     assert_eq!(received.message.sequence, 7);
-    assert!(events.unreadable() >= 5);
 }

@@ -170,11 +170,10 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::robot::shipped;
 
     #[test]
     fn scattered_robots_stand_apart_and_a_full_world_takes_no_more() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let world = World::shipped("empty").unwrap();
         let poses = scatter(&world, &model, 50, 0.5, 1);
         assert_eq!(poses.len(), 50);
@@ -192,7 +191,7 @@ mod tests {
     #[test]
     fn a_floor_has_room_for_all_robots_that_it_was_made_for() {
         for (name, count) in [("tiago", 1000), ("neato", 300), ("jackal", 1)] {
-            let model = RobotModel::from_toml(shipped(name).unwrap(), name).unwrap();
+            let model = zenav_fixtures::robot(name);
             let world = floor(&model, count).unwrap();
             let placed = scatter(&world, &model, count, model.drive.wheel_separation, 1);
             assert_eq!(placed.len(), count, "{name}");
@@ -201,7 +200,7 @@ mod tests {
 
     #[test]
     fn a_bench_tells_of_all_robots_and_of_one() {
-        let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+        let model = zenav_fixtures::robot("tiago");
         let ticks = std::cell::Cell::new(0);
         let clock = || {
             ticks.set(ticks.get() + 1);

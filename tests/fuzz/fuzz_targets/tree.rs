@@ -6,7 +6,7 @@
 
 use libfuzzer_sys::fuzz_target;
 
-#[path = "../../cloud/behaviour_tree/tests/exercise/mod.rs"]
+#[path = "../../../cloud/behaviour_tree/tests/exercise/mod.rs"]
 mod exercise;
 
 fuzz_target!(|bytes: &[u8]| {

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_edge::estimator::{Estimator, Tally};
+use zenav_edge::settings::EstimatorSettings;
 use zenav_fixtures::robot;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::id::Id;
@@ -149,6 +150,15 @@ impl OffBoard {
     }
 }
 
+/// An estimator that knows its start as well as it is drawn.
+fn known_start() -> EstimatorSettings {
+    EstimatorSettings {
+        start_std: START.0,
+        start_yaw_std: START.1,
+        ..EstimatorSettings::default()
+    }
+}
+
 /// Drives for `secs` and adds up. `clock` tells the time since any fixed moment.
 ///
 /// # Errors
@@ -184,7 +194,7 @@ pub fn drive(
         start.y + START.0 * rng.gauss(),
         start.yaw + START.1 * rng.gauss(),
     );
-    let mut estimator = Estimator::new(&believed, guess, START.0, START.1);
+    let mut estimator = Estimator::new(&believed, guess, &known_start());
     let mut off_board = OffBoard::default();
     let mut wheels = [0.0; 2];
     for tick in 0..(secs * 50.0) as usize {
@@ -239,7 +249,7 @@ pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, SimRigError> {
         start,
     };
     let mut sim = Simulation::new(&world, vec![spec], 1)?;
-    let mut estimator = Estimator::new(&model, start, START.0, START.1);
+    let mut estimator = Estimator::new(&model, start, &known_start());
     sim.drive(0, [2.0, 2.5]);
     let mut took = Vec::new();
     let mut rng = Rng::new(1, 3);

@@ -10,7 +10,7 @@ use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
-use zenav_protocol::robot::{Footprint, RobotModel, TrackerKind};
+use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
 use zenav_smoothing::shortcut::shortcut;
 use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
@@ -27,13 +27,7 @@ const CORRECTION: (f64, f64) = (0.02, 0.01);
 const LEAST_LENGTH: f64 = 2.0;
 
 /// Every law, by its name in the robot's file.
-pub const LAWS: [(&str, TrackerKind); 5] = [
-    ("time_law", TrackerKind::TimeLaw),
-    ("pure_pursuit", TrackerKind::PurePursuit),
-    ("pid", TrackerKind::Pid),
-    ("wheel_law", TrackerKind::WheelLaw),
-    ("heading_first", TrackerKind::HeadingFirst),
-];
+pub const LAWS: [&str; 5] = ["time_law", "pure_pursuit", "pid", "wheel_law", "heading_first"];
 
 /// A path to be driven, and its trajectory.
 #[derive(Clone, Debug)]
@@ -179,13 +173,13 @@ pub enum Localised {
 pub fn drive(
     world: &World,
     model: &RobotModel,
-    law: TrackerKind,
+    law: &str,
     planned: &PlannedPath,
     localised: Localised,
     seed: u64,
 ) -> Result<Drive, SimRigError> {
     let mut model = model.clone();
-    model.controller.tracker = law;
+    law.clone_into(&mut model.controller.tracker);
     let mut rig = SimRig::new(world, &model, planned.start, seed, LeaseRole::Mission)?;
     rig.run(1.0);
     rig.plan = Some(rig.plan(planned.corners.clone(), planned.trajectory.clone()));
@@ -239,14 +233,12 @@ fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
 
 impl PlannedPath {
     /// The points between which a law is to drive straight on.
-    fn reference(&self, law: TrackerKind) -> Vec<Point2<f64>> {
+    fn reference(&self, law: &str) -> Vec<Point2<f64>> {
         match law {
-            TrackerKind::WheelLaw | TrackerKind::HeadingFirst => std::iter::once(self.start.position())
+            "wheel_law" | "heading_first" => std::iter::once(self.start.position())
                 .chain(self.corners.iter().copied())
                 .collect(),
-            TrackerKind::TimeLaw | TrackerKind::PurePursuit | TrackerKind::Pid => {
-                self.trajectory.iter().map(|point| point.pose().position()).collect()
-            }
+            _ => self.trajectory.iter().map(|point| point.pose().position()).collect(),
         }
     }
 }

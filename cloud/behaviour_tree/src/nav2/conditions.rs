@@ -1,4 +1,4 @@
-//! Which of Nav2's conditions need nothing but the blackboard and the time? Whether a goal has changed, whether an error
+//! Nav2's conditions. Which need nothing but the blackboard and the time? Whether a goal has changed, whether an error
 //! code is among those that a recovery can mend, whether time is over (nav2_behavior_tree 1.5); and, for a robot that is
 //! only played, whether it keeps to its path and whether poses are near each other.
 

@@ -1,4 +1,4 @@
-//! Which of Nav2's decorators follow a robot or its goals? They tick their child when the robot has
+//! Nav2's decorators that follow a robot or its goals. When is the child ticked? They tick their child when the robot has
 //! come far enough, in a rhythm that goes with its speed, when its goal has changed, or when its
 //! path has become much longer (nav2_behavior_tree 1.5).
 //!

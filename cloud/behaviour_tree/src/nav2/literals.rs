@@ -1,4 +1,4 @@
-//! How are poses, lists of them and paths written in a tree? As `x;y` or `x;y;yaw`, several separated by `|`; as Nav2 1.5
+//! Literals. How are poses, lists of them and paths written in a tree? As `x;y` or `x;y;yaw`, several separated by `|`; as Nav2 1.5
 //! writes them, `stamp;frame;x;y;z;qx;qy;qz;qw` (`nav2_behavior_tree/bt_utils.hpp`); or as JSON. Where a pose is wanted, a
 //! place may be named.
 
@@ -15,7 +15,7 @@ pub struct Pose {
     pub x: f64,
     /// Position, m.
     pub y: f64,
-    /// Where one is wanted.
+    /// Heading, rad, if one is wanted.
     #[serde(default)]
     pub yaw: Option<f64>,
 }

@@ -1,8 +1,8 @@
-//! Which nodes does Nav2 have besides those built in here, and which ports have they? Names, kinds,
+//! Nav2's other nodes. Which are there, and which ports do they have? Names, kinds,
 //! types and defaults of nav2_behavior_tree 1.5, as data.
 //!
-//! Declared, a tree that uses them can be read, checked and drawn; who can do what they are for
-//! registers a leaf of the same id.
+//! A tree that uses a declared node can be read, checked and drawn; a leaf registered under the same id
+//! implements it.
 
 use crate::ports::{Direction, PortType};
 use crate::registry::{Category, NodeSpec};

@@ -1,4 +1,4 @@
-//! What does `x := a + 1; y = x > 3 ? 'far' : 'near'` do? The scripting language of
+//! Scripts. What does `x := a + 1; y = x > 3 ? 'far' : 'near'` do? The scripting language of
 //! BehaviorTree.CPP v4, for `Script`, `ScriptCondition` and the conditions around nodes.
 //!
 //! A script is parsed when the tree is checked, its names become slots of the blackboard when the

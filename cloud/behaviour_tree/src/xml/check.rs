@@ -1,4 +1,4 @@
-//! Does every tree use nodes that exist, as they want to be used, and can it be unfolded?
+//! Validation. Does every tree use known nodes with their ports and children, and can it be unfolded?
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,4 +1,4 @@
-//! What do the files say? Elements with their places, trees by id, models of nodes.
+//! Document. What do the files say? Elements with their places, trees by id, models of nodes.
 
 use std::collections::BTreeMap;
 

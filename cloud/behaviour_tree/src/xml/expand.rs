@@ -1,4 +1,4 @@
-//! How does a checked file become an arena of nodes? Depth first, SubTrees unfolded, names of
+//! Expansion. How does a checked file become an arena of nodes? Depth first, SubTrees unfolded, names of
 //! entries resolved to slots of the blackboard.
 
 use std::collections::BTreeMap;

@@ -1,4 +1,4 @@
-//! How does a tree travel whose file includes others? As one text: the lines of the file itself stay where they are, what it includes
+//! Inlining. How is a tree sent whose file includes others? As one text: the lines of the file itself stay where they are, what it includes
 //! follows them.
 
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! How does a file become a tree, or a list of everything that is wrong with it?
+//! XML. How does a file become a tree, or a list of everything that is wrong with it?
 //!
 //! In four steps, each of bounded time and memory: `guard` refuses what an XML parser should not
 //! be given, `document` reads files and their includes, `check` compares every tree with the

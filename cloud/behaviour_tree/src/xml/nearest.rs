@@ -1,4 +1,4 @@
-//! Which known name did the author mean? The one with the fewest edits (Levenshtein).
+//! Suggestions. Which known name did the author mean? The one with the fewest edits (Levenshtein).
 
 /// Longer names are not compared: the cost is the product of two lengths.
 const LONGEST: usize = 64;

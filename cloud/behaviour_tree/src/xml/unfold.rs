@@ -1,6 +1,6 @@
-//! How large is a tree with its SubTrees unfolded? Counted without unfolding it: first the trees
-//! that have no SubTrees, then those that have only these, and so on. What is left over goes in
-//! circles.
+//! Expansion size. How large is a tree with its SubTrees unfolded? Counted without unfolding it: first the trees
+//! that have no SubTrees, then those that have only these, and so on. What is left over is
+//! cyclic.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ struct Whole {
     depth: usize,
 }
 
-/// Nodes of every tree that can be unfolded; tells what is too large and what goes in circles.
+/// Nodes of every tree that can be unfolded; reports what is too large or cyclic.
 pub(super) fn unfold(
     sizes: &BTreeMap<&str, Size>,
     forest: &Forest,
@@ -101,14 +101,14 @@ fn excess(whole: &Whole, limits: &Limits) -> Option<(String, String)> {
     }
 }
 
-/// Tells every circle once.
+/// Reports every cycle once.
 fn cycles(sizes: &BTreeMap<&str, Size>, done: &BTreeMap<&str, Whole>, errors: &mut Collector) {
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
     let left_over = sizes.keys().filter(|id| !done.contains_key(*id));
     for (walk, start) in left_over.enumerate() {
-        let mut way: Vec<(&str, Place)> = Vec::new();
+        let mut path: Vec<(&str, Place)> = Vec::new();
         let mut here = *start;
-        // A way that meets an earlier one leads to a circle that has been told.
+        // A path that meets an earlier one leads to a cycle that has been reported.
         while !seen.contains_key(here) {
             seen.insert(here, walk);
             let next = sizes.get(here).and_then(|size| {
@@ -117,14 +117,14 @@ fn cycles(sizes: &BTreeMap<&str, Size>, done: &BTreeMap<&str, Whole>, errors: &m
                     .find(|(sub, _, _)| !done.contains_key(sub.as_str()))
             });
             let Some((sub, at, _)) = next else { break };
-            way.push((here, *at));
+            path.push((here, *at));
             here = sub;
         }
-        if let Some(from) = way.iter().position(|(id, _)| *id == here)
+        if let Some(from) = path.iter().position(|(id, _)| *id == here)
             && seen.get(here) == Some(&walk)
-            && let Some((_, at)) = way.last()
+            && let Some((_, at)) = path.last()
         {
-            let names: Vec<&str> = way[from..].iter().map(|(id, _)| *id).chain([here]).collect();
+            let names: Vec<&str> = path[from..].iter().map(|(id, _)| *id).chain([here]).collect();
             let message = format!("trees contain one another: {}", names.join(" > "));
             errors.add(*at, message, "SubTrees without a cycle");
         }

@@ -15,9 +15,9 @@ pub use self::png::encode_png;
 /// A grey image, rows from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrayImage {
-    /// Number of columns.
+    /// Width in pixels, that is, columns.
     pub width: u32,
-    /// Number of rows.
+    /// Height in pixels, that is, rows.
     pub height: u32,
     /// Brightness of every pixel, 255 is white; of a coloured pixel, the mean of its colours.
     pub gray: Vec<u8>,
@@ -36,9 +36,9 @@ pub enum ImageError {
     /// The header of the graymap is malformed.
     #[error("malformed PGM header: expected {expected}, found {found}")]
     Header {
-        /// What was expected.
+        /// What was expected at this place.
         expected: &'static str,
-        /// What was found.
+        /// What was found at this place.
         found: String,
     },
     /// The file ends too soon.
@@ -56,15 +56,15 @@ pub enum ImageError {
         line: usize,
         /// Largest value by the header.
         limit: u32,
-        /// What was found.
+        /// What was found at this place.
         found: String,
     },
     /// The image has more pixels than a map may have cells.
     #[error("{width} x {height} pixels: at most {MAX_SIDE} a side and {MAX_CELLS} in all")]
     TooLarge {
-        /// Number of columns.
+        /// Width in pixels, that is, columns.
         width: u64,
-        /// Number of rows.
+        /// Height in pixels, that is, rows.
         height: u64,
     },
     /// The PNG is malformed.

@@ -35,7 +35,7 @@ use tiles::{Bounds, TILE_SIDE, Tiles};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InsertMode {
-    /// Every beam, exactly.
+    /// Every beam is drawn exactly.
     #[default]
     Reference,
     /// Wedges between neighbouring beams are filled as far as a beam meets every cell in them, and only the rest is drawn beam by beam.
@@ -46,9 +46,9 @@ pub enum InsertMode {
 /// Number of beams of a scan that were inserted, and that were not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BeamCount {
-    /// Beams inserted.
+    /// Number of beams inserted.
     pub inserted: usize,
-    /// Beams left out because the map would have become too large.
+    /// Number of beams left out because the map would have become too large.
     pub left_out: usize,
 }
 

@@ -17,7 +17,7 @@ pub struct CellCounts {
 }
 
 impl CellCounts {
-    /// Counts occupancy values.
+    /// Counts the classes of occupancy values.
     ///
     /// ```
     /// use zenav_mapping::CellCounts;

@@ -59,7 +59,7 @@ impl LogOddsTile {
         &self.freest
     }
 
-    /// Writes a cell.
+    /// Writes the byte of a cell.
     pub(super) fn set(&mut self, x: usize, y: usize, byte: u8, model: &QuantizedModel) {
         let (row, bit) = (y % TILE_SIDE, 1 << (x % TILE_SIDE));
         self.cells[row][x % TILE_SIDE] = byte;

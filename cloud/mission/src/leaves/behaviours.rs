@@ -84,7 +84,7 @@ impl Leaf<Context> for Behaviour {
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let codes = Codes::of(io.id());
         let Some(execution) = io.recall::<Execution>() else {
-            return fail(io, ctx, Some(codes.unknown), "the execution is not known");
+            return fail(io, ctx, Some(codes.unknown), "the execution id is lost");
         };
         if ctx.cancels(io.id()) != self.cancels {
             self.halt(io, ctx);
@@ -93,11 +93,11 @@ impl Leaf<Context> for Behaviour {
         }
         if execution.until.is_some_and(|until| io.now().as_secs_f64() > until) {
             self.halt(io, ctx);
-            return fail(io, ctx, Some(codes.timeout), "not done within its `time_allowance`");
+            return fail(io, ctx, Some(codes.timeout), "not finished within `time_allowance`");
         }
         let Some(epoch) = ctx.lease.epoch() else {
             self.since = ctx.now;
-            return step(io, ctx, "waits for the lease");
+            return step(io, ctx, "waiting for the lease");
         };
         let reported = ctx
             .robot
@@ -138,7 +138,7 @@ impl Leaf<Context> for Behaviour {
                 epoch: Some(epoch),
             })));
         }
-        step(io, ctx, "under way")
+        step(io, ctx, "running")
     }
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {

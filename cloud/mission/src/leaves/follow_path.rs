@@ -20,6 +20,7 @@ use crate::motion::{PlanStatus, Recheck, recheck};
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use zenav_smoothing::timing::Limits;
+use zenav_space::ConfigurationSpace;
 
 /// Nav2's codes of why a path is not followed.
 mod error_code {
@@ -35,6 +36,8 @@ const MAX_REFUSALS: u32 = 5;
 const MAX_MISSES: u32 = 3;
 /// Wait after a refusal, s.
 const AFTER_REFUSAL: f64 = 0.3;
+/// Wait before a route is looked for again that could not be checked, s.
+const AFTER_UNCHECKED: f64 = 1.0;
 /// A route from rest is good only where the robot still stands, m.
 const BEGIN_DISTANCE: f64 = 0.15;
 /// Time besides braking and the latency budget at which a robot that drives towards something is brought to rest, s.
@@ -81,6 +84,18 @@ struct Memory {
     motion: Option<u64>,
 }
 
+/// Where the robot may be by what the map says now, or why that is not known.
+fn space_now(ctx: &mut Context) -> Result<Arc<ConfigurationSpace>, String> {
+    let Some(model) = ctx.robot.model().cloned() else {
+        return Err("the robot has not described itself".to_owned());
+    };
+    if let Some(why) = ctx.map.unusable(ctx.now, ctx.config.map_patience) {
+        return Err(why);
+    }
+    let space = ctx.map.space(&model.footprint);
+    space.ok_or_else(|| "no map has come yet".to_owned())
+}
+
 /// Whether the robot stands at a goal that asks for no heading.
 fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
     let near = |pose: Pose2| (pose.x - goal.x).hypot(pose.y - goal.y) <= THERE * ctx.goal.tolerance;
@@ -105,7 +120,7 @@ impl Leaf<Context> for FollowPath {
         if is_there(ctx, &data.goal) {
             // A path whose end the robot keeps to, as one that follows something does.
             no_error(io);
-            io.say("there");
+            io.say("arrived");
             return Status::Success;
         }
         self.offered = ctx.route(data.route);
@@ -142,12 +157,7 @@ impl Leaf<Context> for FollowPath {
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let Some(mut memory) = io.recall::<Memory>() else {
-            return self.end(
-                io,
-                ctx,
-                error_code::INVALID_PATH,
-                "nothing is remembered of the goal".to_owned(),
-            );
+            return self.end(io, ctx, error_code::INVALID_PATH, "the goal was not stored".to_owned());
         };
         if ctx.cancels(io.id()) != self.cancels {
             self.stop_search(ctx);
@@ -173,9 +183,9 @@ impl Leaf<Context> for FollowPath {
         }
         if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
             self.refusals += 1;
-            tracing::info!(goal = ctx.goal.id, why, "the robot has refused a plan");
+            tracing::info!(goal = ctx.goal.id, why, "the robot rejected a plan");
             if self.refusals > MAX_REFUSALS {
-                let why = format!("the robot refuses the plan: {why}");
+                let why = format!("the robot rejects the plan: {why}");
                 return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
             }
             if !ctx.motion.revert() {
@@ -187,7 +197,7 @@ impl Leaf<Context> for FollowPath {
             match ctx.motion.status().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(PlanStatus::Void(why)) => {
-                    tracing::info!(goal = ctx.goal.id, why, "plans anew");
+                    tracing::info!(goal = ctx.goal.id, why, "replanning");
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(PlanStatus::Finished) => {
@@ -196,14 +206,14 @@ impl Leaf<Context> for FollowPath {
                     });
                     if left <= ctx.goal.tolerance {
                         no_error(io);
-                        io.say("there");
+                        io.say("arrived");
                         ctx.end_leg(GoalPhase::Succeeded, None);
                         return Status::Success;
                     }
                     self.misses += 1;
                     if self.misses > MAX_MISSES {
                         let why = format!(
-                            "ended {left:.2} m from the goal, {:.2} m are allowed",
+                            "ended {left:.2} m from the goal; the tolerance is {:.2} m",
                             ctx.goal.tolerance
                         );
                         return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
@@ -276,13 +286,17 @@ impl FollowPath {
 
     /// Puts a route into force, if it is free by the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
-        if let Some(model) = ctx.robot.model().cloned()
-            && let Some(space) = ctx.map.space(&model.footprint)
-            && let Recheck::Blocked(_) = recheck(&route.plan.trajectory, &space, 0.0)
-        {
-            // The map has changed since.
-            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
-            return step(io, ctx, "plans anew: the map has changed");
+        match space_now(ctx).map(|space| recheck(&route.plan.trajectory, &space, 0.0)) {
+            Ok(Recheck::Free) => {}
+            Ok(Recheck::Blocked(_)) => {
+                // The map has changed since.
+                self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+                return step(io, ctx, "replanning: the map has changed");
+            }
+            Err(why) => {
+                self.begin_search(ctx, memory.goal, AFTER_UNCHECKED);
+                return step(io, ctx, &format!("waiting: the path cannot be checked: {why}"));
+            }
         }
         self.stop_search(ctx);
         self.blocked_at = None;
@@ -290,7 +304,7 @@ impl FollowPath {
         self.gathered = ctx.now.plus_secs(GATHER_SECS);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
-        step(io, ctx, "drives")
+        step(io, ctx, "driving")
     }
 
     /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
@@ -308,30 +322,25 @@ impl FollowPath {
         let revision = ctx.map.newest().map_or(0, |map| map.revision);
         if due || revision != self.rechecked {
             self.rechecked = revision;
-            let checked = match ctx.robot.model().cloned() {
-                Some(model) => ctx
-                    .map
-                    .space(&model.footprint)
-                    .map_or(Recheck::Free, |space| ctx.motion.recheck(&space, time)),
-                None => Recheck::Free,
-            };
-            match checked {
-                Recheck::Free if due => ctx.renew(),
-                Recheck::Free => {}
-                Recheck::Blocked(ahead) if ahead > FAR_SECS && ctx.now < self.gathered => {}
-                Recheck::Blocked(ahead) => {
-                    tracing::debug!(goal = ctx.goal.id, ahead, "the way is blocked");
+            match space_now(ctx).map(|space| ctx.motion.recheck(&space, time)) {
+                Ok(Recheck::Free) if due => ctx.renew(),
+                Ok(Recheck::Free) => {}
+                // It runs out: the robot is at rest by its expiry, and goes on once the plan can be checked again.
+                Err(why) => return step(io, ctx, &format!("plan not renewed, it cannot be checked: {why}")),
+                Ok(Recheck::Blocked(ahead)) if ahead > FAR_SECS && ctx.now < self.gathered => {}
+                Ok(Recheck::Blocked(ahead)) => {
+                    tracing::debug!(goal = ctx.goal.id, ahead, "the path is blocked");
                     self.begin_search(ctx, memory.goal, 0.0);
                     self.blocked_at = Some(time + ahead);
                     self.brake_in_time(ctx);
-                    return step(io, ctx, "plans anew: the way is blocked");
+                    return step(io, ctx, "replanning: the path is blocked");
                 }
             }
         }
         let what = if taken {
-            "drives"
+            "driving"
         } else {
-            "waits until the robot takes the plan"
+            "waiting for the robot to accept the plan"
         };
         step(io, ctx, what)
     }
@@ -361,7 +370,7 @@ impl FollowPath {
                     self.drive(io, ctx, memory, &route)
                 } else {
                     self.begin_search(ctx, memory.goal, 0.0);
-                    step(io, ctx, "plans anew: the robot is elsewhere by now")
+                    step(io, ctx, "replanning: the robot is elsewhere by now")
                 }
             }
             Searching::Failed(no_route)
@@ -371,7 +380,7 @@ impl FollowPath {
                 ctx.hold();
                 self.begin_search(ctx, memory.goal, 0.0);
                 self.search = self.search.take().map(Search::from_rest);
-                step(io, ctx, &format!("stops: {}", no_route.reason))
+                step(io, ctx, &format!("stopping: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {
                 let code = if no_route.is_final() {
@@ -379,7 +388,7 @@ impl FollowPath {
                 } else {
                     error_code::NO_VALID_CONTROL
                 };
-                self.end(io, ctx, code, format!("no way on: {}", no_route.reason))
+                self.end(io, ctx, code, format!("no path to continue: {}", no_route.reason))
             }
         }
     }
@@ -418,7 +427,7 @@ impl FollowPath {
 
     fn remember(&self, io: &mut LeafIo<'_>, memory: Memory) {
         if let Err(error) = io.remember(&memory) {
-            tracing::warn!(%error, "a goal has no stored form");
+            tracing::warn!(%error, "a goal cannot be serialised");
         }
     }
 }

@@ -100,7 +100,7 @@ impl Leaf<Context> for FollowWaypoints {
                     ctx.renew();
                 }
                 let what = format!(
-                    "drives to waypoint {} of {}",
+                    "driving to waypoint {} of {}",
                     (memory.passed + 1).min(self.points.len()),
                     self.points.len()
                 );
@@ -109,20 +109,20 @@ impl Leaf<Context> for FollowWaypoints {
             Some(PlanStatus::Finished) => self.succeed(io, ctx),
             Some(PlanStatus::Refused(why)) => {
                 self.refusals += 1;
-                tracing::info!(goal = ctx.goal.id, why, "the robot has refused waypoints");
+                tracing::info!(goal = ctx.goal.id, why, "the robot rejected waypoints");
                 if self.refusals > MAX_REFUSALS {
                     return self.end(
                         io,
                         ctx,
                         NO_VALID_CONTROL,
-                        format!("the robot refuses the waypoints: {why}"),
+                        format!("the robot rejects the waypoints: {why}"),
                     );
                 }
                 ctx.motion.clear();
                 self.not_before = ctx.now.plus_secs(AFTER_REFUSAL);
-                step(io, ctx, "tries again")
+                step(io, ctx, "retrying")
             }
-            Some(PlanStatus::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "tries again"),
+            Some(PlanStatus::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "retrying"),
             Some(PlanStatus::Void(_)) | None => self.begin(io, ctx, memory),
         }
     }
@@ -161,7 +161,7 @@ impl FollowWaypoints {
         memory.base = memory.passed;
         memory.motion = ctx.motion.id();
         remember(io, memory);
-        step(io, ctx, "sets out")
+        step(io, ctx, "starting")
     }
 
     fn succeed(&self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
@@ -179,7 +179,7 @@ impl FollowWaypoints {
 
 fn remember(io: &mut LeafIo<'_>, memory: Memory) {
     if let Err(error) = io.remember(&memory) {
-        tracing::warn!(%error, "a place in the list has no stored form");
+        tracing::warn!(%error, "a place in the list cannot be serialised");
     }
 }
 

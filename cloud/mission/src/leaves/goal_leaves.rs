@@ -37,7 +37,7 @@ impl SyncLeaf for RemoveInCollisionGoals {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         let goals = goals_on(io, ctx, "input_goals")?;
         if ground(ctx).is_none() {
-            return Ok(step(io, ctx, "waits for the robot and its map"));
+            return Ok(step(io, ctx, "waiting for the robot and its map"));
         }
         let (mut kept, mut dropped) = (Vec::new(), Vec::new());
         for (index, goal) in goals.iter().enumerate() {
@@ -58,7 +58,7 @@ pub struct CheckPoseOccupancy;
 impl SyncLeaf for CheckPoseOccupancy {
     fn answer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
         if ground(ctx).is_none() {
-            return Ok(step(io, ctx, "waits for the robot and its map"));
+            return Ok(step(io, ctx, "waiting for the robot and its map"));
         }
         let goal = goal_on(io, ctx, "pose")?;
         let free = fits(io, ctx, &goal)?;

@@ -32,12 +32,12 @@ impl Leaf<Context> for DoesMapExist {
         let since = *self.since.get_or_insert(ctx.now);
         match ctx.map.info() {
             Some(info) if info.stored => {
-                io.say("there is one");
+                io.say("a map is stored");
                 Status::Success
             }
             // Not `fail`: that there is no map yet is an answer, no fault.
-            Some(_) => io.fail("there is none yet"),
-            None if ctx.now.secs_since(since) < PATIENCE => step(io, ctx, "waits for the mapping service"),
+            Some(_) => io.fail("no map is stored yet"),
+            None if ctx.now.secs_since(since) < PATIENCE => step(io, ctx, "waiting for the mapping service"),
             None => io.fail("no mapping service answers"),
         }
     }
@@ -80,7 +80,7 @@ impl Action {
             done: false,
         };
         if let Err(error) = io.remember(&execution) {
-            tracing::warn!(%error, "an execution has no stored form");
+            tracing::warn!(%error, "an execution cannot be serialised");
         }
     }
 
@@ -95,7 +95,7 @@ impl Action {
     /// Asks, and asks again.
     pub fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
         let Some(mut execution) = io.recall::<Execution>() else {
-            return Acting::Failed("the execution is not known".to_owned());
+            return Acting::Failed("the execution id is lost".to_owned());
         };
         if execution.done {
             return Acting::Done;
@@ -118,19 +118,15 @@ impl Action {
             Some(Ok(_)) => {
                 execution.done = true;
                 if let Err(error) = io.remember(&execution) {
-                    tracing::warn!(%error, "an execution has no stored form");
+                    tracing::warn!(%error, "an execution cannot be serialised");
                 }
                 Acting::Done
             }
             Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
-                // Mapping has not heard of the grant yet. It keeps its refusal under this id, so the next ask has another.
+                // Mapping has not heard of the grant yet.
                 self.ticket = None;
                 if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
                     return Acting::Failed(refusal.to_string());
-                }
-                execution.id = ctx.execution_id();
-                if let Err(error) = io.remember(&execution) {
-                    tracing::warn!(%error, "an execution has no stored form");
                 }
                 self.not_before = ctx.now.plus_secs(EPOCH_WAIT);
                 Acting::Busy
@@ -167,7 +163,7 @@ impl Leaf<Context> for MapEnvironment {
         self.resumed = false;
         self.action.begin(io, ctx);
         // The ask follows in the next tick, when the execution's id is stored.
-        step(io, ctx, "begins a new map")
+        step(io, ctx, "starting a new map")
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
@@ -178,11 +174,11 @@ impl Leaf<Context> for MapEnvironment {
             MapAction::Reset
         };
         match self.action.step(io, ctx, action) {
-            Acting::Busy => step(io, ctx, "begins a new map"),
+            Acting::Busy => step(io, ctx, "starting a new map"),
             Acting::Failed(why) => fail(io, ctx, None, why),
             Acting::Done => {
                 let scans = ctx.map.info().map_or(0, |info| info.scans);
-                io.say(format!("maps: {scans} scans"));
+                io.say(format!("mapping: {scans} scans"));
                 Status::Running
             }
         }
@@ -215,13 +211,13 @@ impl OnMap {
     /// Stores the map: from then on it exists.
     #[must_use]
     pub fn save() -> Self {
-        Self::new(MapAction::Save, "stores the map", "stored")
+        Self::new(MapAction::Save, "storing the map", "stored")
     }
 
     /// Takes for gone what may only have passed by; what is still there is seen again.
     #[must_use]
     pub fn forget() -> Self {
-        Self::new(MapAction::Forget, "clears the map", "what may have passed is gone")
+        Self::new(MapAction::Forget, "clearing the map", "cleared")
     }
 
     fn new(which: MapAction, doing: &'static str, done: &'static str) -> Self {

@@ -1,4 +1,4 @@
-//! What can a tree do with a robot? One file a family of leaves; what a leaf acts on is the [`Context`].
+//! Leaves. What can a tree do with a robot? One file per family of leaves; a leaf acts on the [`Context`].
 //!
 //! | file | leaves |
 //! |---|---|
@@ -19,8 +19,8 @@
 //! | `navigate` | NavigateToPose, NavigateThroughPoses |
 //! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
 //!
-//! Names and ports are Nav2's where Nav2 has the node, so that every tree of Nav2's can be loaded. A node whose job nobody
-//! does here fails when it is ticked and names what is missing.
+//! Names and ports are Nav2's where Nav2 has the node, so that every Nav2 tree loads. A node that this stack cannot serve
+//! fails when it is ticked and names what is missing.
 
 mod behaviours;
 mod compute_path;
@@ -48,7 +48,7 @@ use zenav_behaviour_tree::{DuplicateNode, Leaf, LeafIo, LeafSite, NodeSpec, Port
 
 pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
-/// The nodes that a mission's trees may use.
+/// The nodes of a mission's trees: BehaviorTree.CPP's, Nav2's and this stack's.
 #[must_use]
 pub fn registry() -> Registry<Context> {
     let mut registry = nav2::registry();
@@ -70,35 +70,32 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         }
     };
     registry.leaf(
-        known("ComputePathToPose", "Plans and smooths a way to the goal."),
+        known("ComputePathToPose", "Plans and smooths a path to the goal."),
         |_| Box::<compute_path::ComputePath>::default(),
     )?;
     registry.leaf(
         known(
             "FollowPath",
-            "Drives a way, rechecks and renews it, replans when it is blocked.",
+            "Follows a path: rechecks and renews the plan, replans when it is blocked.",
         ),
         |_| Box::<follow_path::FollowPath>::default(),
     )?;
     registry.leaf(
         NodeSpec::action(
             "FollowWaypoints",
-            "Drives through places by the waypoint law; needs no map.",
+            "Follows waypoints by the waypoint law; needs no map.",
         )
-        .input("waypoints", Text, "places `x;y|x;y|…`, m, map frame")
-        .input_or("laps", Unsigned, "1", "how often")
-        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
-        .output("error_msg", Text, "why it failed, in words"),
+        .input("waypoints", Text, "waypoints `x;y|x;y|…`, m, map frame")
+        .input_or("laps", Unsigned, "1", "repetitions")
+        .output("error_code_id", Unsigned, "error code; 0: none")
+        .output("error_msg", Text, "error message"),
         |_| Box::<follow_waypoints::FollowWaypoints>::default(),
     )?;
     registry.leaf(NodeSpec::action("DoesMapExist", "SUCCESS if a map is stored."), |_| {
         Box::<mapping::DoesMapExist>::default()
     })?;
     registry.leaf(
-        NodeSpec::action(
-            "MapEnvironment",
-            "Begins a new map; RUNNING while it grows, until it is halted.",
-        ),
+        NodeSpec::action("MapEnvironment", "Starts a new map; RUNNING until it is halted."),
         |_| Box::<mapping::MapEnvironment>::default(),
     )?;
     registry.leaf(NodeSpec::action("SaveMap", "Stores the map."), |_| {
@@ -109,37 +106,32 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         known("GoalReached", "SUCCESS within the tolerance of the goal.").input_optional(
             "tolerance",
             Double,
-            "m; without it, the goal's own",
+            "m; default: the goal's own",
         ),
         |_| Box::new(simple::GoalReached),
     )?;
     registry.leaf(known("IsBatteryLow", "SUCCESS below a share of the charge."), |_| {
         Box::new(simple::IsBatteryLow)
     })?;
-    registry.leaf(known("Spin", "Turns on the spot."), |_| {
+    registry.leaf(known("Spin", "Turns in place."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
     registry.leaf(known("BackUp", "Drives straight back."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
-    registry.leaf(known("DriveOnHeading", "Drives straight on."), |_| {
+    registry.leaf(known("DriveOnHeading", "Drives straight ahead."), |_| {
         Box::<behaviours::Behaviour>::default()
     })?;
     registry.leaf(
         NodeSpec::action(
             "DriveToFree",
-            "Drives to the nearest place that keeps a distance from everything seen.",
+            "Drives to the nearest place with a clearance from everything seen.",
         )
-        .input_or(
-            "clearance",
-            Double,
-            "0.1",
-            "distance of the footprint from everything there, m",
-        )
-        .input_or("within", Double, "1.0", "the place is searched within this distance, m")
-        .input_or("time_allowance", Double, "10.0", "it is given up after this time, s")
-        .output("error_code_id", Unsigned, "why it failed; 0: it did not")
-        .output("error_msg", Text, "why it failed, in words"),
+        .input_or("clearance", Double, "0.1", "clearance of the footprint there, m")
+        .input_or("within", Double, "1.0", "search radius, m")
+        .input_or("time_allowance", Double, "10.0", "time allowance, s")
+        .output("error_code_id", Unsigned, "error code; 0: none")
+        .output("error_msg", Text, "error message"),
         |_| Box::<behaviours::Behaviour>::default(),
     )?;
     registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
@@ -154,7 +146,7 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
     Ok(())
 }
 
-/// The leaf that does what one of Nav2's nodes stands for.
+/// The leaf that implements one of Nav2's nodes.
 fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     fn sync<T: SyncLeaf + 'static>(leaf: T) -> Box<dyn Leaf<Context>> {
         Box::new(Sync(leaf))
@@ -236,7 +228,7 @@ impl Travel for Context {
     }
 }
 
-/// Fails with Nav2's code and a reason that the goal's end can tell.
+/// Fails with Nav2's error code and a reason that the goal's end reports.
 fn fail(io: &mut LeafIo<'_>, ctx: &mut Context, code: Option<i64>, why: impl Into<String>) -> Status {
     let why = why.into();
     if let Some(code) = code {
@@ -248,13 +240,13 @@ fn fail(io: &mut LeafIo<'_>, ctx: &mut Context, code: Option<i64>, why: impl Int
     io.fail(why)
 }
 
-/// Says that nothing has failed.
+/// Clears the error ports.
 fn no_error(io: &mut LeafIo<'_>) {
     let _ = io.set("error_code_id", 0_i64);
     let _ = io.set("error_msg", "");
 }
 
-/// Says what the node does, in the tree and in the goal's feedback.
+/// `Running`, with what the node does as its feedback and the goal's.
 fn step(io: &mut LeafIo<'_>, ctx: &mut Context, what: &str) -> Status {
     io.say(what);
     let said = format!("{}: {what}", io.name());

@@ -48,7 +48,7 @@ impl Navigate {
     fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &Context) -> Result<String, (i64, String)> {
         let unknown = |why: String| (error_code::UNKNOWN, why);
         if ctx.nested >= MAX_NESTED {
-            let why = format!("{MAX_NESTED} trees stand inside one another already: expected fewer");
+            let why = format!("{MAX_NESTED} nested trees: expected fewer");
             return Err((error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, why));
         }
         let (key, goal, usual) = if io.id() == "NavigateThroughPoses" {
@@ -104,7 +104,7 @@ impl Leaf<Context> for Navigate {
             && let Some(memory) = io.recall::<Memory>()
             && let Err(why) = self.keep(io, memory.tree)
         {
-            tracing::warn!(why, "an inner tree has no stored form");
+            tracing::warn!(why, "an inner tree cannot be serialised");
         }
         match ticked {
             Ok(Status::Success) => {

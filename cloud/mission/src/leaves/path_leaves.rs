@@ -91,7 +91,7 @@ impl SyncLeaf for TruncatePathLocal {
         let near = self
             .0
             .find(io.sequence("input_path"), &data.points, here, reach)
-            .ok_or("the robot is nowhere near the path")?;
+            .ok_or("the robot is far from the path")?;
         let whole = path::length(&data.points);
         let from = if backward < 0.0 { 0.0 } else { near.along - backward };
         let to = if forward < 0.0 { whole } else { near.along + forward };
@@ -195,7 +195,7 @@ impl SyncLeaf for ValidatePath {
         let data = path_on(io, "path")?;
         let pose = here(ctx)?;
         let Some((model, space)) = ground(ctx) else {
-            return Ok(step(io, ctx, "waits for the robot and its map"));
+            return Ok(step(io, ctx, "waiting for the robot and its map"));
         };
         if data.points.is_empty() {
             return Err("the path is empty".to_owned());

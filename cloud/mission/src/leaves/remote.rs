@@ -126,11 +126,11 @@ impl Leaf<Context> for Remote {
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let Some(execution) = io.recall::<Execution>() else {
-            return fail(io, ctx, None, "the execution is not known");
+            return fail(io, ctx, None, "the execution id is lost");
         };
         let Some(epoch) = ctx.lease.epoch() else {
             self.heard = ctx.now;
-            return step(io, ctx, "waits for the lease");
+            return step(io, ctx, "waiting for the lease");
         };
         let mut feedback = String::new();
         if let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) {

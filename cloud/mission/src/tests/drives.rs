@@ -378,6 +378,31 @@ fn a_robot_that_is_there_already_has_arrived() {
 }
 
 #[test]
+fn without_a_mapper_the_plan_runs_out_and_the_drive_goes_on_once_it_is_back() {
+    let mut rig = Rig::new();
+    rig.config.map_patience = 1.0;
+    rig.start();
+    rig.submit(to(7.0, 0.0, "a")).unwrap();
+    rig.run(2.0);
+    rig.mapper_alive = Some(false);
+    rig.run(2.0);
+    let before = rig.plans.len();
+    rig.run(7.0);
+    let stands = rig.edge.pose;
+    rig.run(1.0);
+    assert_eq!(
+        rig.plans.len(),
+        before,
+        "renewed although the map says nothing any more"
+    );
+    assert_eq!(rig.edge.pose, stands, "the plan has run out");
+    assert!(stands.x > 1.0 && stands.x < 6.8, "{stands:?}");
+    rig.mapper_alive = Some(true);
+    assert!(rig.run_until(60.0, |rig| rig.state("a").is_end()));
+    assert_eq!(rig.state("a"), GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+}
+
+#[test]
 fn a_refused_replacement_leaves_the_motion_before_it_in_force() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();

@@ -10,7 +10,7 @@ use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::*;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -23,7 +23,7 @@ use zenav_smoothing::unsmoothed;
 pub const DT: f64 = 0.05;
 
 pub fn model() -> RobotModel {
-    RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+    zenav_fixtures::robot("tiago")
 }
 
 /// A robot that drives every plan perfectly.
@@ -288,6 +288,8 @@ pub struct Rig {
     pub asked: Vec<Ask>,
     pub published: Vec<GoalState>,
     pub status: Option<MissionStatus>,
+    /// News of the mapper, once.
+    pub mapper_alive: Option<bool>,
     pub worker_up: bool,
     /// The robot's own motions do not end.
     pub behaviours_run: bool,
@@ -353,6 +355,7 @@ impl Rig {
             asked: Vec::new(),
             published: Vec::new(),
             status: None,
+            mapper_alive: None,
             worker_up: true,
             behaviours_run: false,
             plans_none: false,
@@ -486,6 +489,7 @@ impl Rig {
             }),
             events: std::mem::take(&mut self.edge.events),
             requests: std::mem::take(&mut self.requests),
+            mapper_alive: self.mapper_alive.take(),
             ..Inputs::default()
         };
         if self.map_told != self.map.map.revision {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use zenav_protocol::messages::*;
-use zenav_protocol::topics::MissionRequest;
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::rig::{Rig, to};
 
@@ -60,9 +60,15 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
     assert!(rig.run_until(30.0, |rig| rig.state("a") == GoalPhase::Succeeded));
 }
 
-/// Dies at its `n`th write, for every `n` there is, during a mission of three goals one of which is cancelled.
+/// Dies at its `n`th write, for every `n` there is, during a mission of three goals of which the second is cancelled.
 #[test]
-fn a_mission_killed_at_every_write_loses_no_goal_and_ends_none_twice() {
+fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_under_its_own_lease_alone() {
+    let cancel = || {
+        MissionRequest::Cancel(CancelRequest {
+            id: Some("b".into()),
+            request_id: Some("cancel-b".into()),
+        })
+    };
     let mut write = 0;
     loop {
         let mut rig = Rig::new();
@@ -80,9 +86,19 @@ fn a_mission_killed_at_every_write_loses_no_goal_and_ends_none_twice() {
                 rig.start();
             }
         }
+        // Sent until it is acknowledged, as a client does.
+        let mut canceled = !acknowledged.contains_key("b");
+        let mut cancel_sent = None;
         let mut ended: BTreeMap<String, GoalPhase> = BTreeMap::new();
-        for _ in 0..3000 {
+        for step in 0..3000 {
+            if !canceled && step % 20 == 0 {
+                cancel_sent = Some(rig.ask(cancel()));
+            }
             rig.step();
+            if let Some(Ok(MissionReply::Goal(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
+                assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
+                canceled = true;
+            }
             if rig.mission.is_none() {
                 rig.run(2.0);
                 rig.start();
@@ -93,14 +109,25 @@ fn a_mission_killed_at_every_write_loses_no_goal_and_ends_none_twice() {
                     assert_eq!(first, goal.state.state, "write {write}: {id} ended twice");
                 }
             }
-            if rig.kept.goals.values().all(|goal| goal.state.state.is_end()) {
+            if canceled && rig.kept.goals.values().all(|goal| goal.state.state.is_end()) {
                 break;
             }
         }
+        assert!(canceled, "write {write}: the cancel was never acknowledged");
         for id in acknowledged.keys() {
-            assert_eq!(rig.state(id), GoalPhase::Succeeded, "write {write}: goal {id}");
+            let end = if id == "b" {
+                GoalPhase::Canceled
+            } else {
+                GoalPhase::Succeeded
+            };
+            assert_eq!(rig.state(id), end, "write {write}: goal {id}");
             assert_eq!(rig.kept.ends[id], 1, "write {write}: goal {id}");
         }
+        let epoch = rig.edge.book.epoch();
+        let foreign = rig.plans.iter().find(|(_, plan)| plan.epoch == 0 || plan.epoch > epoch);
+        assert!(foreign.is_none(), "write {write}: a plan under no grant of the robot's");
+        let in_order = rig.plans.windows(2).all(|pair| pair[0].1.epoch <= pair[1].1.epoch);
+        assert!(in_order, "write {write}: a plan under a lease that was lost");
         let died = rig.dies_after_writes.is_none();
         let plans = rig.plans.len();
         rig.run(2.0);

@@ -1,12 +1,13 @@
 // Peer of the sampling planners: OMPL's, on the same maps, queries and exact checks, in the same processor time.
 //
 //   apt-get install libompl-dev libeigen3-dev
-//   g++ -O3 -march=native -std=c++17 -I/usr/include/ompl-1.5 -I/usr/include/eigen3 ompl.cpp -o ompl -lompl
+//   g++ -O3 -march=native -std=c++17 -pthread -I/usr/include/ompl-1.5 -I/usr/include/eigen3 ompl.cpp -o ompl -lompl
 //   ./ompl MAP QUERIES rrt|rrt_connect|rrt_star|informed|bit_star SECONDS RESULTS [SEED]
 //
 // MAP is a Moving AI map ('.', 'G' and 'S' are free); QUERIES are lines `sx sy gx gy [optimum]`, cells counted from the top left;
-// RESULTS are lines `time_us length found expansions first_us first_length`, times of this thread's processor clock, lengths in
-// cells. `rrt` and `rrt_connect` end with the first solution, the others after SECONDS.
+// RESULTS are lines `time_us length found expansions first_us first_length simplify_us simplified_length`, times of this thread's
+// processor clock, lengths in cells. `rrt` and `rrt_connect` end with the first solution, the others after SECONDS. The time limit is a flag
+// that another thread sets: the planner asks no clock.
 
 #include <ompl/base/MotionValidator.h>
 #include <ompl/base/PlannerTerminationCondition.h>
@@ -21,6 +22,8 @@
 #include <ompl/util/Console.h>
 #include <ompl/util/RandomNumbers.h>
 
+#include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -31,6 +34,7 @@
 #include <limits>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <vector>
 
 namespace base = ompl::base;
@@ -126,12 +130,45 @@ class ExactMotion : public base::MotionValidator {
   const Map& map_;
 };
 
-/// This thread's processor time, s: the machine may be shared.
-double now() {
+double seconds(clockid_t clock) {
   timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  clock_gettime(clock, &t);
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
+
+/// This thread's processor time, s: the machine may be shared.
+double now() { return seconds(CLOCK_THREAD_CPUTIME_ID); }
+
+/// A flag that is set when the process has used its processor time.
+class Watch {
+ public:
+  Watch() : thread_([this] {
+    while (!done_.load(std::memory_order_relaxed)) {
+      std::this_thread::sleep_for(std::chrono::microseconds(500));
+      if (seconds(CLOCK_PROCESS_CPUTIME_ID) >= until_.load(std::memory_order_relaxed))
+        stop_.store(true, std::memory_order_relaxed);
+    }
+  }) {}
+
+  ~Watch() {
+    done_.store(true, std::memory_order_relaxed);
+    thread_.join();
+  }
+
+  void arm(double limit) {
+    until_.store(seconds(CLOCK_PROCESS_CPUTIME_ID) + limit, std::memory_order_relaxed);
+    stop_.store(false, std::memory_order_relaxed);
+  }
+
+  base::PlannerTerminationCondition condition() const {
+    return base::PlannerTerminationCondition([this] { return stop_.load(std::memory_order_relaxed); });
+  }
+
+ private:
+  std::atomic<double> until_{std::numeric_limits<double>::infinity()};
+  std::atomic<bool> stop_{false}, done_{false};
+  std::thread thread_;
+};
 
 base::PlannerPtr make(const std::string& name, const base::SpaceInformationPtr& space) {
   if (name == "rrt") return std::make_shared<geometric::RRT>(space);
@@ -162,6 +199,7 @@ int main(int count, char** arguments) {
   bounds.setHigh(1, map.height());
   plane->setBounds(bounds);
 
+  Watch watch;
   std::ifstream queries(arguments[2]);
   std::ofstream results(arguments[5]);
   std::string line;
@@ -192,6 +230,7 @@ int main(int count, char** arguments) {
     setup.setPlanner(planner);
     setup.setup();
 
+    watch.arm(limit);
     const double begin = now();
     double first = -1, first_length = -1;
     setup.getProblemDefinition()->setIntermediateSolutionCallback(
@@ -201,7 +240,7 @@ int main(int count, char** arguments) {
             first_length = cost.value();
           }
         });
-    const auto status = planner->solve(base::PlannerTerminationCondition([&] { return now() - begin > limit; }));
+    const auto status = planner->solve(watch.condition());
     const double took = now() - begin;
     const bool found = status == base::PlannerStatus::EXACT_SOLUTION;
     const double length = found ? setup.getSolutionPath().length() : -1;
@@ -211,7 +250,15 @@ int main(int count, char** arguments) {
     }
     base::PlannerData data(space);
     planner->getPlannerData(data);
+    double simplified = -1;
+    const double begin_simplify = now();
+    if (found) {
+      watch.arm(limit);
+      setup.simplifySolution(watch.condition());
+      simplified = setup.getSolutionPath().length();
+    }
+    const double simplify = now() - begin_simplify;
     results << 1e6 * took << ' ' << length << ' ' << (found ? 1 : 0) << ' ' << data.numVertices() << ' ' << 1e6 * first << ' '
-            << first_length << std::endl;
+            << first_length << ' ' << 1e6 * simplify << ' ' << simplified << std::endl;
   }
 }

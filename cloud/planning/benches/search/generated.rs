@@ -94,7 +94,7 @@ fn clutter(random: &mut Pcg64Mcg, share: f64) -> BitGrid {
     BitGrid::from_fn(SIDE, SIDE, |_| !random.random_bool(share))
 }
 
-/// Ways of 8 cells between walls of 2, without loops.
+/// Paths of 8 cells between walls of 2, without loops.
 fn maze(random: &mut Pcg64Mcg) -> BitGrid {
     const WAY: u32 = 8;
     const PITCH: u32 = WAY + 2;

@@ -1,8 +1,8 @@
-//! How much faster than a peer are the grid searches, and are their ways as short? `cargo bench -p zenav-cloud --bench search`
+//! How much faster than a peer are the grid searches, and are their paths as short? `cargo bench -p zenav-planning --bench search`
 //!
 //! A*, jump point search and A* of the crate `pathfinding` answer the same queries in the same run: a point robot, no corner cut, a
 //! diagonal step costs the square root of two. The table gives the median (95th percentile) over a map's queries of the least thread
-//! CPU time of a few runs each, and the median of the ratio, query by query. A way that is not as short as the peer's ends the bench.
+//! CPU time of three runs each, and the median of the ratio, query by query. A path that is not as short as the peer's ends the bench.
 //!
 //! | variable | does |
 //! |---|---|
@@ -35,12 +35,9 @@ use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::Occupancy;
 use zenav_space::{BitGrid, PointLineOfSight};
 
-/// Runs of each query, of which the least time counts.
-const RUNS: [(Solver, usize); 3] = [
-    (Solver::Peer, 2),
-    (Solver::Ours(Planner::AStar), 3),
-    (Solver::Ours(Planner::Jps), 5),
-];
+/// Runs of each query by each solver, of which the least time counts.
+const RUNS: usize = 3;
+const SOLVERS: [Solver; 3] = [Solver::Peer, Solver::Ours(Planner::AStar), Solver::Ours(Planner::Jps)];
 
 #[derive(Clone, Copy)]
 enum Solver {
@@ -97,9 +94,9 @@ fn compare(case: &Case) {
     let mut times = [const { Vec::new() }; 3];
     for query in &case.queries {
         let mut lengths = [0.0; 3];
-        for (i, (solver, runs)) in RUNS.iter().enumerate() {
+        for (i, solver) in SOLVERS.iter().enumerate() {
             let mut least = f64::INFINITY;
-            for _ in 0..*runs {
+            for _ in 0..RUNS {
                 let began = cpu();
                 lengths[i] = match solver {
                     Solver::Peer => peer::length(&case.free, query),

@@ -1,4 +1,4 @@
-//! How does the crate `pathfinding` find a way over the same grid? With costs in millionths of a cell.
+//! How does the crate `pathfinding` find a path over the same grid? With costs in millionths of a cell.
 
 use pathfinding::prelude::astar;
 use zenav_planning::Query;
@@ -8,10 +8,10 @@ use zenav_space::BitGrid;
 const STRAIGHT: u64 = 1_000_000;
 const DIAGONAL: u64 = 1_414_214;
 
-/// Length of the shortest way, cells.
+/// Length of the shortest path, cells.
 pub fn length(free: &BitGrid, query: &Query) -> f64 {
     let [start, goal] = [query.start, query.goal].map(|point| (point.x as i32, point.y as i32));
-    let (way, _) = astar(
+    let (path, _) = astar(
         &start,
         |at| successors(free, *at),
         |at| octile(*at, goal),
@@ -20,7 +20,7 @@ pub fn length(free: &BitGrid, query: &Query) -> f64 {
     .unwrap();
     // Counted anew: a sum of rounded costs would not compare.
     let diagonal = |step: &[(i32, i32)]| step[0].0 != step[1].0 && step[0].1 != step[1].1;
-    way.windows(2)
+    path.windows(2)
         .map(|step| if diagonal(step) { 2.0_f64.sqrt() } else { 1.0 })
         .sum()
 }

@@ -1,4 +1,4 @@
-//! Which ways are asked for on a map? The longest that are published, or the longest of many drawn pairs.
+//! Which paths are asked for on a map? The longest that are published, or the longest of many drawn pairs.
 
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
@@ -43,11 +43,11 @@ pub fn drawn(free: &BitGrid) -> Vec<Query> {
     for _ in 0..DRAWN {
         let mut draw = || cells[random.random_range(0..cells.len())];
         let query = query(draw(), draw());
-        if let Ok(way) = searcher
+        if let Ok(path) = searcher
             .search(Planner::AStar, &sight, &query, Budget::UNLIMITED)
             .result
         {
-            found.push((way.length, query));
+            found.push((path.length, query));
         }
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));

@@ -1,17 +1,17 @@
 //! Replanning for one disc. Does a path still stand when the map has changed or the robot has moved on, and if not, what of it can be kept?
 //!
-//! With each answer a bound is kept that no way costs less than. At first it is what the way costs. It holds while the map changes, but
-//! for cells that became cheaper or free: a way over such a cell `c` costs at least the octile distance from the start to `c` and on to
-//! the goal, and the bound falls to the least of these. A cell with no neighbour that the search had reached does not even count: a way
-//! to it leaves the cells expanded by one that was left open because no way over it was cheaper. And from a cell `s'` no way costs less
-//! than the bound without what it costs to go from the start to `s'`, which along the way is just the part that was left behind.
+//! With each answer a bound is kept that no path costs less than. At first it is what the path costs. It holds while the map changes, but
+//! for cells that became cheaper or free: a path over such a cell `c` costs at least the octile distance from the start to `c` and on to
+//! the goal, and the bound falls to the least of these. A cell with no neighbour that the search had reached does not even count: a path
+//! to it leaves the cells expanded by one that was left open because no path over it was cheaper. And from a cell `s'` no path costs less
+//! than the bound without what it costs to go from the start to `s'`, which along the path is just the part that was left behind.
 //!
-//! So an old way, or the rest of it, is as good as one that is searched for as long as it costs no more than the bound; to find this out
-//! takes a comparison of two bitmaps and a walk along the way. Where the way is cut, a piece around the cut is searched for; the result
+//! So an old path, or the rest of it, is as good as one that is searched for as long as it costs no more than the bound; to find this out
+//! takes a comparison of two bitmaps and a walk along the path. Where the path is cut, a piece around the cut is searched for; the result
 //! is taken when the bound proves it at most 2 % too expensive. All else is searched for from the beginning.
 //!
-//! Ways over the grid have such costs. Those of the other planners stand while nothing is in their way and no cell became free from
-//! which the way could have been shorter.
+//! Paths over the grid have such costs. Those of the other planners stand while nothing is in their path and no cell became free from
+//! which the path could have been shorter.
 //!
 //! The bounds are those of the estimates of Hart, Nilsson and Raphael, 1968; that a local repair is enough in most cases is the idea
 //! of Stentz, "The Focussed D* Algorithm for Real-Time Replanning", IJCAI 1995.
@@ -23,26 +23,21 @@ use zenav_protocol::grid::{Cell, GridSpec};
 use zenav_protocol::messages::PlanOrigin;
 
 use super::span::Span;
-use crate::astar::{NotFound, Uniform, costs_along};
 use crate::budget::Budget;
+use crate::cell_cost::{Uniform, costs_along};
 use crate::ends::End;
 use crate::grid_graph::{GridPath, TooManyCells, UNREACHED, octile};
 use crate::node_table::Written;
+use crate::options::PlanOptions;
 use crate::path::Path;
-use crate::plan::{between, clearance_cost};
-use crate::planner::{PlanOptions, Planner};
-use crate::searcher::{Searched, Searcher};
+use crate::plan::{between, costs_of};
+use crate::planners::Planner;
+use crate::searcher::{NotFound, Searched, Searcher};
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
 
 /// Answers that are kept.
 const KEPT: usize = 16;
-/// A way may be more expensive than the bound by this part of the bound.
-pub(super) const SLACK: u32 = 50;
-/// Cells before and after a cut that are searched anew with it.
-const AROUND: usize = 12;
-/// Expansions that a piece may take: about a millisecond's.
-const PIECE: u64 = 20_000;
-/// How far a robot may be beside the way, cells.
+/// How far a robot may be beside the path, cells.
 const BESIDE: u32 = 3;
 
 /// Paths for one disc on one map as it changes.
@@ -69,15 +64,15 @@ pub(super) struct Kept {
 pub(super) enum Known {
     /// By a search over the grid.
     Grid {
-        /// The way, cell by cell; the start alone where there is none.
+        /// The path, cell by cell; the start alone where there is none.
         cells: Vec<Cell>,
-        /// No way from the first of them to the goal costs less; [`UNREACHED`] where there is none.
+        /// No path from the first of them to the goal costs less; [`UNREACHED`] where there is none.
         bound: u32,
         /// Where the search had been; `None` where that was not noted.
         reached: Option<Written>,
     },
     /// By another planner.
-    Free { way: Path },
+    Free { path: Path },
 }
 
 impl DiscReplanner {
@@ -136,7 +131,7 @@ impl DiscReplanner {
         };
         // As far as costs reach from obstacles.
         let reach = space.field().reach_cells();
-        let pitch = self.searcher.lattice().pitch();
+        let pitch = self.searcher.graph().pitch();
         self.kept.retain_mut(|kept| {
             let gone = if kept.options.planner.keeps_clear() { gone } else { 0 };
             let mut spans = [span(freed, 0), span(gone, reach)].into_iter().flatten();
@@ -145,7 +140,7 @@ impl DiscReplanner {
                     for span in spans {
                         if reached.as_ref().is_none_or(|reached| span.touches(reached, pitch)) {
                             if *bound == UNREACHED {
-                                // There was no way, and now there may be one.
+                                // There was no path, and now there may be one.
                                 return false;
                             }
                             *bound = span
@@ -156,16 +151,17 @@ impl DiscReplanner {
                     }
                     true
                 }
-                Known::Free { way } => {
-                    let start = way.corners.first().copied();
-                    spans
-                        .all(|span| start.is_none_or(|start| span.length(start) + span.length(kept.goal) >= way.length))
+                Known::Free { path } => {
+                    let start = path.corners.first().copied();
+                    spans.all(|span| {
+                        start.is_none_or(|start| span.length(start) + span.length(kept.goal) >= path.length)
+                    })
                 }
             }
         });
     }
 
-    /// The way between two cells, and where it is from.
+    /// The path between two cells, and where it is from.
     pub(super) fn find(
         &mut self,
         space: &ConfigurationSpace,
@@ -183,10 +179,10 @@ impl DiscReplanner {
         if let Some(mut kept) = known.and_then(|at| self.kept.remove(at)) {
             let stands = match &mut kept.known {
                 Known::Grid { cells, bound, .. } => {
-                    self.grid_way(space, first.cell, options, budget, (cells, bound), &mut expansions)
+                    self.grid_path(space, first.cell, options, budget, (cells, bound), &mut expansions)
                 }
-                Known::Free { way } => rest(space, way, first.of(space, options.planner)).map(|rest| {
-                    *way = rest.clone();
+                Known::Free { path } => rest(space, path, first.of(space, options.planner)).map(|rest| {
+                    *path = rest.clone();
                     (Ok(rest), PlanOrigin::Reused)
                 }),
             };
@@ -199,7 +195,7 @@ impl DiscReplanner {
         searched.expansions += expansions;
         if let Some(known) = self.known(space, first.cell, options, &searched.result) {
             self.kept.push_front(Kept {
-                options: *options,
+                options: options.clone(),
                 goal,
                 known,
             });
@@ -217,15 +213,15 @@ impl DiscReplanner {
         result: &Result<Path, NotFound>,
     ) -> Option<Known> {
         let reached = (options.planner == Planner::AStar).then(|| self.searcher.reached());
-        let is_grid = matches!(options.planner, Planner::AStar | Planner::Jps);
+        let is_grid = options.planner.is_on_the_grid();
         match result {
-            Ok(way) if is_grid => {
-                let cells = cells_along(way);
-                let costs = costs_along(self.searcher.lattice(), &clearance_cost(space, options), &cells)?;
+            Ok(path) if is_grid => {
+                let cells = cells_along(path);
+                let costs = costs_along(self.searcher.graph(), &costs_of(space, options), &cells)?;
                 let bound = *costs.last()?;
                 Some(Known::Grid { cells, bound, reached })
             }
-            Ok(way) => Some(Known::Free { way: way.clone() }),
+            Ok(path) => Some(Known::Free { path: path.clone() }),
             Err(NotFound::NoPath) if is_grid => Some(Known::Grid {
                 cells: vec![first],
                 bound: UNREACHED,
@@ -235,8 +231,8 @@ impl DiscReplanner {
         }
     }
 
-    /// The way that is known, or what is left of it, or that with a new piece, from `first` on; `None` where it is not good enough.
-    fn grid_way(
+    /// The path that is known, or what is left of it, or that with a new piece, from `first` on; `None` where it is not good enough.
+    fn grid_path(
         &mut self,
         space: &ConfigurationSpace,
         first: Cell,
@@ -248,15 +244,16 @@ impl DiscReplanner {
         if *bound == UNREACHED {
             return (cells[0] == first).then_some((Err(NotFound::NoPath), PlanOrigin::Reused));
         }
-        let costs = clearance_cost(space, options);
+        let settings = &options.settings.replanning;
+        let costs = costs_of(space, options);
         let mut piece = |searcher: &mut Searcher, from: Cell, to: Cell| {
             let budget = Budget {
-                max_expansions: budget.max_expansions.min(PIECE),
+                max_expansions: budget.max_expansions.min(settings.max_expansions),
                 ..budget
             };
             let searched = searcher.search_with(&costs, from, to, budget);
             *expansions += searched.expansions;
-            searched.result.ok().map(|way| cells_along(&way))
+            searched.result.ok().map(|path| cells_along(&path))
         };
         // To where the robot is now.
         let beside = |cell: &Cell| cell.x.abs_diff(first.x).max(cell.y.abs_diff(first.y));
@@ -268,31 +265,34 @@ impl DiscReplanner {
             return None;
         }
         if away > 0 {
-            let on = (at + AROUND).min(cells.len() - 1);
+            let on = (at + settings.around).min(cells.len() - 1);
             let mut joined = piece(&mut self.searcher, first, cells[on])?;
-            let back = costs_along(self.searcher.lattice(), &costs, &joined)?;
-            let left = costs_along(self.searcher.lattice(), &costs, &cells[..=on])?;
+            let back = costs_along(self.searcher.graph(), &costs, &joined)?;
+            let left = costs_along(self.searcher.graph(), &costs, &cells[..=on])?;
             *bound = bound.saturating_sub(left[on]).saturating_sub(*back.last()?);
             *bound = octile(first, *cells.last()?).max(*bound);
             joined.extend_from_slice(&cells[on + 1..]);
             *cells = joined;
             is_mended = true;
         } else if at > 0 {
-            let left = costs_along(self.searcher.lattice(), &costs, &cells[..=at])?;
+            let left = costs_along(self.searcher.graph(), &costs, &cells[..=at])?;
             *bound = bound.saturating_sub(left[at]);
             cells.drain(..at);
         }
         // Around what is in the way now.
         if let Some([from, to]) = cut(&self.searcher, cells) {
-            let [from, to] = [from.saturating_sub(AROUND), (to + AROUND).min(cells.len() - 1)];
+            let [from, to] = [
+                from.saturating_sub(settings.around),
+                (to + settings.around).min(cells.len() - 1),
+            ];
             let new = piece(&mut self.searcher, cells[from], cells[to])?;
             cells.splice(from..=to, new);
             is_mended = true;
         }
-        let total = *costs_along(self.searcher.lattice(), &costs, cells)?.last()?;
+        let total = *costs_along(self.searcher.graph(), &costs, cells)?.last()?;
         let origin = match total.saturating_sub(*bound) {
             0 if !is_mended => PlanOrigin::Reused,
-            more if more <= *bound / SLACK => PlanOrigin::Repaired,
+            more if f64::from(more) <= f64::from(*bound) * settings.slack => PlanOrigin::Repaired,
             _ => return None,
         };
         Some((Ok(GridPath::through(cells).into()), origin))
@@ -301,29 +301,29 @@ impl DiscReplanner {
 
 /// Places of the last cell before and of the first after what cannot be gone any more.
 fn cut(searcher: &Searcher, cells: &[Cell]) -> Option<[usize; 2]> {
-    let is_cut = |at: &usize| costs_along(searcher.lattice(), &Uniform, &cells[*at..=at + 1]).is_none();
+    let is_cut = |at: &usize| costs_along(searcher.graph(), &Uniform, &cells[*at..=at + 1]).is_none();
     let first = (0..cells.len() - 1).find(is_cut)?;
     let last = (0..cells.len() - 1).rev().find(is_cut)?;
     Some([first, last + 1])
 }
 
-/// The way from a point on or close to it to its end, where nothing is in the way.
-fn rest(space: &ConfigurationSpace, way: &Path, from: Point2<f64>) -> Option<Path> {
+/// The path from a point on or close to it to its end, where nothing is in the way.
+fn rest(space: &ConfigurationSpace, path: &Path, from: Point2<f64>) -> Option<Path> {
     let near = |leg: &[Point2<f64>]| {
         let (along, to) = (leg[1] - leg[0], from - leg[0]);
         let share = (to.dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
         (to - along * share).norm() <= 1.0
     };
-    let leg = way.corners.windows(2).rposition(near)?;
+    let leg = path.corners.windows(2).rposition(near)?;
     let mut corners = vec![from];
-    corners.extend_from_slice(&way.corners[leg + 1..]);
+    corners.extend_from_slice(&path.corners[leg + 1..]);
     let is_clear = corners.windows(2).all(|leg| space.sees(leg[0], leg[1]));
     is_clear.then(|| Path::through(corners))
 }
 
-/// Every cell of a way over the grid.
-pub(super) fn cells_along(way: &Path) -> Vec<Cell> {
-    let corners: Vec<Cell> = way.corners.iter().map(|p| Cell::new(p.x as u32, p.y as u32)).collect();
+/// Every cell of a path over the grid.
+pub(super) fn cells_along(path: &Path) -> Vec<Cell> {
+    let corners: Vec<Cell> = path.corners.iter().map(|p| Cell::new(p.x as u32, p.y as u32)).collect();
     let mut cells: Vec<Cell> = corners.first().copied().into_iter().collect();
     for leg in corners.windows(2) {
         let toward = |from: u32, to: u32| (i64::from(to) - i64::from(from)).signum() as i32;

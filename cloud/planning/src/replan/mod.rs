@@ -12,15 +12,36 @@ use zenav_protocol::messages::PlanOrigin;
 use zenav_space::ConfigurationSpace;
 
 use self::disc::DiscReplanner;
-use super::astar::NotFound;
 use super::budget::Budget;
 use super::ends::End;
 use super::grid_graph::TooManyCells;
+use super::options::PlanOptions;
 use super::plan::{FootprintSearch, Planned, answer};
-use super::planner::PlanOptions;
-use super::searcher::Searched;
+use super::searcher::{NotFound, Searched};
 
 /// Answers for one robot on one map as it changes: [`plan`](super::plan()), and what was found before is kept where it still stands.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_planning::{Budget, PlanOptions, Replanner};
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// use zenav_protocol::messages::PlanOrigin;
+/// use zenav_protocol::robot::Footprint;
+/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 60, height: 40 };
+/// let map = Grid::filled(spec, Occupancy::FREE);
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0);
+/// let mut replanner = Replanner::new(&space)?;
+/// let mut ask = |x| {
+///     let (start, goal) = (Pose2::new(x, 2.05, 0.0), Pose2::new(5.05, 2.05, 0.0));
+///     replanner.plan(&space, start, goal, &PlanOptions::default(), Budget::UNLIMITED)
+/// };
+/// assert_eq!(ask(1.05)?.origin, PlanOrigin::Searched);
+/// assert_eq!(ask(2.05)?.origin, PlanOrigin::Reused, "the robot has driven a metre of it");
+/// # Ok::<(), zenav_planning::TooManyCells>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Replanner {
     spec: GridSpec,
@@ -77,12 +98,11 @@ impl Replanner {
         Ok(&mut self.discs[0].1)
     }
 
-    /// Edges of the trees that the last search by a sampling planner grew, m, map frame, at most `limit` of them.
-    pub fn tree(&self, limit: usize) -> impl Iterator<Item = [Point2<f64>; 2]> + '_ {
+    /// Edges of the trees that the last search grew, m, map frame, at most `limit` of them; none after a search without trees.
+    #[must_use]
+    pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         let edges = self.discs.first().map(|(_, disc)| disc.searcher.tree(limit));
-        edges
-            .into_iter()
-            .flatten()
-            .map(|edge| edge.map(|end| self.spec.from_cells(end)))
+        let edges = edges.into_iter().flatten();
+        edges.map(|edge| edge.map(|end| self.spec.from_cells(end))).collect()
     }
 }

@@ -1,10 +1,10 @@
-//! How near is what changed to a way? Cells of one row, and all around them that the change is felt in.
+//! Changed cells. How near is what changed to a path? Cells of one row, and all around them that the change is felt in.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
-use super::super::grid_graph::octile;
-use super::super::node_table::Written;
+use crate::grid_graph::octile;
+use crate::node_table::Written;
 
 /// Cells of a row, and all within a margin of them.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +42,7 @@ impl Span {
         let around = self.margin + 1;
         let rows = self.row.saturating_sub(around)..=self.row + around;
         let columns = [self.columns[0].saturating_sub(around), self.columns[1] + around];
-        // The lattice's border comes first.
+        // The graph's border comes first.
         rows.into_iter().any(|row| {
             let [first, last] = columns.map(|column| (row + 1) * pitch + (column + 1).min(pitch - 1));
             reached.any(first, last)

@@ -1,4 +1,4 @@
-//! What has a tree not seen yet, and how does it get there? Runs of free cells, row by row, next to those in which the tree has a place.
+//! Frontier. What has a tree not seen yet, and how does it get there? Runs of free cells, row by row, next to those in which the tree has a place.
 //!
 //! All cells of a run (free cells side by side in one row) are seen from each of them, and two runs of neighbouring rows that share a column
 //! are connected by a step. So a run counts as covered once the tree has a place in it, the runs above and below that are not covered make
@@ -7,14 +7,14 @@
 //! in a projection, is KPIECE's (Sucan and Kavraki, "A Sampling-Based Tree Planner for Systems With Complex Dynamics", 2012); the
 //! decomposition is that of a sweep line.
 
-use super::super::grid_graph::GridGraph;
+use crate::grid_graph::GridGraph;
 
-/// A way out of what is covered.
+/// A path out of what is covered.
 #[derive(Clone, Copy, Debug)]
 pub struct Exit {
     /// The vertex of the tree from which `via` is seen.
     pub vertex: u32,
-    /// The cell of a covered run in which the tree has a place (a lattice's node).
+    /// The cell of a covered run in which the tree has a place (a graph's node).
     pub via: u32,
     /// A cell that was not covered, in a row next to that of `via`.
     pub cell: u32,
@@ -23,7 +23,7 @@ pub struct Exit {
 /// The covered cells of one tree, and what lies next to them.
 #[derive(Clone, Debug, Default)]
 pub struct Frontier {
-    /// One bit for each of the lattice's nodes.
+    /// One bit for each of the graph's nodes.
     covered: Vec<u64>,
     /// Words of `covered` that are not zero, some of them more than once.
     touched: Vec<u32>,
@@ -32,8 +32,8 @@ pub struct Frontier {
 
 impl Frontier {
     /// Nothing is covered any more.
-    pub fn clear(&mut self, lattice: &GridGraph) {
-        let len = lattice.words().len();
+    pub fn clear(&mut self, graph: &GridGraph) {
+        let len = graph.words().len();
         if self.covered.len() == len {
             for word in self.touched.drain(..) {
                 self.covered[word as usize] = 0;
@@ -53,14 +53,14 @@ impl Frontier {
     }
 
     /// Covers the run of a free cell whose centre is seen from a vertex; returns the run.
-    pub fn cover(&mut self, lattice: &GridGraph, vertex: u32, via: u32) -> [u32; 2] {
-        let words = lattice.words();
-        let run = lattice.run(via);
+    pub fn cover(&mut self, graph: &GridGraph, vertex: u32, via: u32) -> [u32; 2] {
+        let words = graph.words();
+        let run = graph.run(via);
         for word in run[0] >> 6..=run[1] >> 6 {
             self.covered[word as usize] |= mask(run, word);
             self.touched.push(word);
         }
-        let pitch = lattice.pitch();
+        let pitch = graph.pitch();
         for up in [false, true] {
             let beside = |node: u32| if up { node + pitch } else { node - pitch };
             let (covered, exits) = (&self.covered, &mut self.exits);

@@ -1,4 +1,4 @@
-//! Which point of a growing set is nearest, and which lie within a radius? A k-d tree whose leaves hold sixteen points side by side.
+//! k-d tree. Which point of a growing set is nearest, and which lie within a radius? A k-d tree whose leaves hold sixteen points side by side.
 //!
 //! A full leaf is cut in the middle of its region, so that depth does not depend on the order in which points come. They are kept in single
 //! precision, which is enough to choose among them: whatever is chosen is checked exactly. Source: Bentley, "K-d Trees for Semidynamic Point

@@ -1,4 +1,4 @@
-//! What is the cheapest way to each vertex, as far as the tree knows? A tree with costs whose branches move to better parents.
+//! Rewiring. What is the cheapest path to each vertex, as far as the tree knows? A tree with costs whose branches move to better parents.
 //!
 //! Source: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*): a new vertex takes the parent that makes it
 //! cheapest among those nearby, and becomes the parent of those that are cheaper by it.
@@ -24,7 +24,7 @@ fn neighbours(vertices: usize) -> usize {
 #[derive(Clone, Copy, Debug)]
 struct Vertex {
     point: Point2<f64>,
-    /// Length of the way from the root, cells.
+    /// Length of the path from the root, cells.
     cost: f64,
     parent: u32,
     first_child: u32,
@@ -48,11 +48,11 @@ impl CostTree {
         self.vertices.clear();
     }
 
-    /// Begins with a way on a map of some size: its ends are root and goal.
-    pub fn plant(&mut self, size: [u32; 2], way: &[Point2<f64>]) {
+    /// Begins with a path on a map of some size: its ends are root and goal.
+    pub fn plant(&mut self, size: [u32; 2], path: &[Point2<f64>]) {
         self.vertices.clear();
         self.nearest.clear(size);
-        let [root, inner @ .., goal] = way else { return };
+        let [root, inner @ .., goal] = path else { return };
         let vertex = |point, parent| Vertex {
             point,
             cost: 0.0,
@@ -70,7 +70,7 @@ impl CostTree {
         }
         self.hang(1, last);
         self.vertices[1].cost =
-            self.vertices[last as usize].cost + self.distance(1, *way.get(way.len() - 2).unwrap_or(goal));
+            self.vertices[last as usize].cost + self.distance(1, *path.get(path.len() - 2).unwrap_or(goal));
     }
 
     /// Number of vertices.
@@ -80,23 +80,23 @@ impl CostTree {
         self.vertices.len()
     }
 
-    /// Length of the best way to the goal that the tree knows, cells.
+    /// Length of the best path to the goal that the tree knows, cells.
     #[must_use]
     pub fn cost(&self) -> f64 {
         self.vertices.get(1).map_or(f64::INFINITY, |goal| goal.cost)
     }
 
-    /// The best way that the tree knows.
+    /// The best path that the tree knows.
     #[must_use]
-    pub fn way(&self) -> Vec<Point2<f64>> {
-        let mut way = Vec::new();
+    pub fn path(&self) -> Vec<Point2<f64>> {
+        let mut path = Vec::new();
         let mut at = 1;
         while let Some(vertex) = self.vertices.get(at as usize) {
-            way.push(vertex.point);
+            path.push(vertex.point);
             at = vertex.parent;
         }
-        way.reverse();
-        way
+        path.reverse();
+        path
     }
 
     /// Edges, from parent to child.
@@ -108,7 +108,7 @@ impl CostTree {
     }
 
     /// Adds a point by the cheapest parent among the nearest vertices within a radius, or a step towards it from the nearest one; the others take
-    /// it for their parent where that is cheaper. A vertex over which no way can be shorter than `bound` is not added.
+    /// it for their parent where that is cheaper. A vertex over which no path can be shorter than `bound` is not added.
     pub fn insert(&mut self, sight: &impl LineOfSight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
         let mut point = point;
         self.nearest.within(point, radius, &mut self.near);
@@ -157,10 +157,10 @@ impl CostTree {
         }
     }
 
-    /// Makes a way that is known to be free part of the tree; its ends are root and goal.
-    pub fn lay(&mut self, sight: &impl LineOfSight, way: &[Point2<f64>], radius: f64) {
+    /// Makes a path that is known to be free part of the tree; its ends are root and goal.
+    pub fn lay(&mut self, sight: &impl LineOfSight, path: &[Point2<f64>], radius: f64) {
         let mut last = 0;
-        for point in way.iter().skip(1).take(way.len().saturating_sub(2)) {
+        for point in path.iter().skip(1).take(path.len().saturating_sub(2)) {
             self.nearest.within(*point, radius, &mut self.near);
             last = self.add(*point, last);
             self.rewire(sight, last);

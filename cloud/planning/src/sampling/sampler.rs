@@ -1,6 +1,6 @@
-//! Where are samples drawn? Uniformly from the free cells, once a way is known only where a shorter one can lead.
+//! Sampler. Where are samples drawn? Uniformly from the free cells, once a path is known only where a shorter one can lead.
 //!
-//! Points are drawn from the bitmap's box, or from the ellipse of all points over which a way can be shorter than the best one, whichever is
+//! Points are drawn from the bitmap's box, or from the ellipse of all points over which a path can be shorter than the best one, whichever is
 //! smaller, and rejected where the cell is not free: uniform over the free cells of both. Source: Gammell, Srinivasa and Barfoot,
 //! "Informed RRT*", 2014.
 
@@ -8,18 +8,18 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use rand::Rng;
 use rand_pcg::Pcg64Mcg;
 
-use super::super::grid_graph::GridGraph;
+use crate::grid_graph::GridGraph;
 
 /// Draws before a sampler gives up for this time.
 const TRIES: u32 = 64;
 /// Samples keep this far from the border of their cell: no square is touched by accident.
 const INSET: f64 = 1.0 / 64.0;
 
-/// The points over which a way between two foci can be shorter than a length.
+/// The points over which a path between two foci can be shorter than a length.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipse {
     foci: [Point2<f64>; 2],
-    /// Length of the way to beat.
+    /// Length of the path to beat.
     length: f64,
     center: Point2<f64>,
     /// From the unit disc.
@@ -27,7 +27,7 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The ellipse of ways between two points.
+    /// The ellipse of paths between two points.
     #[must_use]
     pub fn new(foci: [Point2<f64>; 2], length: f64) -> Self {
         let across = foci[1] - foci[0];
@@ -60,7 +60,7 @@ impl Ellipse {
         std::f64::consts::PI * self.shape.determinant().abs()
     }
 
-    /// Whether a way over a point can be shorter.
+    /// Whether a path over a point can be shorter.
     #[must_use]
     pub fn contains(&self, p: Point2<f64>) -> bool {
         (p - self.foci[0]).norm() + (self.foci[1] - p).norm() < self.length
@@ -92,7 +92,7 @@ impl Sampler {
         }
     }
 
-    /// From now on only where a way can be shorter.
+    /// From now on only where a path can be shorter.
     pub fn narrow(&mut self, ellipse: Ellipse) {
         self.ellipse = Some(ellipse);
         (self.tries, self.hits) = (0, 0);
@@ -108,14 +108,19 @@ impl Sampler {
         ((u128::from(self.rng.next_u64()) * bound as u128) >> 64) as usize
     }
 
+    /// A point anywhere in the box.
+    pub fn anywhere(&mut self) -> Point2<f64> {
+        self.low + Vector2::new(self.unit() * self.side.x, self.unit() * self.side.y)
+    }
+
     /// A point in a free cell; `None` where none was met by chance.
-    pub fn free(&mut self, lattice: &GridGraph) -> Option<Point2<f64>> {
+    pub fn free(&mut self, graph: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             self.tries += 1;
             let p = self.point();
             let [x, y] = [p.x, p.y].map(f64::floor);
             let inset = |value: f64, cell: f64| cell + (value - cell).clamp(INSET, 1.0 - INSET);
-            if lattice.node_at(p).is_some_and(|node| lattice.is_free(node)) {
+            if graph.node_at(p).is_some_and(|node| graph.is_free(node)) {
                 self.hits += 1;
                 return Some(Point2::new(inset(p.x, x), inset(p.y, y)));
             }
@@ -124,17 +129,17 @@ impl Sampler {
     }
 
     /// A point beside the convex corner of an obstacle; `None` where none was met by chance.
-    pub fn corner(&mut self, lattice: &GridGraph) -> Option<Point2<f64>> {
+    pub fn corner(&mut self, graph: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             let p = self.point();
-            let Some(node) = lattice.node_at(p) else { continue };
+            let Some(node) = graph.node_at(p) else { continue };
             let [x, y] = [self.next() & 1 == 0, self.next() & 1 == 0];
-            let corners = lattice.corners(node >> 6, x, y);
+            let corners = graph.corners(node >> 6, x, y);
             if corners != 0 {
                 // Any of the word's.
                 let turn = self.below(64) as u32;
                 let bit = (corners.rotate_right(turn).trailing_zeros() + turn) & 63;
-                let cell = lattice.cell((node & !63) | bit);
+                let cell = graph.cell((node & !63) | bit);
                 let beside = |cell: u32, up: bool| f64::from(cell) + if up { 1.0 - INSET } else { INSET };
                 let p = Point2::new(beside(cell.x, x), beside(cell.y, y));
                 if self.ellipse.is_none_or(|ellipse| ellipse.contains(p)) {
@@ -178,7 +183,7 @@ impl Sampler {
                 }
             }
             ellipse => {
-                let p = self.low + Vector2::new(self.unit() * self.side.x, self.unit() * self.side.y);
+                let p = self.anywhere();
                 if ellipse.is_none_or(|ellipse| ellipse.contains(p)) {
                     p
                 } else {

@@ -1,7 +1,7 @@
-//! How does a way with needless corners become a short one? Corners that are not needed are left out, the others are pulled in until the way
-//! is as taut as a string around the obstacles.
+//! Shortcuts and string pulling between any points. How does a path with needless corners become a short one? Corners that are not needed are left
+//! out, the others are pulled in until the path runs around the obstacles like a tight string.
 //!
-//! Every step replaces two legs by a shorter connection that is seen (triangle inequality), so a way never becomes longer.
+//! Every step replaces two legs by a shorter connection that is seen (triangle inequality), so a path never becomes longer.
 
 use nalgebra::Point2;
 
@@ -14,22 +14,22 @@ const LEAST_GAIN: f64 = 1e-5;
 /// Most rounds.
 const ROUNDS: usize = 64;
 
-/// Length of a way, cells.
+/// Length of a path, cells.
 #[must_use]
-pub fn length(way: &[Point2<f64>]) -> f64 {
-    way.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum()
+pub fn length(path: &[Point2<f64>]) -> f64 {
+    path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum()
 }
 
-/// Leaves out corners, from the front and from the back: from each corner that is kept the way goes to the farthest one that is seen, as far as
+/// Leaves out corners, from the front and from the back: from each corner that is kept the path goes to the farthest one that is seen, as far as
 /// a search in doubling steps finds it. Ends soon after `stops` says so.
-pub fn prune(sight: &impl LineOfSight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
-    if way.len() < 3 {
+pub fn prune(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
+    if path.len() < 3 {
         return;
     }
     for _ in 0..2 {
         let (mut at, mut kept) = (0, 1);
-        while at + 1 < way.len() && !stops() {
-            let sees = |to: usize| to < way.len() && sight.sees(way[at], way[to]);
+        while at + 1 < path.len() && !stops() {
+            let sees = |to: usize| to < path.len() && sight.sees(path[at], path[to]);
             let (mut to, mut step) = (at + 1, 1);
             while sees(to + step) {
                 to += step;
@@ -41,50 +41,50 @@ pub fn prune(sight: &impl LineOfSight, way: &mut Vec<Point2<f64>>, stops: impl F
                 }
                 step /= 2;
             }
-            let next = way[to];
-            way[kept] = next;
+            let next = path[to];
+            path[kept] = next;
             kept += 1;
             at = to;
         }
         // What was not looked at any more stays as it is.
-        way.drain(kept..=at);
-        way.reverse();
+        path.drain(kept..=at);
+        path.reverse();
     }
 }
 
-/// Pulls a way taut: afterwards no corner can be moved towards its neighbours by more than `PRECISION`, or `stops` has said so.
-pub fn tighten(sight: &impl LineOfSight, way: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
+/// Pulls a path taut: afterwards no corner can be moved towards its neighbours by more than `PRECISION`, or `stops` has said so.
+pub fn pull_string(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     for _ in 0..ROUNDS {
-        let before = length(way);
-        prune(sight, way, &stops);
+        let before = length(path);
+        prune(sight, path, &stops);
         let mut i = 1;
-        while i + 1 < way.len() {
+        while i + 1 < path.len() {
             if stops() {
                 return;
             }
-            let (a, v, b) = (way[i - 1], way[i], way[i + 1]);
+            let (a, v, b) = (path[i - 1], path[i], path[i + 1]);
             let moved = seen(v, b, |p| sight.sees(a, p));
             let moved = seen(moved, a, |p| sight.sees(p, b));
             if (moved - v).norm() > PRECISION {
-                way[i] = moved;
+                path[i] = moved;
             } else {
                 // Wedged between two obstacles: cut the corner between them.
                 let share = share_seen((a - v).norm().max((b - v).norm()), |share| {
                     sight.sees(v + (a - v) * share, v + (b - v) * share)
                 });
                 if share * (a - v).norm().min((b - v).norm()) > PRECISION {
-                    way[i] = v + (a - v) * share;
-                    way.insert(i + 1, v + (b - v) * share);
+                    path[i] = v + (a - v) * share;
+                    path.insert(i + 1, v + (b - v) * share);
                     i += 1;
                 }
             }
             i += 1;
         }
-        if before - length(way) <= LEAST_GAIN * before {
+        if before - length(path) <= LEAST_GAIN * before {
             break;
         }
     }
-    prune(sight, way, &stops);
+    prune(sight, path, &stops);
 }
 
 /// The last point from `a` towards `b` that is seen, as far as halving finds it.

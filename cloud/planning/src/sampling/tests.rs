@@ -7,8 +7,7 @@ use proptest::prelude::*;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
 use zenav_protocol::robot::Footprint;
 
-use crate::astar::NotFound;
-use crate::{Budget, Path, Planner, Query, Searched, Searcher};
+use crate::{Budget, NotFound, Path, Planner, Query, Searched, Searcher};
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight as _, PointLineOfSight, UnknownPolicy};
 
 const PLANNERS: [Planner; 3] = [Planner::Rrt, Planner::RrtConnect, Planner::RrtStar];
@@ -18,8 +17,8 @@ const SAMPLES: u64 = 2000;
 
 fn budget(samples: u64) -> Budget<'static> {
     Budget {
-        max_expansions: samples,
-        cancel: None,
+        max_samples: samples,
+        ..Budget::UNLIMITED
     }
 }
 
@@ -48,13 +47,13 @@ fn touches(a: Point2<f64>, b: Point2<f64>, x: f64, y: f64) -> bool {
     !(apart || sides.iter().all(|side| *side > 0.0) || sides.iter().all(|side| *side < 0.0))
 }
 
-fn is_free(free: &BitGrid, way: &Path) -> bool {
+fn is_free(free: &BitGrid, path: &Path) -> bool {
     let cells = (0..free.height()).flat_map(|y| (0..free.width()).map(move |x| Cell::new(x, y)));
     let blocked: Vec<Cell> = cells.filter(|cell| !free.get(*cell)).collect();
     let inside =
         |p: &Point2<f64>| p.x > 0.0 && p.y > 0.0 && p.x < f64::from(free.width()) && p.y < f64::from(free.height());
-    way.corners.iter().all(inside)
-        && way.corners.windows(2).all(|leg| {
+    path.corners.iter().all(inside)
+        && path.corners.windows(2).all(|leg| {
             let hits = |cell: &Cell| touches(leg[0], leg[1], cell.x.into(), cell.y.into());
             !blocked.iter().any(hits)
         })
@@ -97,14 +96,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn a_way_is_found_exactly_where_free_cells_connect_and_it_is_free((free, query) in map()) {
+    fn a_path_is_found_exactly_where_free_cells_connect_and_it_is_free((free, query) in map()) {
         let expected = ask(&free, Planner::AStar, &query, Budget::UNLIMITED).result;
         for planner in PLANNERS {
             match ask(&free, planner, &query, budget(SAMPLES)).result {
-                Ok(way) => {
-                    prop_assert!(expected.is_ok() && is_free(&free, &way), "{}", planner);
-                    prop_assert_eq!((way.corners[0], way.corners[way.corners.len() - 1]), (query.start, query.goal));
-                    prop_assert!(way.length >= (query.goal - query.start).norm() - 1e-9);
+                Ok(path) => {
+                    prop_assert!(expected.is_ok() && is_free(&free, &path), "{}", planner);
+                    prop_assert_eq!((path.corners[0], path.corners[path.corners.len() - 1]), (query.start, query.goal));
+                    prop_assert!(path.length >= (query.goal - query.start).norm() - 1e-9);
                 }
                 Err(error) => {
                     prop_assert_eq!(error, NotFound::NoPath, "{}", planner);
@@ -115,7 +114,7 @@ proptest! {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_way_whatever_was_searched_before((free, query) in map(), (_, before) in map()) {
+    fn the_same_seed_gives_the_same_path_whatever_was_searched_before((free, query) in map(), (_, before) in map()) {
         let sight = PointLineOfSight::new(&free);
         for planner in PLANNERS {
             let mut searcher = Searcher::new(&free).unwrap();
@@ -126,12 +125,12 @@ proptest! {
     }
 
     #[test]
-    fn more_samples_never_make_a_way_longer((free, query) in map()) {
+    fn more_samples_never_make_a_path_longer((free, query) in map()) {
         let mut last = f64::INFINITY;
         for samples in [0, 50, 100, 200, 400, 800] {
-            if let Ok(way) = ask(&free, Planner::RrtStar, &query, budget(SAMPLES + samples)).result {
-                prop_assert!(way.length <= last + 1e-9);
-                last = way.length;
+            if let Ok(path) = ask(&free, Planner::RrtStar, &query, budget(SAMPLES + samples)).result {
+                prop_assert!(path.length <= last + 1e-9);
+                last = path.length;
             }
         }
     }
@@ -141,7 +140,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn a_disc_fits_all_along_its_way(walls in prop::collection::vec((0_u32..60, 0_u32..60, 1_u32..20, any::<bool>()), 0..12), ends in any::<[u16; 4]>(), seed in any::<u64>()) {
+    fn a_disc_fits_all_along_its_path(walls in prop::collection::vec((0_u32..60, 0_u32..60, 1_u32..20, any::<bool>()), 0..12), ends in any::<[u16; 4]>(), seed in any::<u64>()) {
         let spec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.05, width: 60, height: 60 };
         let mut grid = Grid::filled(spec, Occupancy::FREE);
         for (x, y, length, is_level) in walls {
@@ -156,9 +155,9 @@ proptest! {
         let query = Query { start: Point2::new(a, b), goal: Point2::new(c, d), seed };
         for planner in PLANNERS {
             match Searcher::new(space.free()).unwrap().search(planner, &space, &query, budget(SAMPLES)).result {
-                Ok(way) => {
-                    prop_assert_eq!((way.corners[0], way.corners[way.corners.len() - 1]), (query.start, query.goal));
-                    for leg in way.corners.windows(2) {
+                Ok(path) => {
+                    prop_assert_eq!((path.corners[0], path.corners[path.corners.len() - 1]), (query.start, query.goal));
+                    for leg in path.corners.windows(2) {
                         let [from, to] = [leg[0], leg[1]].map(|p| spec.from_cells(p));
                         prop_assert!(space.segment_clearance(from, to) >= 0.12 - 1e-9, "{}", planner);
                     }
@@ -173,7 +172,7 @@ proptest! {
 }
 
 #[test]
-fn a_closed_room_has_no_way_out_and_one_cell_is_a_door() {
+fn a_closed_room_has_no_path_out_and_one_cell_is_a_door() {
     let (start, goal) = (Cell::new(3, 3), Cell::new(140, 100));
     for planner in PLANNERS {
         let closed = ask(&room(150, 120, None), planner, &query(start, goal), Budget::UNLIMITED);
@@ -184,19 +183,19 @@ fn a_closed_room_has_no_way_out_and_one_cell_is_a_door() {
 }
 
 #[test]
-fn rrt_star_comes_close_to_the_shortest_way() {
+fn rrt_star_comes_close_to_the_shortest_path() {
     // Over the only door's two nearer corners: its cell is one wide.
     let free = room(101, 80, Some(60));
     let query = query(Cell::new(10, 10), Cell::new(90, 20));
     let (left, right) = (Point2::new(50.0, 60.0), Point2::new(51.0, 60.0));
     let shortest = (left - query.start).norm() + 1.0 + (query.goal - right).norm();
-    let way = ask(&free, Planner::RrtStar, &query, budget(500)).result.unwrap();
+    let path = ask(&free, Planner::RrtStar, &query, budget(500)).result.unwrap();
     assert!(
-        way.length >= shortest && way.length < shortest * 1.001,
+        path.length >= shortest && path.length < shortest * 1.001,
         "{} against {shortest}",
-        way.length
+        path.length
     );
-    // Two ways around a block: the first that is met is not always the shorter one.
+    // Two paths around a block: the first that is met is not always the shorter one.
     let free = BitGrid::from_fn(101, 101, |cell| {
         !((20..80).contains(&cell.x) && (20..75).contains(&cell.y))
     });
@@ -210,8 +209,8 @@ fn rrt_star_comes_close_to_the_shortest_way() {
             let (low, high) = (Point2::new(x, 20.0), Point2::new(x, 75.0));
             (low - query.start).norm() + 55.0 + (query.goal - high).norm()
         };
-        let way = ask(&free, Planner::RrtStar, &query, budget(4000)).result.unwrap();
-        assert!(way.length >= around(80.0) && way.length < around(80.0) * 1.002 && around(80.0) < around(20.0));
+        let path = ask(&free, Planner::RrtStar, &query, budget(4000)).result.unwrap();
+        assert!(path.length >= around(80.0) && path.length < around(80.0) * 1.002 && around(80.0) < around(20.0));
     }
 }
 
@@ -254,8 +253,8 @@ fn a_search_ends_with_its_budget_and_when_it_is_told_to() {
             planner,
             &query,
             Budget {
-                max_expansions: u64::MAX,
                 cancel: Some(&cancel),
+                ..Budget::UNLIMITED
             },
         );
         assert_eq!((cancelled.result, cancelled.expansions), (Err(NotFound::TimedOut), 0));
@@ -271,14 +270,36 @@ fn samples_come_from_the_domain_that_is_set() {
     let free = BitGrid::from_fn(100, 100, |cell| !(cell.x == 50 && cell.y < 90));
     let mut searcher = Searcher::new(&free).unwrap();
     let low = [Point2::new(0.0, 40.0), Point2::new(100.0, 100.0)];
-    searcher.sampling.domain = Some(low);
+    searcher.domain = Some(low);
     searcher.sampling.patience = u64::MAX;
     searcher.sampling.corners = 0.0;
     let query = query(Cell::new(10, 45), Cell::new(90, 45));
     let sight = PointLineOfSight::new(&free);
     for planner in PLANNERS {
         assert!(searcher.search(planner, &sight, &query, budget(SAMPLES)).result.is_ok());
-        assert!(searcher.tree(usize::MAX).flatten().all(|p| p.y >= 40.0));
+        assert!(searcher.tree(usize::MAX).into_iter().flatten().all(|p| p.y >= 40.0));
+    }
+}
+
+#[test]
+fn a_black_box_is_asked_for_lines_of_sight_alone_and_its_paths_are_free_all_the_same() {
+    let free = BitGrid::from_fn(60, 60, |cell| cell.x != 30 || cell.y > 40);
+    let sight = PointLineOfSight::new(&free);
+    let query = query(Cell::new(3, 3), Cell::new(55, 5));
+    for planner in PLANNERS {
+        let mut searcher = Searcher::new(&free).unwrap();
+        searcher.black_box = true;
+        let plain = searcher
+            .search(planner, &sight, &query, budget(SAMPLES))
+            .result
+            .unwrap();
+        assert!(is_free(&free, &plain), "{planner}");
+        searcher.black_box = false;
+        let shortened = searcher
+            .search(planner, &sight, &query, budget(SAMPLES))
+            .result
+            .unwrap();
+        assert!(shortened.length <= plain.length * 1.001, "{planner}");
     }
 }
 
@@ -293,12 +314,12 @@ fn the_trees_of_the_last_search_can_be_looked_at() {
             .search(planner, &sight, &query, budget(SAMPLES))
             .result
             .unwrap();
-        let edges: Vec<_> = searcher.tree(100_000).collect();
+        let edges: Vec<_> = searcher.tree(100_000);
         assert!(
             edges.len() > 10 && edges.iter().all(|edge| sight.sees(edge[0], edge[1])),
             "{planner}"
         );
         assert!(edges.iter().flatten().any(|p| *p == query.start));
-        assert_eq!(searcher.tree(7).count(), 7);
+        assert_eq!(searcher.tree(7).len(), 7);
     }
 }

@@ -1,4 +1,4 @@
-//! What grows? A tree of points from a root, each seen from its parent, that is extended towards samples or out of what it has covered.
+//! Random tree. What grows? A tree of points from a root, each seen from its parent, that is extended towards samples or out of what it has covered.
 //!
 //! Source: LaValle, "Rapidly-Exploring Random Trees", 1998. An extension that meets an obstacle is dropped: vertices in front of obstacles would be
 //! nearest to whatever lies behind and see none of it.
@@ -6,10 +6,10 @@
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
 
-use super::super::grid_graph::GridGraph;
 use super::frontier::{Exit, Frontier};
 use super::nearest::Nearest;
 use super::sampler::Sampler;
+use crate::grid_graph::GridGraph;
 use zenav_space::LineOfSight;
 
 /// The root's parent.
@@ -21,19 +21,19 @@ pub struct Ground<'a, S> {
     /// What is seen from where.
     pub sight: &'a S,
     /// Free cells.
-    pub lattice: &'a GridGraph,
+    pub graph: &'a GridGraph,
     /// Longest edge, cells.
     pub step: f64,
 }
 
 impl<S: LineOfSight> Ground<'_, S> {
-    /// The free cell that holds a point (a lattice's node).
+    /// The free cell that holds a point (a graph's node).
     pub fn free_at(&self, p: Point2<f64>) -> Option<u32> {
-        self.lattice.node_at(p).filter(|cell| self.lattice.is_free(*cell))
+        self.graph.node_at(p).filter(|cell| self.graph.is_free(*cell))
     }
 
     fn center(&self, node: u32) -> Point2<f64> {
-        let cell: Cell = self.lattice.cell(node);
+        let cell: Cell = self.graph.cell(node);
         Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)
     }
 }
@@ -66,7 +66,7 @@ pub struct Tree {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Explored {
     /// There was an exit.
-    CostToGo,
+    Left,
     /// There is none left: the tree has a place in every run of free cells that can be reached from its root.
     Everything,
     /// There is none that it can take.
@@ -144,10 +144,10 @@ impl Tree {
     /// Grows a step from a vertex towards a point.
     pub fn extend_from<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, near: u32, to: Point2<f64>) -> Extended {
         let from = self.point(near);
-        let way = to - from;
-        let length = way.norm();
+        let path = to - from;
+        let length = path.norm();
         if length > ground.step {
-            let end = from + way * (ground.step / length);
+            let end = from + path * (ground.step / length);
             if end != from && ground.sight.sees(from, end) {
                 return Extended::Stepped(self.add(end, near));
             }
@@ -169,7 +169,7 @@ impl Tree {
         target: Option<u32>,
     ) -> Explored {
         if self.covered == 0 {
-            self.frontier.clear(ground.lattice);
+            self.frontier.clear(ground.graph);
         }
         while self.covered < self.points.len() {
             let vertex = self.covered as u32;
@@ -193,7 +193,7 @@ impl Tree {
             let number = drawn.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
             if let Some(exit) = self.frontier.take(number) {
                 self.leave(ground, exit, target);
-                return Explored::CostToGo;
+                return Explored::Left;
             }
         }
         if self.complete {
@@ -205,7 +205,7 @@ impl Tree {
 
     /// Leads the tree through an exit.
     fn leave<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
-        let pitch = ground.lattice.pitch();
+        let pitch = ground.graph.pitch();
         let up = exit.cell > exit.via;
         let corner = if up { exit.cell - pitch } else { exit.cell + pitch };
         let Some(vertex) = self.thread(ground, exit.vertex, &[exit.via, corner, exit.cell]) else {
@@ -216,7 +216,7 @@ impl Tree {
         loop {
             self.cover(ground, vertex, cell, target);
             let next = if up { cell + pitch } else { cell - pitch };
-            if !ground.lattice.is_free(next) || self.frontier.covers(next) {
+            if !ground.graph.is_free(next) || self.frontier.covers(next) {
                 break;
             }
             cell = next;
@@ -225,13 +225,13 @@ impl Tree {
     }
 
     fn cover<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, via: u32, target: Option<u32>) {
-        let [first, last] = self.frontier.cover(ground.lattice, vertex, via);
+        let [first, last] = self.frontier.cover(ground.graph, vertex, via);
         if let Some(target) = target.filter(|target| (first..=last).contains(target)) {
             self.thread(ground, vertex, &[via, target]);
         }
     }
 
-    /// Adds a way from a vertex over the centres of cells to the last one of them, with as few of the others as are needed.
+    /// Adds a path from a vertex over the centres of cells to the last one of them, with as few of the others as are needed.
     fn thread<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
         let (mut at, mut done) = (vertex, 0);
         while done < cells.len() {

@@ -1,13 +1,14 @@
-//! What is left to the goal at least? Costs backwards from the goal, over the cells where the footprint stands with any heading.
+//! Cost to go. What is left to the goal at least? Costs backwards from the goal, over the cells where the footprint stands with any heading.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use zenav_protocol::grid::Cell;
 
-use super::super::astar::{CellCost, NotFound, PARTS};
-use super::super::budget::Budget;
 use super::footprint_masks::FootprintMasks;
+use crate::budget::Budget;
+use crate::cell_cost::{CellCost, PARTS};
+use crate::searcher::NotFound;
 use zenav_space::BitGrid;
 
 /// Costs are whole numbers of this part of a cell's side.
@@ -26,14 +27,14 @@ pub(super) const NEVER: u32 = u32::MAX;
 impl CostToGo {
     /// From the goal backwards until the start; `None` when it is not reached.
     pub(super) fn new(
-        footing: &FootprintMasks<'_>,
+        masks: &FootprintMasks<'_>,
         costs: &impl CellCost,
         start: Cell,
         goal: Cell,
         budget: Budget<'_>,
         expansions: &mut u64,
     ) -> Result<Option<Self>, NotFound> {
-        let spec = footing.space.spec();
+        let spec = masks.space.spec();
         let mut cost = vec![NEVER; spec.len()];
         let mut refused = BitGrid::new(spec.width, spec.height);
         let mut open = BinaryHeap::from([Reverse((0_u32, spec.index(goal) as u32))]);
@@ -69,7 +70,7 @@ impl CostToGo {
                 if better >= known || refused.get(next) {
                     continue;
                 }
-                if known == NEVER && !footing.admits_cell(next) {
+                if known == NEVER && !masks.admits_cell(next) {
                     refused.set(next, true);
                     continue;
                 }

@@ -1,12 +1,11 @@
-//! Where does the footprint stand, and can it step and turn there? Places and headings of the search, by the true footprint.
+//! Footprint masks. Where does the footprint stand, and can it step and turn there?
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Cell;
 use zenav_protocol::robot::Footprint;
 
-use zenav_space::ConfigurationSpace;
-use zenav_space::body::{hull, swept};
+use zenav_space::{ConfigurationSpace, convex_hull, swept_corners};
 
 /// The steps along the headings, in places, counter-clockwise.
 pub(super) const STEPS: [(i64, i64); 16] = [
@@ -33,7 +32,7 @@ pub(super) const MOST_PLACES: u32 = 9;
 /// Outlines for which the turn to the next heading is taken as convex.
 pub(super) const PARTS_OF_TURN: u32 = 3;
 /// Kept clear, m.
-pub(super) const HAIR: f64 = 5e-4;
+pub(super) const MARGIN: f64 = 5e-4;
 pub(super) fn yaw_of(heading: usize) -> f64 {
     let (x, y) = STEPS[heading];
     (y as f64).atan2(x as f64)
@@ -53,7 +52,7 @@ pub(super) struct FootprintMasks<'a> {
     /// The footprint itself with each heading, about the place.
     standing: Vec<Vec<Point2<f64>>>,
     /// With so much to the nearest obstacle at the cell's centre, m, nothing that starts in the cell collides.
-    roomy: f64,
+    room_to_turn: f64,
 }
 
 impl<'a> FootprintMasks<'a> {
@@ -65,7 +64,7 @@ impl<'a> FootprintMasks<'a> {
         let places = (spec.resolution / SPACING).ceil().clamp(1.0, f64::from(MOST_PLACES)) as u32 | 1;
         let spacing = 1.0 / f64::from(places);
         // A little larger on all sides than what is asked for afterwards.
-        let grown = 1.0 + 2.0 * HAIR / space.footprint().inscribed_radius();
+        let grown = 1.0 + 2.0 * MARGIN / space.footprint().inscribed_radius();
         let corners: Vec<_> = corners
             .iter()
             .map(|corner| *corner * (grown / spec.resolution))
@@ -73,7 +72,7 @@ impl<'a> FootprintMasks<'a> {
         let at_rest = |yaw: f64| Pose2 { x: 0.0, y: 0.0, yaw };
         let step = |(i, (x, y)): (usize, &(i64, i64))| {
             let to = Point2::new(*x as f64, *y as f64) * spacing;
-            hull(&swept(&corners, at_rest(yaw_of(i)), to))
+            convex_hull(&swept_corners(&corners, at_rest(yaw_of(i)), to))
         };
         let turn = |i: usize| {
             let (from, turn) = (yaw_of(i), wrap_angle(yaw_of((i + 1) % STEPS.len()) - yaw_of(i)));
@@ -86,7 +85,7 @@ impl<'a> FootprintMasks<'a> {
                     let pose = at_rest(*yaw);
                     corners.iter().map(move |corner| pose.transform_point(*corner * bulge))
                 });
-                hull(&outlines.collect::<Vec<_>>())
+                convex_hull(&outlines.collect::<Vec<_>>())
             })
         };
         let around = space.footprint().circumscribed_radius();
@@ -104,7 +103,7 @@ impl<'a> FootprintMasks<'a> {
                     corners.iter().map(|corner| pose.transform_point(*corner)).collect()
                 })
                 .collect(),
-            roomy: around + (0.75 + 2.3 * spacing) * spec.resolution + HAIR,
+            room_to_turn: around + (0.75 + 2.3 * spacing) * spec.resolution + MARGIN,
         })
     }
 
@@ -126,8 +125,8 @@ impl<'a> FootprintMasks<'a> {
         (0..self.width).contains(&x) && (0..self.height).contains(&y)
     }
 
-    pub(super) fn is_roomy(&self, place: (i64, i64)) -> bool {
-        self.space.field().distance(self.cell(place)) > self.roomy
+    pub(super) fn has_room_to_turn(&self, place: (i64, i64)) -> bool {
+        self.space.field().distance(self.cell(place)) > self.room_to_turn
     }
 
     pub(super) fn admits(&self, outline: &[Point2<f64>], p: Point2<f64>) -> bool {
@@ -151,7 +150,7 @@ impl<'a> FootprintMasks<'a> {
         }
         let (x, y) = (i64::from(cell.x) * self.places, i64::from(cell.y) * self.places);
         let mut places = (0..self.places).flat_map(|dy| (0..self.places).map(move |dx| (x + dx, y + dy)));
-        distance > footprint.circumscribed_radius() + HAIR
+        distance > footprint.circumscribed_radius() + MARGIN
             || places.any(|place| {
                 self.standing
                     .iter()
@@ -163,7 +162,7 @@ impl<'a> FootprintMasks<'a> {
         let spec = self.space.spec();
         let [a, b] = [place, to].map(|place| spec.from_cells(self.point(place)));
         self.space.is_permitted_between(a, b)
-            && (self.is_roomy(place) || self.admits(&self.steps[heading], self.point(place)))
+            && (self.has_room_to_turn(place) || self.admits(&self.steps[heading], self.point(place)))
     }
 
     /// Whether there is room to turn all the way round.
@@ -173,7 +172,7 @@ impl<'a> FootprintMasks<'a> {
 
     /// From `heading` to the next one, or back.
     pub(super) fn can_turn(&self, place: (i64, i64), heading: usize) -> bool {
-        self.is_roomy(place)
+        self.has_room_to_turn(place)
             || self.turns[heading]
                 .iter()
                 .all(|part| self.admits(part, self.point(place)))

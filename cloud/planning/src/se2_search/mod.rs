@@ -1,4 +1,4 @@
-//! Is there a way for a robot that is longer than wide? A* over places and headings, with the true footprint.
+//! SE(2) search. Is there a path for a robot that is longer than wide? A* over places and headings, with the true footprint.
 //!
 //! Sixteen headings, each with the step that leads along it, and turns on the spot from one to the next: whatever comes out is driven as
 //! stop, turn and go without touching anything, through gaps that a disc around the robot would be shut out of. Where cells are coarse for
@@ -22,19 +22,16 @@ use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 
 use cost_to_go::{CostToGo, UNIT};
-use footprint_masks::{FootprintMasks, HAIR, STEPS, yaw_of};
+use footprint_masks::{FootprintMasks, MARGIN, STEPS, yaw_of};
 
-use super::astar::{CellCost, NotFound, PARTS};
 use super::budget::Budget;
-use super::searcher::Searched;
+use super::cell_cost::{CellCost, PARTS};
+use super::searcher::{NotFound, Searched};
+use super::settings::Se2Settings;
 use zenav_space::ConfigurationSpace;
 
-/// What a turn to the next heading costs, m.
-const TURN: f64 = 0.08;
 /// From so many places away a start or a goal that lies between places is gone to straight.
 const FAR: f64 = 10.0;
-/// How far a robot that cannot turn where it stands goes straight on to where it can, m.
-const STRAIGHT_ON: f64 = 2.0;
 
 /// What is looked for.
 #[derive(Clone, Copy, Debug)]
@@ -45,16 +42,16 @@ pub(super) struct Query {
     pub(super) goal: Point2<f64>,
 }
 
-/// Whether the true footprint can drive a way as it stands: legs straight, turns on the spot.
-pub(super) fn is_drivable(space: &ConfigurationSpace, way: &[Point2<f64>], heading: Option<f64>) -> bool {
+/// Whether the true footprint can drive a path as it stands: legs straight, turns on the spot.
+pub(super) fn is_drivable(space: &ConfigurationSpace, path: &[Point2<f64>], heading: Option<f64>) -> bool {
     let mut heading = heading;
-    for leg in way.windows(2) {
+    for leg in path.windows(2) {
         let along = leg[1] - leg[0];
         if along.norm_squared() == 0.0 {
             continue;
         }
         let yaw = along.y.atan2(along.x);
-        if space.leg_clearance(leg[0], leg[1], HAIR) < HAIR
+        if space.leg_clearance(leg[0], leg[1], MARGIN) < MARGIN
             || heading.is_some_and(|from| !space.turn_is_free(leg[0], from, yaw))
         {
             return false;
@@ -64,7 +61,7 @@ pub(super) fn is_drivable(space: &ConfigurationSpace, way: &[Point2<f64>], headi
     true
 }
 
-/// Padding this the shorter way round may be the other one, rad.
+/// Turns of this much and more: the shorter way round may be the other one, rad.
 const HALF_TURN: f32 = 3.1;
 
 /// Whether the footprint stands free with a heading that the robot may begin with.
@@ -73,16 +70,17 @@ pub(super) fn can_stand(space: &ConfigurationSpace, at: Point2<f64>, heading: Op
     heading.map_or_else(|| (0..STEPS.len()).any(|i| stands(yaw_of(i))), stands)
 }
 
-/// A way that the true footprint can drive, corner by corner; `costs` as for the cells of the map.
+/// A path that the true footprint can drive, corner by corner; `costs` as for the cells of the map.
 pub(super) fn search(
     space: &ConfigurationSpace,
     costs: &impl CellCost,
     query: &Query,
+    settings: &Se2Settings,
     budget: Budget<'_>,
 ) -> Searched<Vec<Point2<f64>>> {
     let mut expansions = 0;
     let result = match FootprintMasks::new(space) {
-        Some(footing) => expand(&footing, costs, query, budget, &mut expansions),
+        Some(masks) => expand(&masks, costs, query, settings, budget, &mut expansions),
         None => Err(NotFound::NoPath),
     };
     Searched { result, expansions }
@@ -91,7 +89,7 @@ pub(super) fn search(
 /// A place and a heading.
 type Node = u64;
 
-/// The best way known to a node.
+/// The best path known to a node.
 struct Reached {
     cost: u32,
     /// The node before; a start's own number beyond [`STARTS`].
@@ -124,38 +122,37 @@ impl Hasher for NodeHasher {
     }
 }
 
-/// The estimate counts so many times, in halves: the way may be as much longer, and hardly ever is; the search looks at far less.
-const HALVES: u32 = 3;
-/// Places and headings that are looked at, at most: some seconds.
-const MOST_NODES: u64 = 2_000_000;
 /// A place and heading takes as long as so many cells of a search.
 const CELLS_A_NODE: u64 = 16;
 
-fn estimate(cost: u32, left: u32) -> u32 {
-    cost.saturating_add((left / 2).saturating_mul(HALVES))
-}
-
 fn expand(
-    footing: &FootprintMasks<'_>,
+    masks: &FootprintMasks<'_>,
     costs: &impl CellCost,
     query: &Query,
+    settings: &Se2Settings,
     budget: Budget<'_>,
     expansions: &mut u64,
 ) -> Result<Vec<Point2<f64>>, NotFound> {
-    let space = footing.space;
+    let space = masks.space;
     let spec = space.spec();
     let goal = spec.to_cells(query.goal);
     let (first, last) = (spec.cell_at(query.start), spec.cell_at(query.goal));
     let (Some(first), Some(last)) = (first, last) else {
         return Err(NotFound::OutOfMap);
     };
-    let Some(left) = CostToGo::new(footing, costs, first, last, budget, expansions)? else {
+    let Some(left) = CostToGo::new(masks, costs, first, last, budget, expansions)? else {
         return Err(NotFound::NoPath);
     };
-    let node = |(x, y): (i64, i64), heading: usize| ((y * footing.width + x) as u64) << 4 | heading as u64;
+    let node = |(x, y): (i64, i64), heading: usize| ((y * masks.width + x) as u64) << 4 | heading as u64;
     let mut reached: HashMap<Node, Reached, BuildHasherDefault<NodeHasher>> = HashMap::default();
     let mut open: BinaryHeap<Reverse<(u32, Node)>> = BinaryHeap::new();
-    let starts = starts(footing, query);
+    // Whole numbers to the end: the same order everywhere.
+    let weight = (settings.heuristic_weight * 256.0) as u64;
+    let estimate = |cost: u32, left: u32| {
+        let left = u64::from(left) * weight >> 8;
+        cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX))
+    };
+    let starts = starts(masks, query, settings.straight_on);
     for (number, start) in starts.iter().enumerate() {
         let cost = (start.length / spec.resolution * UNIT) as u32;
         let at = node(start.place, start.heading);
@@ -167,13 +164,13 @@ fn expand(
                 closed: false,
             };
             reached.insert(at, begun);
-            open.push(Reverse((estimate(cost, left.from(footing.cell(start.place))), at)));
+            open.push(Reverse((estimate(cost, left.from(masks.cell(start.place))), at)));
         }
     }
     let mut nodes = 0;
     // So that the budget's flag is looked at now and then.
     *expansions = expansions.next_multiple_of(CELLS_A_NODE);
-    let turn_cost = (TURN / spec.resolution * UNIT) as u32;
+    let turn_cost = (settings.turn_cost / spec.resolution * UNIT) as u32;
     while let Some(Reverse((_, at))) = open.pop() {
         let Some(known) = reached.get_mut(&at).filter(|known| !known.closed) else {
             continue;
@@ -181,7 +178,7 @@ fn expand(
         known.closed = true;
         let (cost, since) = (known.cost, known.turned);
         nodes += 1;
-        if nodes > MOST_NODES {
+        if nodes > settings.max_nodes {
             return Err(NotFound::TimedOut);
         }
         *expansions += CELLS_A_NODE;
@@ -189,9 +186,9 @@ fn expand(
             return Err(NotFound::TimedOut);
         }
         let (index, heading) = ((at >> 4) as i64, (at & 15) as usize);
-        let place = (index % footing.width, index / footing.width);
-        if arrives(footing, place, yaw_of(heading) - f64::from(since), goal) {
-            return Ok(trace(footing, &reached, &starts, at, query));
+        let place = (index % masks.width, index / masks.width);
+        if arrives(masks, place, yaw_of(heading) - f64::from(since), goal) {
+            return Ok(trace(masks, &reached, &starts, at, query));
         }
         let mut reach = |place: (i64, i64), heading: usize, step: u32, turned: f32| {
             let (next, cost) = (node(place, heading), cost.saturating_add(step));
@@ -206,21 +203,21 @@ fn expand(
                     closed: false,
                 };
                 reached.insert(next, better);
-                open.push(Reverse((estimate(cost, left.from(footing.cell(place))), next)));
+                open.push(Reverse((estimate(cost, left.from(masks.cell(place))), next)));
             }
         };
         let (x, y) = STEPS[heading];
         let to = (place.0 + x, place.1 + y);
-        if footing.contains(to) && footing.can_step(place, to, heading) {
-            let extra = f64::from(costs.extra(footing.cell(to))) / f64::from(PARTS);
-            let length = footing.spacing * ((x * x + y * y) as f64).sqrt();
+        if masks.contains(to) && masks.can_step(place, to, heading) {
+            let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
+            let length = masks.spacing * ((x * x + y * y) as f64).sqrt();
             reach(to, heading, (length * (1.0 + extra) * UNIT) as u32, 0.0);
         }
         let (next, previous) = ((heading + 1) % STEPS.len(), (heading + STEPS.len() - 1) % STEPS.len());
         for (to, between) in [(next, heading), (previous, previous)] {
             let turned = since + wrap_angle(yaw_of(to) - yaw_of(heading)) as f32;
-            let is_shorter = turned.abs() < HALF_TURN || footing.can_turn_round(place);
-            if is_shorter && footing.can_turn(place, between) {
+            let is_shorter = turned.abs() < HALF_TURN || masks.can_turn_round(place);
+            if is_shorter && masks.can_turn(place, between) {
                 reach(place, to, turn_cost, turned);
             }
         }
@@ -239,45 +236,51 @@ struct Start {
 }
 
 /// Every place beside the start, or straight on from it, where the robot can turn to a heading.
-fn starts(footing: &FootprintMasks<'_>, query: &Query) -> Vec<Start> {
+fn starts(masks: &FootprintMasks<'_>, query: &Query, straight_on: f64) -> Vec<Start> {
     let mut starts = Vec::new();
     match query.heading {
-        Some(yaw) => starts_with(footing, query.start, yaw, &mut starts),
+        Some(yaw) => starts_with(masks, query.start, yaw, straight_on, &mut starts),
         None => (0..STEPS.len())
             .map(yaw_of)
             .filter(|yaw| {
                 let pose = Pose2::new(query.start.x, query.start.y, *yaw);
-                footing.space.is_valid(pose)
+                masks.space.is_valid(pose)
             })
-            .for_each(|yaw| starts_with(footing, query.start, yaw, &mut starts)),
+            .for_each(|yaw| starts_with(masks, query.start, yaw, straight_on, &mut starts)),
     }
     starts
 }
 
-fn starts_with(footing: &FootprintMasks<'_>, start: Point2<f64>, heading: f64, starts: &mut Vec<Start>) {
-    let (space, spec) = (footing.space, footing.space.spec());
-    let spacing = footing.spacing * spec.resolution;
+fn starts_with(
+    masks: &FootprintMasks<'_>,
+    start: Point2<f64>,
+    heading: f64,
+    straight_on: f64,
+    starts: &mut Vec<Start>,
+) {
+    let (space, spec) = (masks.space, masks.space.spec());
+    let spacing = masks.spacing * spec.resolution;
     let ahead = Vector2::new(heading.cos(), heading.sin());
     let known = starts.len();
-    for i in 0..=(STRAIGHT_ON / spacing) as u32 {
+    for i in 0..=(straight_on / spacing) as u32 {
         let from = start + ahead * (spacing * f64::from(i));
-        if i > 0 && space.leg_clearance(start, from, HAIR) < HAIR {
+        if i > 0 && space.leg_clearance(start, from, MARGIN) < MARGIN {
             break;
         }
         // Places beside the line ahead take a small turn only.
         for near in [from, from + ahead * (spacing * FAR)] {
-            let (x, y) = footing.nearest(spec.to_cells(near));
+            let (x, y) = masks.nearest(spec.to_cells(near));
             for place in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))) {
-                let to = spec.from_cells(footing.point(place));
+                let to = spec.from_cells(masks.point(place));
                 let leg = to - from;
                 let is_there = leg.norm() < 1e-9;
                 let along = if is_there { heading } else { leg.y.atan2(leg.x) };
                 let goes = || {
                     space.turn_is_free(from, heading, along)
-                        && space.leg_clearance(from, to, HAIR) >= HAIR
+                        && space.leg_clearance(from, to, MARGIN) >= MARGIN
                         && space.is_permitted_between(from, to)
                 };
-                if !footing.contains(place) || !(is_there || goes()) {
+                if !masks.contains(place) || !(is_there || goes()) {
                     continue;
                 }
                 let corners = if i > 0 { vec![start, from, to] } else { vec![start, to] };
@@ -303,28 +306,28 @@ fn starts_with(footing: &FootprintMasks<'_>, start: Point2<f64>, heading: f64, s
 }
 
 /// Whether the goal (cells) is at a place that was come to with a heading (rad), or a last turn and a last leg away.
-fn arrives(footing: &FootprintMasks<'_>, place: (i64, i64), heading: f64, goal: Point2<f64>) -> bool {
-    let space = footing.space;
-    let at = footing.point(place);
+fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, goal: Point2<f64>) -> bool {
+    let space = masks.space;
+    let at = masks.point(place);
     let leg = goal - at;
     if leg.norm() < 1e-9 {
         return true;
     }
-    let is_beside = leg.amax() < 1.01 * footing.spacing;
+    let is_beside = leg.amax() < 1.01 * masks.spacing;
     let turn = wrap_angle(leg.y.atan2(leg.x) - heading).abs();
     // From farther away with a small turn only.
-    if !is_beside && (leg.norm() > FAR * footing.spacing || turn > 0.2) {
+    if !is_beside && (leg.norm() > FAR * masks.spacing || turn > 0.2) {
         return false;
     }
     let [from, to] = [at, goal].map(|p| space.spec().from_cells(p));
-    space.leg_clearance(from, to, HAIR) >= HAIR
+    space.leg_clearance(from, to, MARGIN) >= MARGIN
         && space.is_permitted_between(from, to)
         && space.turn_is_free(from, heading, leg.y.atan2(leg.x))
 }
 
-/// The corners of the way to a node, and on to the goal.
+/// The corners of the path to a node, and on to the goal.
 fn trace<S>(
-    footing: &FootprintMasks<'_>,
+    masks: &FootprintMasks<'_>,
     reached: &HashMap<Node, Reached, S>,
     starts: &[Start],
     last: Node,
@@ -333,12 +336,12 @@ fn trace<S>(
 where
     S: std::hash::BuildHasher,
 {
-    let spec = footing.space.spec();
+    let spec = masks.space.spec();
     let mut points = vec![query.goal];
     let mut at = last;
     loop {
         let index = (at >> 4) as i64;
-        points.push(spec.from_cells(footing.point((index % footing.width, index / footing.width))));
+        points.push(spec.from_cells(masks.point((index % masks.width, index / masks.width))));
         match reached.get(&at) {
             Some(known) if known.before < STARTS => at = known.before,
             Some(known) => {

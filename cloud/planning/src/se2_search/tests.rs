@@ -1,4 +1,4 @@
-//! Claims about ways for robots that are longer than wide.
+//! Claims about paths for robots that are longer than wide.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
@@ -6,7 +6,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 
 use super::*;
-use crate::astar::Uniform;
+use crate::cell_cost::Uniform;
 use zenav_space::UnknownPolicy;
 
 /// 0.8 m long, 0.3 m wide, the base at a third of its length.
@@ -17,25 +17,10 @@ fn long() -> Footprint {
 
 /// A room of 6 m by 4 m, 5 cm cells, of which `is_wall` says where the walls are (m).
 fn room(is_wall: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
-    let spec = GridSpec {
-        origin: Point2::origin(),
-        resolution: 0.05,
-        width: 120,
-        height: 80,
-    };
-    let mut grid = Grid::filled(spec, Occupancy::FREE);
-    for y in 0..80 {
-        for x in 0..120 {
-            let center = spec.center(Cell::new(x, y));
-            if x == 0 || y == 0 || x == 119 || y == 79 || is_wall(center.x, center.y) {
-                grid[Cell::new(x, y)] = Occupancy::OCCUPIED;
-            }
-        }
-    }
-    grid
+    zenav_fixtures::walled_room(zenav_fixtures::spec(120, 80, 0.05), |at| is_wall(at.x, at.y))
 }
 
-fn way(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<Vec<Point2<f64>>, NotFound> {
+fn path(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<Vec<Point2<f64>>, NotFound> {
     let space = ConfigurationSpace::new(grid, &long(), UnknownPolicy::Blocked, 0.0);
     let heading = (!any).then_some(start.yaw);
     let query = Query {
@@ -43,10 +28,10 @@ fn way(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Resul
         heading,
         goal: Point2::new(goal.0, goal.1),
     };
-    let found = search(&space, &Uniform, &query, Budget::UNLIMITED).result;
-    if let Ok(way) = &found {
-        assert!(is_drivable(&space, way, heading), "{way:?}");
-        assert_eq!((way[0], way[way.len() - 1]), (query.start, query.goal));
+    let found = search(&space, &Uniform, &query, &Se2Settings::default(), Budget::UNLIMITED).result;
+    if let Ok(path) = &found {
+        assert!(is_drivable(&space, path, heading), "{path:?}");
+        assert_eq!((path[0], path[path.len() - 1]), (query.start, query.goal));
     }
     found
 }
@@ -55,12 +40,12 @@ fn way(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Resul
 fn a_long_robot_goes_through_a_gap_that_it_only_fits_lengthways() {
     // A gap of 0.4 m in a wall of 1 m.
     let grid = room(|x, y| (2.5..3.5).contains(&x) && !(1.8..2.2).contains(&y));
-    let found = way(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).unwrap();
+    let found = path(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).unwrap();
     assert!(found.len() >= 4);
 }
 
 #[test]
-fn where_there_is_no_room_to_turn_there_is_no_way() {
+fn where_there_is_no_room_to_turn_there_is_no_path() {
     // A gap of 0.45 m round a corner.
     let grid = room(|x, y| {
         let along = x < 4.5 && (1.0..1.45).contains(&y);
@@ -68,20 +53,20 @@ fn where_there_is_no_room_to_turn_there_is_no_way() {
         x > 1.5 && !along && !up
     });
     assert_eq!(
-        way(&grid, Pose2::new(1.0, 1.225, 0.0), (4.275, 2.9), false),
+        path(&grid, Pose2::new(1.0, 1.225, 0.0), (4.275, 2.9), false),
         Err(NotFound::NoPath)
     );
-    assert!(way(&grid, Pose2::new(2.0, 1.225, 0.0), (4.0, 1.225), false).is_ok());
+    assert!(path(&grid, Pose2::new(2.0, 1.225, 0.0), (4.0, 1.225), false).is_ok());
 }
 
 #[test]
 fn a_robot_that_cannot_turn_where_it_stands_goes_on_to_where_it_can() {
     let grid = room(|x, y| x < 2.0 && !(1.8..2.2).contains(&y));
     let start = Pose2::new(0.8, 2.0, 0.0);
-    let found = way(&grid, start, (5.0, 1.0), false).unwrap();
+    let found = path(&grid, start, (5.0, 1.0), false).unwrap();
     assert!((found[1].y - 2.0).abs() < 0.05 && found[2].x > 2.0, "{found:?}");
-    assert!(way(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), false).is_err());
-    assert!(way(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), true).is_ok());
+    assert!(path(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), false).is_err());
+    assert!(path(&grid, Pose2 { yaw: 1.5, ..start }, (5.0, 1.0), true).is_ok());
 }
 
 #[test]
@@ -99,7 +84,7 @@ fn coarse_cells_leave_places_between_their_centres() {
             grid[Cell::new(15, y)] = Occupancy::OCCUPIED;
         }
     }
-    assert!(way(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).is_ok());
+    assert!(path(&grid, Pose2::new(1.0, 1.0, 0.0), (5.0, 3.0), false).is_ok());
 }
 
 #[test]
@@ -113,9 +98,12 @@ fn a_search_without_budget_times_out() {
     for max_expansions in [10, 5000] {
         let budget = Budget {
             max_expansions,
-            cancel: None,
+            ..Budget::UNLIMITED
         };
-        assert_eq!(search(&space, &Uniform, &query, budget).result, Err(NotFound::TimedOut));
+        assert_eq!(
+            search(&space, &Uniform, &query, &Se2Settings::default(), budget).result,
+            Err(NotFound::TimedOut)
+        );
     }
 }
 
@@ -129,6 +117,6 @@ proptest! {
     ) {
         let grid = room(|x, y| boxes.iter().any(|(left, low, w, h)| (*left..left + w).contains(&x) && (*low..low + h).contains(&y)));
         let [start, goal] = ends;
-        let _ = way(&grid, Pose2::new(start.0, start.1, yaw), goal, any);
+        let _ = path(&grid, Pose2::new(start.0, start.1, yaw), goal, any);
     }
 }

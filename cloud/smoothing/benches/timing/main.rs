@@ -13,12 +13,11 @@
 mod lp;
 
 use std::hint::black_box;
-use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_protocol::robot::{RobotModel, shipped};
+use zenav_fixtures::thread_time;
 use zenav_smoothing::timing::sweep::fastest;
 use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw, jerk};
 
@@ -46,14 +45,8 @@ fn path(samples: usize, step: f64) -> GeometricPath {
     GeometricPath::chain(PathPoint::default(), &links).unwrap()
 }
 
-fn thread_time() -> Duration {
-    rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime)
-        .try_into()
-        .unwrap()
-}
-
 fn laws(criterion: &mut Criterion) {
-    let limits = Limits::of(&RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap());
+    let limits = Limits::of(&zenav_fixtures::robot("tiago"));
     for (samples, step) in [(200, 0.05), (1000, 0.02)] {
         let path = path(samples, step);
         let duration = |squared: &[f64]| TimeLaw::steady(&path, squared).duration();

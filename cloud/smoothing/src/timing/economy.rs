@@ -85,14 +85,13 @@ impl Found {
 mod tests {
     use nalgebra::Point2;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::robot::shipped;
 
     use super::super::UNRESTRICTED;
     use super::super::stop_turn_go::stop_turn_go;
     use super::*;
 
     fn robot(name: &str) -> RobotModel {
-        RobotModel::from_toml(shipped(name).unwrap(), name).unwrap()
+        zenav_fixtures::robot(name)
     }
 
     fn drive(model: &RobotModel, speed: f64) -> (PiecewiseTrajectory, Limits) {

@@ -111,7 +111,7 @@ mod tests {
     use super::super::UNRESTRICTED;
     use super::*;
     use proptest::prelude::*;
-    use zenav_protocol::robot::{RobotModel, shipped};
+    use zenav_protocol::robot::RobotModel;
     use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
     const PERIOD: f64 = 0.05;
@@ -127,7 +127,7 @@ mod tests {
     }
 
     fn tiago() -> RobotModel {
-        RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap()
+        zenav_fixtures::robot("tiago")
     }
 
     /// Every step obeys the drive's limits and leads where its velocity says.

@@ -1,4 +1,4 @@
-//! How is a squared distance written down, so that vectors of many can be compared and added? In half cells; in a byte where the reach is
+//! Encoding. How is a squared distance written down, so that vectors of many can be compared and added? In half cells; in a byte where the reach is
 //! short.
 //!
 //! From a centre to a closed square `k` cells away it is `2 k - 1` half cells along an axis, zero in the cell itself. Squares of odd

@@ -1,4 +1,4 @@
-//! How far is each cell's centre from the nearest occupied square, at any distance?
+//! Exact distance transform. How far is each cell's centre from the nearest occupied square, at any distance?
 //!
 //! Down the columns by counting, along the rows by the lower envelope of what every column offers (Meijster, Roerdink and Hesselink, "A
 //! General Algorithm for Computing Distance Transforms in Linear Time", 2000). Neighbours that offer the same are one: a wall along a
@@ -22,6 +22,13 @@ pub(super) const NONE: u16 = u16::MAX;
 /// `u32::MAX` where nothing is occupied or the number would not fit.
 ///
 /// Cost: one to ten nanoseconds a cell.
+///
+/// ```
+/// use zenav_space::{BitGrid, squared_distances};
+///
+/// let squared = squared_distances(&BitGrid::from_fn(5, 1, |cell| cell.x == 0));
+/// assert_eq!(squared, [0, 1, 9, 25, 49]);
+/// ```
 #[must_use]
 pub fn squared_distances(obstacles: &BitGrid) -> Vec<u32> {
     let mut squared = Vec::with_capacity(obstacles.width() as usize * obstacles.height() as usize);

@@ -1,4 +1,4 @@
-//! Which column's obstacle is nearest to each cell of a row? The lower envelope of what the columns offer.
+//! Lower envelope. Which column's obstacle is nearest to each cell of a row? The lower envelope of what the columns offer.
 //!
 //! A column offers its own squared distance to all cells in it, and to others that and the squared distance to its border. Columns side by
 //! side with the same distance are one piece. Of two pieces the right one is better from some cell on and stays better, for the

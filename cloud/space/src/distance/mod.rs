@@ -1,4 +1,4 @@
-//! How far is each cell's centre from the nearest occupied square, up to a reach?
+//! Truncated distance field. How far is each cell's centre from the nearest occupied square, up to a reach?
 //!
 //! Exact Euclidean distances to closed squares: a cell `k` columns away is `max(|k| - 1/2, 0)` cells away along x, and the
 //! squared distance is the sum over both axes. Distances are kept as squared half cells, which are whole numbers.
@@ -55,6 +55,18 @@ impl DistanceField {
     /// Transforms a whole grid. `reach` in cells is brought into 1 to [`MAX_REACH`].
     ///
     /// Cost: half a nanosecond a cell near obstacles at a reach of 10 cells, a tenth of one where there are none within reach.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec};
+    /// use zenav_space::{BitGrid, DistanceField};
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 30, height: 30 };
+    /// let field = DistanceField::new(spec, &BitGrid::from_fn(30, 30, |cell| cell.x == 0), 10);
+    /// // From the centre of the cell to the face of the obstacle.
+    /// assert!((field.distance(Cell::new(4, 15)) - 0.35).abs() < 1e-9);
+    /// assert_eq!(field.distance(Cell::new(29, 15)), field.reach());
+    /// ```
     #[must_use]
     pub fn new(spec: GridSpec, obstacles: &BitGrid, reach: u32) -> Self {
         let reach = reach.clamp(1, MAX_REACH);

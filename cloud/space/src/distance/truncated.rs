@@ -1,4 +1,4 @@
-//! How are truncated distances found fast? In bands of rows: down columns by bytes, along rows by whole vectors.
+//! Truncated distance transform. How are distances up to a reach found fast? In bands of rows: down columns by bytes, along rows by whole vectors.
 //!
 //! The separable transform of Saito and Toriwaki ("New Algorithms for Euclidean Distance Transformation", 1994) with windows of
 //! the reach's width instead of a search, which is exact up to the reach and has no branch inside a word of 64 cells. A word

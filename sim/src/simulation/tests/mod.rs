@@ -8,8 +8,6 @@ mod time;
 use super::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use zenav_protocol::robot;
-
 fn world(body: &str) -> World {
     World::from_toml(
         &format!("size = [20, 20]\norigin = [-10, -10]\n{body}"),
@@ -20,7 +18,7 @@ fn world(body: &str) -> World {
 }
 
 fn model(name: &str) -> RobotModel {
-    RobotModel::from_toml(robot::shipped(name).unwrap(), name).unwrap()
+    zenav_fixtures::robot(name)
 }
 
 fn robot(id: &str, model_name: &str, start: Pose2) -> RobotSpec {

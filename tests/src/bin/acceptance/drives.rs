@@ -6,7 +6,6 @@ use zenav_fixtures::{Row, robot};
 use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
-use zenav_protocol::robot::TrackerKind;
 use zenav_sim::World;
 use zenav_tests::acceptance::tracking::{self, Localised, percentile};
 
@@ -48,14 +47,8 @@ pub fn economy(maps: &[String]) -> Verdict {
                 let paths = tracking::planned_paths(&map, &model, 1, PATHS, profile);
                 let (mut metres, mut secs, mut joules, mut forecast, mut reached) = (0.0, 0.0, 0.0, 0.0, 0);
                 for (seed, path) in paths.iter().enumerate() {
-                    let drive = tracking::drive(
-                        world,
-                        &model,
-                        TrackerKind::TimeLaw,
-                        path,
-                        Localised::Corrected,
-                        seed as u64 + 1,
-                    )?;
+                    let drive =
+                        tracking::drive(world, &model, "time_law", path, Localised::Corrected, seed as u64 + 1)?;
                     reached += usize::from(drive.secs.is_some() && drive.contacts == 0);
                     metres += drive.length;
                     secs += drive.secs.unwrap_or(f64::NAN);
@@ -109,7 +102,8 @@ pub fn track(maps: &[String]) -> Verdict {
     for world in &worlds {
         let paths = tracking::planned_paths(&tracking::true_map(world), &model, 1, PATHS, DrivingProfile::Fastest);
         let mut least = f64::INFINITY;
-        for (name, law) in tracking::LAWS {
+        for law in tracking::LAWS {
+            let name = law;
             let mut errors = Vec::new();
             let (mut reached, mut secs, mut joules, mut metres, mut interventions) = (0, 0.0, 0.0, 0.0, 0);
             for (seed, path) in paths.iter().enumerate() {
@@ -130,7 +124,7 @@ pub fn track(maps: &[String]) -> Verdict {
                 joules / metres,
             );
             Row::new(format!("{} {name}: path error, p95", world.name()), p95, "cm").print();
-            if law == TrackerKind::TimeLaw {
+            if law == "time_law" {
                 least = p95;
                 good &= p95 < 3.0 && reached == paths.len() && paths.len() == PATHS;
             } else {

@@ -1,27 +1,28 @@
-//! What is a short way in any direction? Lazy Theta*: from cell centre to cell centre, as far as one sees.
+//! Lazy Theta*. What is a short path in any direction? From cell centre to cell centre, as far as one sees.
 //!
 //! As A*, but a cell's parent may be any cell that it is seen from. That a cell is seen is assumed until it is its turn: one look an
-//! expansion. Where it is not seen, the best of its neighbours that had their turn takes over; and where that makes its way longer, it has
-//! to wait for its new turn. At the end the corners are moved to where the way is taut.
+//! expansion. Where it is not seen, the best of its neighbours that had their turn takes over; and where that makes its path longer, it has
+//! to wait for its new turn. At the end the corners are moved to where the path is taut.
 //!
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
 
 use zenav_protocol::grid::Cell;
 
-use super::astar::{NotFound, ends};
-use super::budget::Budget;
-use super::grid_graph::{GridGraph, STEPS, STRAIGHT};
-use super::node_table::NodeTable;
-use super::open_list::{Open, OpenList, is_past};
-use super::path::{Path, center};
-use super::searcher::{Query, Searched};
-use super::string_pulling::tighten;
 use zenav_space::LineOfSight;
+
+use super::{Map, PathSearch};
+use crate::budget::Budget;
+use crate::grid_graph::{GridGraph, STEPS, STRAIGHT};
+use crate::node_table::NodeTable;
+use crate::open_list::{Open, OpenList, is_past};
+use crate::path::{Path, center};
+use crate::searcher::{NotFound, Query, Searched};
+use crate::string_pulling::pull_string;
 
 /// Working memory, kept from one search to the next.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
+pub(crate) struct Memory {
     reached: NodeTable<Reached>,
     open: OpenList,
 }
@@ -32,7 +33,7 @@ const LONGEST: u32 = u32::MAX >> 1;
 /// What is known of a cell; nothing at first.
 #[derive(Clone, Copy, Debug, Default)]
 struct Reached {
-    /// Length of the best way to it, turned over so that 0 stands for none; the lowest bit tells that it had its turn.
+    /// Length of the best path to it, turned over so that 0 stands for none; the lowest bit tells that it had its turn.
     mark: u32,
     /// Node that it is seen from, or so it is assumed.
     parent: u32,
@@ -62,29 +63,35 @@ impl Reached {
     }
 }
 
-/// A short way between two points; `sight` is the space that the lattice's free cells belong to. Deterministic.
-pub fn search(
-    lattice: &GridGraph,
+impl PathSearch for Memory {
+    fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
+        search(map.graph, map.sight, query, self, budget)
+    }
+}
+
+/// A short path between two points; `sight` is the space that the graph's free cells belong to. Deterministic.
+fn search(
+    graph: &GridGraph,
     sight: &impl LineOfSight,
     query: &Query,
     memory: &mut Memory,
     budget: Budget<'_>,
 ) -> Searched {
     let mut expansions = 0;
-    let result = expand(lattice, sight, query, memory, budget, &mut expansions);
+    let result = expand(graph, sight, query, memory, budget, &mut expansions);
     Searched { result, expansions }
 }
 
 fn expand(
-    lattice: &GridGraph,
+    graph: &GridGraph,
     sight: &impl LineOfSight,
     query: &Query,
     memory: &mut Memory,
     budget: Budget<'_>,
     expansions: &mut u64,
 ) -> Result<Path, NotFound> {
-    let (start, goal) = query.cells().ok_or(NotFound::OutOfMap)?;
-    let (start_node, goal_node) = ends(lattice, start, goal)?;
+    let (start, goal) = query.cells();
+    let (start_node, goal_node) = graph.ends(start, goal)?;
     if !sight.sees(query.start, center(start)) {
         return Err(NotFound::StartBlocked);
     }
@@ -94,7 +101,7 @@ fn expand(
     if sight.sees(query.start, query.goal) {
         return Ok(Path::through(vec![query.start, query.goal]));
     }
-    memory.reached.clear(lattice.len());
+    memory.reached.clear(graph.len());
     memory.open.clear(distance(start, goal));
     memory.reached.set(start_node, Reached::new(0, start_node));
     memory.open.push(Open {
@@ -110,10 +117,10 @@ fn expand(
         if budget.is_spent(*expansions) {
             return Err(NotFound::TimedOut);
         }
-        let cell = lattice.cell(node);
-        let mut parent = lattice.cell(here.parent);
+        let cell = graph.cell(node);
+        let mut parent = graph.cell(here.parent);
         if !sight.sees(center(parent), center(cell)) {
-            here = beside(lattice, memory, node);
+            here = beside(graph, memory, node);
             memory.reached.set(node, here);
             let true_estimate = here.cost() + distance(cell, goal);
             if is_past(true_estimate, estimate) {
@@ -123,19 +130,19 @@ fn expand(
                 });
                 continue;
             }
-            parent = lattice.cell(here.parent);
+            parent = graph.cell(here.parent);
         }
         memory.reached.set(node, here.with_its_turn());
         if node == goal_node {
-            return Ok(way(lattice, memory, sight, query, goal_node));
+            return Ok(path(graph, memory, sight, query, goal_node));
         }
         *expansions += 1;
         let base = memory.reached.get(here.parent).cost();
-        let mut steps = lattice.steps(node);
+        let mut steps = graph.steps(node);
         while steps != 0 {
             let step = STEPS[steps.trailing_zeros() as usize];
             steps &= steps - 1;
-            let next = lattice.beside(node, step);
+            let next = graph.beside(node, step);
             let known = memory.reached.get(next);
             if known.had_its_turn() {
                 continue;
@@ -156,14 +163,14 @@ fn expand(
     Err(if too_long { NotFound::TooLong } else { NotFound::NoPath })
 }
 
-/// The best way to a cell over one of its neighbours that had their turn; the cell's own parent is not seen.
-fn beside(lattice: &GridGraph, memory: &Memory, node: u32) -> Reached {
+/// The best path to a cell over one of its neighbours that had their turn; the cell's own parent is not seen.
+fn beside(graph: &GridGraph, memory: &Memory, node: u32) -> Reached {
     let mut best = Reached::default();
-    let mut steps = lattice.steps(node);
+    let mut steps = graph.steps(node);
     while steps != 0 {
         let step = STEPS[steps.trailing_zeros() as usize];
         steps &= steps - 1;
-        let neighbour = lattice.beside(node, step);
+        let neighbour = graph.beside(node, step);
         let known = memory.reached.get(neighbour);
         if known.had_its_turn() && known.cost() + step.cost < best.cost() {
             best = Reached::new(known.cost() + step.cost, neighbour);
@@ -172,11 +179,11 @@ fn beside(lattice: &GridGraph, memory: &Memory, node: u32) -> Reached {
     best
 }
 
-fn way(lattice: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Query, goal_node: u32) -> Path {
+fn path(graph: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Query, goal_node: u32) -> Path {
     let mut corners = vec![query.goal];
     let mut node = goal_node;
     loop {
-        corners.push(center(lattice.cell(node)));
+        corners.push(center(graph.cell(node)));
         let parent = memory.reached.get(node).parent;
         if parent == node {
             break;
@@ -186,11 +193,11 @@ fn way(lattice: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Q
     corners.push(query.start);
     corners.reverse();
     corners.dedup();
-    tighten(sight, &mut corners, 1.0);
+    pull_string(sight, &mut corners, 1.0);
     Path::through(corners)
 }
 
-/// Straight distance, in parts of a step along an axis like the lattice's costs.
+/// Straight distance, in parts of a step along an axis like the graph's costs.
 fn distance(from: Cell, to: Cell) -> u32 {
     let (dx, dy) = (f64::from(from.x) - f64::from(to.x), f64::from(from.y) - f64::from(to.y));
     ((dx * dx + dy * dy).sqrt() * f64::from(STRAIGHT) + 0.5) as u32
@@ -199,16 +206,15 @@ fn distance(from: Cell, to: Cell) -> u32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
-
     use std::sync::atomic::AtomicBool;
 
     use proptest::prelude::*;
     use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
-    use super::super::astar::{self, Uniform};
     use super::*;
+    use crate::cell_cost::Uniform;
+    use crate::planners::astar;
     use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
 
     const SIDE: u32 = 48;
@@ -246,13 +252,13 @@ mod tests {
         }
     }
 
-    /// Found where A* finds one, all of it in sight, and never longer than the lattice's shortest.
+    /// Found where A* finds one, all of it in sight, and never longer than the graph's shortest.
     fn check(free: &BitGrid, sight: &impl LineOfSight, world: &World) -> Result<(), TestCaseError> {
-        let lattice = GridGraph::new(free).unwrap();
+        let graph = GridGraph::new(free).unwrap();
         let mut memory = Memory::default();
         let question = query(world.start, world.goal);
         let shortest = astar::search(
-            &lattice,
+            &graph,
             &Uniform,
             world.start,
             world.goal,
@@ -261,25 +267,25 @@ mod tests {
         )
         .result;
         // Twice with one memory: nothing of the first search is left for the second.
-        let first = search(&lattice, sight, &question, &mut memory, Budget::UNLIMITED);
+        let first = search(&graph, sight, &question, &mut memory, Budget::UNLIMITED);
         prop_assert_eq!(
             &first,
-            &search(&lattice, sight, &question, &mut memory, Budget::UNLIMITED)
+            &search(&graph, sight, &question, &mut memory, Budget::UNLIMITED)
         );
         match (first.result, shortest) {
-            (Ok(way), Ok(shortest)) => {
+            (Ok(path), Ok(shortest)) => {
                 prop_assert_eq!(
-                    (way.corners[0], way.corners[way.corners.len() - 1]),
+                    (path.corners[0], path.corners[path.corners.len() - 1]),
                     (question.start, question.goal)
                 );
-                prop_assert!(way.corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
+                prop_assert!(path.corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
                 prop_assert!(
-                    way.length <= shortest.length() + 1e-9,
+                    path.length <= shortest.length() + 1e-9,
                     "{} against {}",
-                    way.length,
+                    path.length,
                     shortest.length()
                 );
-                prop_assert!(way.length >= (question.goal - question.start).norm() - 1e-9);
+                prop_assert!(path.length >= (question.goal - question.start).norm() - 1e-9);
             }
             (Err(ours), Err(theirs)) => prop_assert_eq!(ours, theirs),
             (ours, theirs) => prop_assert!(false, "{:?} against {:?}", ours, theirs),
@@ -291,13 +297,13 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(300))]
 
         #[test]
-        fn a_point_s_way_is_in_sight_and_at_most_as_long_as_the_lattice_s(world in world()) {
+        fn a_point_s_path_is_in_sight_and_at_most_as_long_as_the_graph_s(world in world()) {
             let free = world.blocked.complement();
             check(&free, &PointLineOfSight::new(&free), &world)?;
         }
 
         #[test]
-        fn a_disc_s_way_is_in_sight_and_at_most_as_long_as_the_lattice_s(world in world(), radius in 0.0..0.25, policy in prop::sample::select(vec![UnknownPolicy::Free, UnknownPolicy::Blocked])) {
+        fn a_disc_s_path_is_in_sight_and_at_most_as_long_as_the_graph_s(world in world(), radius in 0.0..0.25, policy in prop::sample::select(vec![UnknownPolicy::Free, UnknownPolicy::Blocked])) {
             let spec = GridSpec { origin: Point2::new(-1.0, 3.0), resolution: 0.1, width: SIDE, height: SIDE };
             let mut grid = Grid::filled(spec, Occupancy::FREE);
             for (number, cell) in (0..spec.len()).map(|index| spec.cell(index)).filter(|cell| world.blocked.get(*cell)).enumerate() {
@@ -308,7 +314,7 @@ mod tests {
         }
 
         #[test]
-        fn a_way_goes_from_exactly_where_it_is_asked_to_where_it_is_asked(world in world(), within in (0.01..0.99, 0.01..0.99, 0.01..0.99, 0.01..0.99)) {
+        fn a_path_goes_from_exactly_where_it_is_asked_to_where_it_is_asked(world in world(), within in (0.01..0.99, 0.01..0.99, 0.01..0.99, 0.01..0.99)) {
             let free = world.blocked.complement();
             let sight = PointLineOfSight::new(&free);
             let ask = Query {
@@ -316,9 +322,9 @@ mod tests {
                 goal: Point2::new(f64::from(world.goal.x) + within.2, f64::from(world.goal.y) + within.3),
                 seed: 1,
             };
-            if let Ok(way) = search(&GridGraph::new(&free).unwrap(), &sight, &ask, &mut Memory::default(), Budget::UNLIMITED).result {
-                prop_assert_eq!((way.corners[0], way.corners[way.corners.len() - 1]), (ask.start, ask.goal));
-                prop_assert!(way.corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
+            if let Ok(path) = search(&GridGraph::new(&free).unwrap(), &sight, &ask, &mut Memory::default(), Budget::UNLIMITED).result {
+                prop_assert_eq!((path.corners[0], path.corners[path.corners.len() - 1]), (ask.start, ask.goal));
+                prop_assert!(path.corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
             }
         }
     }
@@ -348,7 +354,7 @@ mod tests {
         }
         let few = Budget {
             max_expansions: found.expansions - 1,
-            cancel: None,
+            ..Budget::UNLIMITED
         };
         assert_eq!(run(&free, a, b, few).result, Err(NotFound::TimedOut));
         let cancelled = AtomicBool::new(true);

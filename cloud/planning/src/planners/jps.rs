@@ -1,6 +1,6 @@
-//! What is the shortest way, where every cell costs the same? Jump point search on blocks of bits, exactly optimal.
+//! Jump point search. What is the shortest path, where every cell costs the same? On blocks of bits, exactly optimal.
 //!
-//! Of all equally short ways only those that go diagonally first are looked at: then a straight run needs a stop only where an obstacle
+//! Of all equally short paths only those that go diagonally first are looked at: then a straight run needs a stop only where an obstacle
 //! beside it ends (a jump point). Jump points in the middle of a diagonal run are not kept either: what is found straight ahead of them
 //! is reached from the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own. Runs go from stop to stop
 //! on the bitmaps of [`JumpGrid`]; the goal is no stop there, but seen from any run that crosses its row or column.
@@ -10,17 +10,39 @@
 
 use zenav_protocol::grid::Cell;
 
-use super::astar::{NotFound, ends};
-use super::budget::Budget;
-use super::grid_graph::{DIAGONAL, GridGraph, GridPath, STEPS, STRAIGHT, UNREACHED, octile};
-use super::jump_grid::JumpGrid;
-use super::node_table::NodeTable;
-use super::open_list::{Open, OpenList, is_past};
-use super::searcher::Searched;
+use zenav_space::LineOfSight;
 
-/// Working memory, kept from one search to the next. All cells in it count from the lattice's border.
+use super::{Map, PathSearch};
+use crate::budget::Budget;
+use crate::grid_graph::{DIAGONAL, GridGraph, GridPath, STEPS, STRAIGHT, UNREACHED, octile};
+use crate::jump_grid::JumpGrid;
+use crate::node_table::NodeTable;
+use crate::open_list::{Open, OpenList, is_past};
+use crate::searcher::{NotFound, Query, Searched};
+
+/// Jump point search, prepared for a map when it is first asked.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
+pub(crate) struct Jps {
+    memory: Memory,
+    /// For this revision of the graph.
+    prepared: Option<(u64, JumpGrid)>,
+}
+
+impl PathSearch for Jps {
+    fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
+        let revision = map.graph.revision();
+        self.prepared = self.prepared.take().filter(|(prepared, _)| *prepared == revision);
+        let (_, jumps) = self
+            .prepared
+            .get_or_insert_with(|| (revision, JumpGrid::new(map.graph)));
+        let (start, goal) = query.cells();
+        search(map.graph, jumps, start, goal, &mut self.memory, budget).into()
+    }
+}
+
+/// Working memory, kept from one search to the next. All cells in it count from the graph's border.
+#[derive(Clone, Debug, Default)]
+struct Memory {
     states: NodeTable<u64>,
     open: OpenList,
     /// The cells expanded, in order.
@@ -71,7 +93,7 @@ impl State {
     }
 }
 
-/// Name of an open node: its cell, of which a lattice has at most 2^15 a side, and the direction that it was reached in.
+/// Name of an open node: its cell, of which a graph has at most 2^15 a side, and the direction that it was reached in.
 const fn name(cell: Cell, direction: usize) -> u32 {
     (cell.y - 1) << 17 | (cell.x - 1) << 2 | direction as u32
 }
@@ -118,31 +140,28 @@ const fn step_of(x: i32, y: i32) -> usize {
     i
 }
 
-/// The shortest way from one cell to another. Deterministic.
-pub fn search(
-    lattice: &GridGraph,
+/// The shortest path from one cell to another. Deterministic.
+fn search(
+    graph: &GridGraph,
     grid: &JumpGrid,
     start: Cell,
     goal: Cell,
     memory: &mut Memory,
     budget: Budget<'_>,
 ) -> Searched<GridPath> {
-    if let Err(reason) = ends(lattice, start, goal) {
-        return Searched {
-            result: Err(reason),
-            expansions: 0,
-        };
+    if let Err(reason) = graph.ends(start, goal) {
+        return Searched::failed(reason);
     }
-    memory.states.clear(lattice.len());
+    memory.states.clear(graph.len());
     memory.open.clear(octile(start, goal));
     memory.expanded.clear();
     memory.seen.clear();
     let [start, goal] = [start, goal].map(|cell| Cell::new(cell.x + 1, cell.y + 1));
     let mut run = Run {
-        lattice,
+        graph,
         grid,
         goal,
-        sides: [0, 1, 2, 3].map(|direction| obstacle(lattice, grid, direction, goal)),
+        sides: [0, 1, 2, 3].map(|direction| obstacle(graph, grid, direction, goal)),
         memory,
         budget,
         here: start,
@@ -158,12 +177,12 @@ pub fn search(
 }
 
 /// The column or row of the first obstacle in a direction.
-fn obstacle(lattice: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
+fn obstacle(graph: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
     let ray = grid.ray(direction);
     let mut at = from;
     loop {
         at = ray.after(at, ray.length(at));
-        if !lattice.is_free(lattice.padded(at)) {
+        if !graph.is_free(graph.padded(at)) {
             return if direction < 2 { at.x } else { at.y };
         }
     }
@@ -171,7 +190,7 @@ fn obstacle(lattice: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) 
 
 /// One search.
 struct Run<'a> {
-    lattice: &'a GridGraph,
+    graph: &'a GridGraph,
     grid: &'a JumpGrid,
     goal: Cell,
     /// The first obstacles to the east, west, north and south of the goal.
@@ -189,19 +208,19 @@ struct Run<'a> {
 
 impl Run<'_> {
     fn until_found(&mut self, start: Cell) -> Result<(), NotFound> {
-        let node = self.lattice.padded(start);
+        let node = self.graph.padded(start);
         self.memory.states.set(node, State::new(0, 0).0);
-        self.expand(start, 0, self.lattice.steps(node))?;
+        self.expand(start, 0, self.graph.steps(node))?;
         while let Some(Open { estimate, name }) = self.memory.open.pop() {
             if is_past(estimate, self.best) {
                 break;
             }
             let (cell, direction) = named(name);
             let cost = estimate - octile(cell, self.goal);
-            let node = self.lattice.padded(cell);
-            // Else a better way came later, to it or to the goal.
+            let node = self.graph.padded(cell);
+            // Else a better path came later, to it or to the goal.
             if State(self.memory.states.get(node)).cost() == cost && estimate < self.best {
-                let can = self.lattice.steps(node) as usize;
+                let can = self.graph.steps(node) as usize;
                 self.expand(cell, cost, u32::from(SUCCESSORS[direction][can & 0xFF]))?;
             }
         }
@@ -245,8 +264,8 @@ impl Run<'_> {
         let ray = self.grid.ray(direction);
         let length = ray.length(from);
         let cell = ray.after(from, length);
-        let node = self.lattice.padded(cell);
-        if self.lattice.is_free(node) {
+        let node = self.graph.padded(cell);
+        if self.graph.is_free(node) {
             let cost = cost.saturating_add(length * STRAIGHT);
             self.memory.seen.push(Seen {
                 cell,
@@ -276,7 +295,7 @@ impl Run<'_> {
                     return Err(NotFound::TimedOut);
                 }
             }
-            if !self.lattice.can_step(self.lattice.padded(at), ray.step) {
+            if !self.graph.can_step(self.graph.padded(at), ray.step) {
                 break;
             }
         }
@@ -302,19 +321,19 @@ impl Run<'_> {
             || (cell.x == self.goal.x && south < cell.y && cell.y < north)
     }
 
-    /// Notes a way from what is being expanded to the goal: diagonally first, then straight.
+    /// Notes a path from what is being expanded to the goal: diagonally first, then straight.
     fn found(&mut self) {
         let cost = self.cost.saturating_add(octile(self.here, self.goal));
         if cost < self.best {
             self.best = cost;
             let state = State::new(cost, self.memory.expanded.len() - 1);
-            self.memory.states.set(self.lattice.padded(self.goal), state.0);
+            self.memory.states.set(self.graph.padded(self.goal), state.0);
         } else if cost == UNREACHED {
             self.too_long = true;
         }
     }
 
-    /// Notes the ways from what is being expanded to the jump points seen: diagonally first, then straight.
+    /// Notes the paths from what is being expanded to the jump points seen: diagonally first, then straight.
     fn settle(&mut self) {
         let Memory {
             states,
@@ -358,12 +377,12 @@ impl Run<'_> {
         }
     }
 
-    /// The way, start first.
+    /// The path, start first.
     fn trace(&self, start: Cell) -> GridPath {
         let mut cells = vec![self.goal];
         let mut to = self.goal;
         while to != start {
-            let state = State(self.memory.states.get(self.lattice.padded(to)));
+            let state = State(self.memory.states.get(self.graph.padded(to)));
             let from = self.memory.expanded[state.parent()];
             let diagonal = from.x.abs_diff(to.x).min(from.y.abs_diff(to.y));
             let toward = |a: u32, b: u32| if b > a { a + diagonal } else { a - diagonal };
@@ -385,8 +404,9 @@ impl Run<'_> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use super::super::astar::{self, Uniform};
     use super::*;
+    use crate::cell_cost::Uniform;
+    use crate::planners::astar;
     use proptest::prelude::*;
     use zenav_space::BitGrid;
 
@@ -394,20 +414,20 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(300))]
 
         #[test]
-        fn the_way_is_as_short_as_that_of_astar_and_every_step_is_allowed(
+        fn the_path_is_as_short_as_that_of_astar_and_every_step_is_allowed(
             size in (2_u32..150, 2_u32..90), walls in prop::collection::vec((0_u32..150, 0_u32..90, 1_u32..40, 1_u32..20), 0..25),
             dots in prop::collection::vec((0_u32..150, 0_u32..90), 0..200), queries in prop::collection::vec(any::<(u32, u32, u32, u32)>(), 1..6),
         ) {
             let (w, h) = size;
             let mut free = BitGrid::from_fn(w, h, |cell| !walls.iter().any(|(x, y, dx, dy)| cell.x >= *x && cell.x < x + dx && cell.y >= *y && cell.y < y + dy));
             dots.iter().for_each(|(x, y)| free.set(Cell::new(*x, *y), false));
-            let lattice = GridGraph::new(&free).unwrap();
-            let grid = JumpGrid::new(&lattice);
+            let graph = GridGraph::new(&free).unwrap();
+            let grid = JumpGrid::new(&graph);
             let (mut ours, mut theirs) = (Memory::default(), astar::Memory::default());
             for (a, b, c, d) in queries {
                 let (start, goal) = (Cell::new(a % w, b % h), Cell::new(c % w, d % h));
-                let found = search(&lattice, &grid, start, goal, &mut ours, Budget::UNLIMITED).result;
-                let expected = astar::search(&lattice, &Uniform, start, goal, &mut theirs, Budget::UNLIMITED).result;
+                let found = search(&graph, &grid, start, goal, &mut ours, Budget::UNLIMITED).result;
+                let expected = astar::search(&graph, &Uniform, start, goal, &mut theirs, Budget::UNLIMITED).result;
                 match (&found, &expected) {
                     (Ok(found), Ok(expected)) => {
                         prop_assert!((found.length() - expected.length()).abs() < 1e-9, "{} against {}", found.length(), expected.length());

@@ -1,4 +1,4 @@
-//! What is the cheapest way over the lattice? A* with octile estimates, exactly optimal for whole-number costs.
+//! A*. What is the cheapest path over the grid graph? Octile estimates, exactly optimal for whole-number costs.
 //!
 //! A node whose cost is improved is put in again; the search ends when nothing open can be better than the goal's cost.
 //!
@@ -6,90 +6,51 @@
 
 use zenav_protocol::grid::Cell;
 
-use super::budget::Budget;
-use super::grid_graph::{GridGraph, GridPath, STEPS, UNREACHED, octile};
-use super::node_table::{NodeTable, Written};
-use super::open_list::{Open, OpenList, is_past};
-use super::searcher::Searched;
-use zenav_space::DistanceCost;
+use zenav_space::LineOfSight;
 
-/// Costs beyond the way's length.
-pub trait CellCost {
-    /// What it costs to be at a cell, in parts of [`PARTS`] of the step that leads there or away: 0 is the length alone.
-    fn extra(&self, cell: Cell) -> u8;
-}
-
-/// Extra costs are counted in parts of this many of a step's own cost.
-pub const PARTS: u32 = 32;
-
-/// The way's length alone.
-#[derive(Clone, Copy, Debug)]
-pub struct Uniform;
-
-impl CellCost for Uniform {
-    fn extra(&self, _cell: Cell) -> u8 {
-        0
-    }
-}
-
-/// Nearness to obstacles; none where none is asked for.
-impl CellCost for Option<DistanceCost<'_>> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.as_ref().map_or(0, |costs| costs.at(cell))
-    }
-}
-
-impl CellCost for DistanceCost<'_> {
-    fn extra(&self, cell: Cell) -> u8 {
-        self.at(cell)
-    }
-}
-
-/// Why a search ended without a way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NotFound {
-    /// The start or the goal is outside the map.
-    OutOfMap,
-    /// The start is not free.
-    StartBlocked,
-    /// The goal is not free.
-    GoalBlocked,
-    /// They are not connected.
-    NoPath,
-    /// The budget ran out.
-    TimedOut,
-    /// They may be connected, but only by a path that costs more than 32 bits count: 748,000 straight steps, fewer where clearance costs.
-    TooLong,
-}
+use super::{Map, PathSearch};
+use crate::budget::Budget;
+use crate::cell_cost::{CellCost, Uniform, weighted};
+use crate::grid_graph::{GridGraph, GridPath, STEPS, UNREACHED, octile};
+use crate::node_table::{NodeTable, Written};
+use crate::open_list::{Open, OpenList, is_past};
+use crate::searcher::{NotFound, Query, Searched};
 
 /// Working memory, kept from one search to the next.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
-    /// Cost of the best way known to each node, turned over: 0 stands for none.
+pub(crate) struct Memory {
+    /// Cost of the best path known to each node, turned over: 0 stands for none.
     costs: NodeTable<u32>,
     open: OpenList,
 }
 
 impl Memory {
-    /// Cost of the best way known to a node.
+    /// Cost of the best path known to a node.
     fn cost(&self, node: u32) -> u32 {
         !self.costs.get(node)
     }
 
-    /// Notes a better way to a node.
+    /// Notes a better path to a node.
     fn reach(&mut self, node: u32, cost: u32) {
         self.costs.set(node, !cost);
     }
 
     /// Where the last search had been, and a little more.
-    pub(super) fn reached(&self) -> Written {
+    pub(crate) fn reached(&self) -> Written {
         self.costs.written()
     }
 }
 
-/// The cheapest way from one cell to another. Deterministic.
-pub fn search(
-    lattice: &GridGraph,
+impl PathSearch for Memory {
+    fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
+        let (start, goal) = query.cells();
+        search(map.graph, &Uniform, start, goal, self, budget).into()
+    }
+}
+
+/// The cheapest path from one cell to another. Deterministic.
+pub(crate) fn search(
+    graph: &GridGraph,
     costs: &impl CellCost,
     start: Cell,
     goal: Cell,
@@ -97,12 +58,12 @@ pub fn search(
     budget: Budget<'_>,
 ) -> Searched<GridPath> {
     let mut expansions = 0;
-    let result = expand(lattice, costs, start, goal, memory, budget, &mut expansions);
+    let result = expand(graph, costs, start, goal, memory, budget, &mut expansions);
     Searched { result, expansions }
 }
 
 fn expand(
-    lattice: &GridGraph,
+    graph: &GridGraph,
     costs: &impl CellCost,
     start: Cell,
     goal: Cell,
@@ -110,8 +71,8 @@ fn expand(
     budget: Budget<'_>,
     expansions: &mut u64,
 ) -> Result<GridPath, NotFound> {
-    let (start_node, goal_node) = ends(lattice, start, goal)?;
-    memory.costs.clear(lattice.len());
+    let (start_node, goal_node) = graph.ends(start, goal)?;
+    memory.costs.clear(graph.len());
     memory.open.clear(octile(start, goal));
     memory.reach(start_node, 0);
     memory.open.push(Open {
@@ -126,8 +87,8 @@ fn expand(
         }
         let cell = named(open);
         let cost = estimate - octile(cell, goal);
-        let node = lattice.padded(Cell::new(cell.x + 1, cell.y + 1));
-        // Else a better way came later, to it or to the goal.
+        let node = graph.padded(Cell::new(cell.x + 1, cell.y + 1));
+        // Else a better path came later, to it or to the goal.
         if memory.cost(node) != cost || estimate >= best {
             continue;
         }
@@ -136,11 +97,11 @@ fn expand(
         }
         *expansions += 1;
         let here = u32::from(costs.extra(cell));
-        let mut steps = lattice.steps(node);
+        let mut steps = graph.steps(node);
         while steps != 0 {
             let step = STEPS[steps.trailing_zeros() as usize];
             steps &= steps - 1;
-            let next = lattice.beside(node, step);
+            let next = graph.beside(node, step);
             let known = memory.cost(next);
             if known <= cost.saturating_add(step.cost) {
                 continue;
@@ -162,11 +123,11 @@ fn expand(
     if memory.cost(goal_node) == UNREACHED {
         return Err(if too_long { NotFound::TooLong } else { NotFound::NoPath });
     }
-    let cells = trace(lattice, costs, start_node, goal_node, memory);
+    let cells = trace(graph, costs, start_node, goal_node, memory);
     Ok(GridPath::through(&cells))
 }
 
-/// Name of an open node: its cell, of which a lattice has at most 2^15 a side.
+/// Name of an open node: its cell, of which a graph has at most 2^15 a side.
 const fn name(cell: Cell) -> u32 {
     cell.y << 16 | cell.x
 }
@@ -175,55 +136,20 @@ const fn named(name: u32) -> Cell {
     Cell::new(name & 0xFFFF, name >> 16)
 }
 
-/// The nodes of free ends.
-pub(super) fn ends(lattice: &GridGraph, start: Cell, goal: Cell) -> Result<(u32, u32), NotFound> {
-    let start = lattice.node(start).ok_or(NotFound::OutOfMap)?;
-    let goal = lattice.node(goal).ok_or(NotFound::OutOfMap)?;
-    if !lattice.is_free(start) {
-        return Err(NotFound::StartBlocked);
-    }
-    if !lattice.is_free(goal) {
-        return Err(NotFound::GoalBlocked);
-    }
-    Ok((start, goal))
-}
-
-/// Cost of a step with half the extra cost of each end: the same in both directions.
-fn weighted(step: u32, here: u32, there: u8) -> u32 {
-    step + step * (here + u32::from(there)) / (2 * PARTS)
-}
-
-/// Costs from the first of some neighbouring cells to each of them; `None` where one is not free, or a step would cut a corner.
-pub(super) fn costs_along(lattice: &GridGraph, costs: &impl CellCost, cells: &[Cell]) -> Option<Vec<u32>> {
-    let first = lattice.node(*cells.first()?)?;
-    let mut total = vec![0];
-    let mut sum = 0_u32;
-    for pair in cells.windows(2) {
-        let (node, [from, to]) = (lattice.node(pair[0])?, [pair[0], pair[1]]);
-        let i = STEPS.iter().position(|step| step.after(from) == to)?;
-        if lattice.steps(node) >> i & 1 == 0 {
-            return None;
-        }
-        sum = sum.saturating_add(weighted(STEPS[i].cost, u32::from(costs.extra(from)), costs.extra(to)));
-        total.push(sum);
-    }
-    lattice.is_free(first).then_some(total)
-}
-
-/// The cells of the cheapest way, start first: from the goal back, always to the neighbour that makes up its cost.
-fn trace(lattice: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
-    let mut cells = vec![lattice.cell(goal)];
+/// The cells of the cheapest path, start first: from the goal back, always to the neighbour that makes up its cost.
+fn trace(graph: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
+    let mut cells = vec![graph.cell(goal)];
     let mut node = goal;
     let mut last_step = usize::MAX;
     while node != start {
-        let cell = lattice.cell(node);
+        let cell = graph.cell(node);
         let here = u32::from(costs.extra(cell));
         let mut best = (UNREACHED, 0, false);
-        let mut steps = lattice.steps(node);
+        let mut steps = graph.steps(node);
         while steps != 0 {
             let i = steps.trailing_zeros() as usize;
             steps &= steps - 1;
-            let known = memory.cost(lattice.beside(node, STEPS[i]));
+            let known = memory.cost(graph.beside(node, STEPS[i]));
             if known == UNREACHED {
                 continue;
             }
@@ -235,12 +161,12 @@ fn trace(lattice: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memo
             }
         }
         if best.0 > memory.cost(node) {
-            // Cannot happen while costs are symmetric; rather a short way than an endless one.
+            // Cannot happen while costs are symmetric; rather a short path than an endless one.
             break;
         }
         last_step = best.1;
-        node = lattice.beside(node, STEPS[best.1]);
-        cells.push(lattice.cell(node));
+        node = graph.beside(node, STEPS[best.1]);
+        cells.push(graph.cell(node));
     }
     cells.reverse();
     cells
@@ -250,6 +176,7 @@ fn trace(lattice: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memo
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::cell_cost::PARTS;
     use proptest::prelude::*;
     use zenav_space::BitGrid;
 
@@ -324,12 +251,12 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(400))]
 
         #[test]
-        fn the_way_is_as_short_as_dijkstra_s((free, start, goal) in random_map()) {
-            let lattice = GridGraph::new(&free).unwrap();
+        fn the_path_is_as_short_as_dijkstra_s((free, start, goal) in random_map()) {
+            let graph = GridGraph::new(&free).unwrap();
             let mut memory = Memory::default();
             // Twice with one memory: nothing of the first search is left for the second.
             for _ in 0..2 {
-                let found = search(&lattice, &Uniform, start, goal, &mut memory, Budget::UNLIMITED).result;
+                let found = search(&graph, &Uniform, start, goal, &mut memory, Budget::UNLIMITED).result;
                 match reference(&free, &Uniform, start, goal) {
                     Some(length) => prop_assert!((found.unwrap().length() - length).abs() < 1e-9),
                     None => prop_assert_eq!(found, Err(NotFound::NoPath)),
@@ -338,14 +265,14 @@ mod tests {
         }
 
         #[test]
-        fn the_way_is_as_cheap_as_dijkstra_s_with_extra_costs((free, start, goal) in random_map()) {
-            let lattice = GridGraph::new(&free).unwrap();
+        fn the_path_is_as_cheap_as_dijkstra_s_with_extra_costs((free, start, goal) in random_map()) {
+            let graph = GridGraph::new(&free).unwrap();
             let mut memory = Memory::default();
-            let found = search(&lattice, &Bumpy, start, goal, &mut memory, Budget::UNLIMITED).result;
+            let found = search(&graph, &Bumpy, start, goal, &mut memory, Budget::UNLIMITED).result;
             match reference(&free, &Bumpy, start, goal) {
                 Some(cost) => {
                     prop_assert!(found.is_ok());
-                    let node = lattice.node(goal).unwrap();
+                    let node = graph.node(goal).unwrap();
                     let ours = f64::from(memory.cost(node)) / 5741.0;
                     prop_assert!((ours - cost).abs() < 1e-2, "{} against {}", ours, cost);
                 }
@@ -354,9 +281,9 @@ mod tests {
         }
 
         #[test]
-        fn every_step_of_the_way_is_allowed((free, start, goal) in random_map()) {
-            let lattice = GridGraph::new(&free).unwrap();
-            if let Ok(path) = search(&lattice, &Uniform, start, goal, &mut Memory::default(), Budget::UNLIMITED).result {
+        fn every_step_of_the_path_is_allowed((free, start, goal) in random_map()) {
+            let graph = GridGraph::new(&free).unwrap();
+            if let Ok(path) = search(&graph, &Uniform, start, goal, &mut Memory::default(), Budget::UNLIMITED).result {
                 prop_assert_eq!((path.corners[0], path.corners[path.corners.len() - 1]), (start, goal));
                 for pair in path.corners.windows(2) {
                     let (dx, dy) = (i64::from(pair[1].x) - i64::from(pair[0].x), i64::from(pair[1].y) - i64::from(pair[0].y));
@@ -364,7 +291,7 @@ mod tests {
                     let step = STEPS.iter().position(|s| (i64::from(s.x), i64::from(s.y)) == (dx.signum(), dy.signum())).unwrap();
                     for i in 0..dx.abs().max(dy.abs()) {
                         let cell = Cell::new((i64::from(pair[0].x) + i * dx.signum()) as u32, (i64::from(pair[0].y) + i * dy.signum()) as u32);
-                        prop_assert!(lattice.steps(lattice.node(cell).unwrap()) >> step & 1 == 1);
+                        prop_assert!(graph.steps(graph.node(cell).unwrap()) >> step & 1 == 1);
                     }
                 }
             }
@@ -397,7 +324,7 @@ mod tests {
                 c,
                 Budget {
                     max_expansions: 1,
-                    cancel: None
+                    ..Budget::UNLIMITED
                 }
             ),
             Err(NotFound::TimedOut)

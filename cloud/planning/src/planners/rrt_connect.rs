@@ -1,0 +1,95 @@
+//! RRT-Connect. How do two trees meet? One from the start and one from the goal take turns; whatever one gains, the other tries to connect to.
+//!
+//! Source: Kuffner and LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning", 2000. Once the first samples have not been
+//! enough, every other one leads a tree out of what it has covered ([`Tree::explore`]): a hybrid with a sweep over the map's bitmap, which
+//! [`Searcher::black_box`](crate::Searcher::black_box) turns off.
+
+use nalgebra::Point2;
+use zenav_space::LineOfSight;
+
+use super::{Map, PathSearch};
+use crate::budget::Budget;
+use crate::sampling::tree::{Explored, Ground, Tree};
+use crate::sampling::{self, Sampling};
+use crate::searcher::{NotFound, Query, Searched};
+
+/// Two trees.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RrtConnect {
+    trees: [Tree; 2],
+}
+
+impl PathSearch for RrtConnect {
+    fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
+        self.clear();
+        sampling::search(map, query, budget, |ground, sampling| {
+            self.first_path(ground, query, sampling)
+        })
+    }
+
+    fn edges(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
+        self.trees.iter().flat_map(Tree::edges).take(limit).collect()
+    }
+}
+
+impl RrtConnect {
+    /// Fells both trees.
+    pub(super) fn clear(&mut self) {
+        self.trees.iter_mut().for_each(Tree::clear);
+    }
+
+    /// The path by which the trees meet, without needless corners.
+    pub(super) fn first_path<S: LineOfSight>(
+        &mut self,
+        ground: &Ground<'_, S>,
+        query: &Query,
+        sampling: &mut Sampling<'_>,
+    ) -> Result<Vec<Point2<f64>>, NotFound> {
+        self.trees[0].plant(ground, query.start);
+        self.trees[1].plant(ground, query.goal);
+        let mut path = meet(ground, &mut self.trees, sampling)?;
+        sampling.prune(ground, &mut path);
+        Ok(path)
+    }
+}
+
+/// Grows two trees that have been planted until they meet: the path from the first one's root to the other's.
+fn meet<S: LineOfSight>(
+    ground: &Ground<'_, S>,
+    trees: &mut [Tree; 2],
+    sampling: &mut Sampling<'_>,
+) -> Result<Vec<Point2<f64>>, NotFound> {
+    let roots = [0, 1].map(|side: usize| ground.free_at(trees[side].point(0)));
+    loop {
+        let explores = sampling.next()?;
+        let side = (sampling.samples & 1) as usize;
+        let [first, second] = trees;
+        let (tree, other) = if side == 0 { (first, second) } else { (second, first) };
+        let before = tree.vertices();
+        let sample = if explores { None } else { sampling.sample(ground) };
+        if let Some(sample) = sample {
+            tree.extend(ground, sample);
+        } else {
+            let target = roots[1 - side];
+            let explored = tree.explore(ground, &mut sampling.sampler, sampling.settings.exits, target);
+            if explored == Explored::Everything && target.is_some() && tree.vertices() == before {
+                return Err(NotFound::NoPath);
+            }
+        }
+        for vertex in (before..tree.vertices()).rev() {
+            let p = tree.point(vertex);
+            if let Some(met) = other.connect(ground, p) {
+                return Ok(join(trees, side, vertex, met));
+            }
+        }
+    }
+}
+
+/// The path from the first tree's root to the other's, by the vertices at which one tree and the other one met.
+fn join(trees: &[Tree; 2], side: usize, vertex: u32, met: u32) -> Vec<Point2<f64>> {
+    let [here, there] = if side == 0 { [vertex, met] } else { [met, vertex] };
+    let mut path: Vec<Point2<f64>> = trees[0].back(here).collect();
+    path.reverse();
+    path.extend(trees[1].back(there).skip(1));
+    path
+}

@@ -1,0 +1,97 @@
+//! RRT*. How does the path that was found become the shortest one? A tree with costs, new vertices where they can still help, for as long as there is time.
+//!
+//! Sources: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*, the radius within which vertices are
+//! rewired); Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014 (samples and vertices only where a shorter path can lead). The first path is that
+//! of [`RrtConnect`]. The string of each better path is pulled, and its corners become vertices. A share of the samples is drawn at the
+//! convex corners of obstacles, where shortest paths bend; the rest stays uniform, which is what optimality in the limit rests on.
+
+use nalgebra::Point2;
+use zenav_space::LineOfSight;
+
+use super::rrt_connect::RrtConnect;
+use super::{Map, PathSearch};
+use crate::budget::Budget;
+use crate::sampling::rewiring::CostTree;
+use crate::sampling::sampler::Ellipse;
+use crate::sampling::shortcut::length;
+use crate::sampling::tree::Ground;
+use crate::sampling::{self, Sampling};
+use crate::searcher::{Query, Searched};
+
+/// Two trees for the first path, and the tree that improves on it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RrtStar {
+    first: RrtConnect,
+    costs: CostTree,
+}
+
+impl PathSearch for RrtStar {
+    fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched {
+        self.first.clear();
+        self.costs.clear();
+        sampling::search(map, query, budget, |ground, sampling| {
+            let path = self.first.first_path(ground, query, sampling)?;
+            self.first.clear();
+            Ok(improve(ground, &mut self.costs, path, sampling))
+        })
+    }
+
+    fn edges(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
+        let mut edges: Vec<_> = self.costs.edges().take(limit).collect();
+        edges.extend(self.first.edges(limit - edges.len()));
+        edges
+    }
+}
+
+/// Samples between two looks at whether the tree knows a better path.
+const PERIOD: u64 = 128;
+/// Better by less than this share is not worth pulling taut.
+const WORTH: f64 = 1e-5;
+
+/// Improves a path until the search's budget ends; never longer than it was.
+fn improve<S: LineOfSight>(
+    ground: &Ground<'_, S>,
+    tree: &mut CostTree,
+    path: Vec<Point2<f64>>,
+    sampling: &mut Sampling<'_>,
+) -> Vec<Point2<f64>> {
+    let mut best = path;
+    let (Some(start), Some(goal)) = (best.first().copied(), best.last().copied()) else {
+        return best;
+    };
+    sampling.pull_string(ground, &mut best);
+    let mut bound = length(&best);
+    tree.plant(ground.sight.size(), &best);
+    sampling.sampler.narrow(Ellipse::new([start, goal], bound));
+    let last = sampling.samples.saturating_add(sampling.settings.improving);
+    // Nothing is shorter than straight.
+    while bound > (goal - start).norm() * (1.0 + 1e-9) && sampling.samples < last && sampling.next().is_ok() {
+        let corner = sampling.sampler.unit() < sampling.corners();
+        let sample = if corner {
+            sampling.sampler.corner(ground.graph)
+        } else {
+            sampling.sampler.free(ground.graph)
+        };
+        if let Some(sample) = sample {
+            let radius = radius(sampling.sampler.free_area(), tree.len()).min(ground.step);
+            tree.insert(ground.sight, sample, radius, ground.step, bound);
+        }
+        if sampling.samples.is_multiple_of(PERIOD) && tree.cost() < bound * (1.0 - WORTH) {
+            let mut path = tree.path();
+            sampling.pull_string(ground, &mut path);
+            best = path;
+            bound = length(&best);
+            let radius = radius(sampling.sampler.free_area(), tree.len()).min(ground.step);
+            tree.lay(ground.sight, &best, radius);
+            sampling.sampler.narrow(Ellipse::new([start, goal], bound));
+        }
+    }
+    if tree.cost() < bound { tree.path() } else { best }
+}
+
+/// The radius within which `vertices` that are spread over an area are rewired, cells: the least one that optimality in the limit asks for
+/// (Karaman and Frazzoli, theorem 38), and a tenth.
+fn radius(area: f64, vertices: usize) -> f64 {
+    let n = vertices.max(2) as f64;
+    1.1 * 2.0 * (1.5 * area / std::f64::consts::PI).sqrt() * (n.ln() / n).sqrt()
+}

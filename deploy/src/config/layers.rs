@@ -1,0 +1,267 @@
+//! Layers of a deployment. Which value counts, and what is wrong with one? Later layers win: the defaults, a deployment file, environment
+//! variables `ZENAV_SECTION__KEY`; flags of commands come after.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+use zenav_protocol::config_text::{OutOfBounds, line_of};
+use zenav_protocol::settings::{Row, Settings as _};
+
+use super::{Deployment, RobotSection};
+use crate::failure::Failure;
+use crate::files;
+
+/// What environment variables that set values begin with.
+const PREFIX: &str = "ZENAV_";
+/// Names that changed in a typo beyond this many letters are not guessed.
+const SLIPS: usize = 2;
+
+/// Reads a deployment: defaults, then the file, then the environment.
+///
+/// # Errors
+/// Exit code 3 for a missing file, 2 for a bad one, with the key and where it is written.
+pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
+    Ok(Layers::read(file, std::env::vars())?.deployment)
+}
+
+/// A deployment, and what it was made from.
+pub(super) struct Layers {
+    pub(super) deployment: Deployment,
+    file: Option<(PathBuf, String)>,
+    /// Keys that are set by the environment.
+    environment: BTreeMap<String, String>,
+}
+
+impl Layers {
+    pub(super) fn read(
+        path: Option<&Path>,
+        variables: impl Iterator<Item = (String, String)>,
+    ) -> Result<Self, Failure> {
+        let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
+        let mut table = Table::try_from(Deployment::default()).map_err(|error| failed(&error))?;
+        let mut file = None;
+        if let Some(path) = path {
+            if !path.is_file() {
+                let missing = format!("{}: no such deployment file", path.display());
+                return Err(Failure::not_found(missing));
+            }
+            let text = files::text(path)?;
+            // By itself first: what is wrong with it is told with its line.
+            toml::from_str::<Deployment>(&text).map_err(|error| unreadable(path, &error))?;
+            let own: Table = toml::from_str(&text).map_err(|error| unreadable(path, &error))?;
+            if own.contains_key("robots") {
+                table.remove("robots");
+            }
+            merge(&mut table, own);
+            file = Some((path.to_owned(), text));
+        }
+        let mut environment = BTreeMap::new();
+        for (variable, text) in variables {
+            let Some(name) = variable.strip_prefix(PREFIX) else {
+                continue;
+            };
+            let key = name.to_lowercase().replace("__", ".");
+            let value = parsed(&key, text);
+            let inner = key.split('.').rev().fold(value, |value, part| {
+                Value::Table([(part.to_owned(), value)].into_iter().collect())
+            });
+            if let Value::Table(inner) = inner {
+                merge(&mut table, inner);
+            }
+            environment.insert(key, variable);
+        }
+        let deployment: Deployment = table.try_into().map_err(|error: toml::de::Error| {
+            let variables: Vec<&str> = environment.values().map(String::as_str).collect();
+            Failure::usage(format!("{}: {}", variables.join(", "), told(&error)))
+        })?;
+        let layers = Self {
+            deployment,
+            file,
+            environment,
+        };
+        layers.check()?;
+        Ok(layers)
+    }
+
+    fn check(&self) -> Result<(), Failure> {
+        let checked = self.deployment.check();
+        checked.map_err(|error: OutOfBounds| Failure::usage(format!("{}: {error}", self.origin(&error.key))))?;
+        self.deployment.robot_ids()?;
+        self.deployment.group_ids()?;
+        Ok(())
+    }
+
+    /// Where the value of a key came from.
+    pub(super) fn origin(&self, key: &str) -> String {
+        if let Some(variable) = self.environment.get(key) {
+            return format!("environment {variable}");
+        }
+        let written = |(path, text): &(PathBuf, String)| {
+            let table: Table = toml::from_str(text).ok()?;
+            let mut parts = key.split('.');
+            let first = table.get(parts.next()?)?;
+            parts.try_fold(first, |value, part| value.get(part))?;
+            let line = line_of(text, key).map_or_else(String::new, |line| format!(":{line}"));
+            Some(format!("{}{line}", path.display()))
+        };
+        self.file
+            .as_ref()
+            .and_then(written)
+            .unwrap_or_else(|| "default".to_owned())
+    }
+}
+
+/// Puts the values of a table over those of another.
+fn merge(under: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (under.get_mut(&key), value) {
+            (Some(Value::Table(under)), Value::Table(over)) => merge(under, over),
+            (_, value) => {
+                under.insert(key, value);
+            }
+        }
+    }
+}
+
+/// A value as it is written in the environment: as in a file, or bare where text is wanted.
+fn parsed(key: &str, text: String) -> Value {
+    let is_text = row_of(key).is_some_and(|row| row.default.is_string());
+    let quoted = text.starts_with(['"', '\'']);
+    if is_text && !quoted {
+        return Value::String(text);
+    }
+    let read = toml::from_str::<Table>(&format!("value = {text}")).ok();
+    read.and_then(|mut table| table.remove("value"))
+        .unwrap_or(Value::String(text))
+}
+
+/// The setting of a key.
+fn row_of(key: &str) -> Option<Row> {
+    let (rows, key) = match key.strip_prefix("robots.").and_then(|rest| rest.split_once('.')) {
+        Some((_, key)) => (RobotSection::rows(), key),
+        None => (Deployment::rows(), key),
+    };
+    rows.into_iter().find(|row| row.key == key)
+}
+
+fn unreadable(path: &Path, error: &toml::de::Error) -> Failure {
+    Failure::usage(format!("{}: {}", path.display(), told(error)))
+}
+
+/// The error, and for an unknown key the one that may have been meant.
+fn told(error: &toml::de::Error) -> String {
+    let text = error.to_string();
+    let text = text.trim_end();
+    let mut names = error.message().split('`').skip(1).step_by(2);
+    let perhaps = names
+        .next()
+        .filter(|_| error.message().starts_with("unknown field"))
+        .and_then(|unknown| {
+            let slips = |known: &&str| strsim::osa_distance(unknown, known);
+            names.min_by_key(slips).filter(|known| slips(known) <= SLIPS)
+        });
+    match perhaps {
+        Some(known) => format!("{text}\nperhaps `{known}`"),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::messages::exit_code;
+
+    use super::*;
+
+    fn read(text: &str, variables: &[(&str, &str)]) -> Result<Layers, Failure> {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("mine.toml");
+        std::fs::write(&file, text).unwrap();
+        let variables = variables
+            .iter()
+            .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
+        Layers::read(Some(&file), variables)
+    }
+
+    #[test]
+    fn without_a_file_it_is_one_robot_on_this_machine() {
+        let layers = Layers::read(None, std::iter::empty()).unwrap();
+        assert_eq!(layers.deployment, Deployment::default());
+        assert_eq!(layers.deployment.robots.len(), 1);
+        assert_eq!(layers.deployment.router.listen, vec!["tcp/127.0.0.1:7447"]);
+    }
+
+    #[test]
+    fn an_unknown_key_is_told_with_its_line_and_the_one_that_was_meant() {
+        let failure = read("[mapping]\nresolutoin = 0.1\n", &[]).map(|_| ()).unwrap_err();
+        assert_eq!(failure.code, exit_code::USAGE);
+        for part in ["mine.toml", "line 2", "^^^^", "perhaps `resolution`"] {
+            assert!(failure.message.contains(part), "{part}: {failure}");
+        }
+    }
+
+    #[test]
+    fn a_library_s_settings_stand_in_the_section_of_its_service() {
+        let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
+        let mapping = read(text, &[]).unwrap().deployment.mapping;
+        assert_eq!((mapping.enabled, mapping.settings.resolution), (false, 0.1));
+        assert_eq!(mapping.settings.sensor_model.hit, 0.7);
+        let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])
+            .map(|_| ())
+            .unwrap_err();
+        assert!(
+            failure
+                .message
+                .contains("mine.toml:2: `mapping.sensor_model.hit` is 0.1"),
+            "{failure}"
+        );
+    }
+
+    #[test]
+    fn a_value_out_of_bounds_is_told_with_its_line_or_its_variable() {
+        let text = "[mapping]\nresolution = 0.001\n";
+        let failure = read(text, &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure
+                .message
+                .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
+            "{failure}"
+        );
+        let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();
+        assert!(
+            failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "),
+            "{failure}"
+        );
+        assert!(read("", &[("ZENAV_SIMULATION__SPED", "1")]).is_err());
+    }
+
+    #[test]
+    fn a_file_that_names_robots_means_those_alone_and_needs_no_endpoint_for_them() {
+        let layers = read("[robots.neato7]\nmodel = \"neato\"\n", &[]).unwrap();
+        assert_eq!(layers.deployment.robots.keys().collect::<Vec<_>>(), vec!["neato7"]);
+        assert_eq!(layers.deployment.robots["neato7"].listen, "tcp/127.0.0.1:0");
+    }
+
+    #[test]
+    fn the_environment_wins_over_the_file_and_both_say_so() {
+        let variables = [
+            ("ZENAV_MISSION__HOLDER", "7"),
+            ("ZENAV_ROBOTS__TIAGO__MODEL", "neato"),
+            ("ZENAV_ROUTER__LISTEN", "[\"tcp/[::]:1\"]"),
+            ("OTHER", "1"),
+        ];
+        let layers = read("[mission]\nholder = \"a\"\nplan_valid_secs = 4\n", &variables).unwrap();
+        let deployment = &layers.deployment;
+        assert_eq!(
+            (deployment.mission.holder.as_str(), deployment.mission.plan_valid_secs),
+            ("7", 4.0)
+        );
+        assert_eq!(deployment.robots["tiago"].model, "neato");
+        assert_eq!(deployment.robots["tiago"].listen, "tcp/127.0.0.1:7450");
+        assert_eq!(deployment.router.listen, ["tcp/[::]:1"]);
+        assert_eq!(layers.origin("mission.holder"), "environment ZENAV_MISSION__HOLDER");
+        assert!(layers.origin("mission.plan_valid_secs").ends_with("mine.toml:3"));
+        assert_eq!(layers.origin("mission.enabled"), "default");
+    }
+}

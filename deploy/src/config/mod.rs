@@ -1,0 +1,214 @@
+//! Deployment. What is it made of, and where did each value come from?
+//!
+//! | file | answers |
+//! |---|---|
+//! | `mod` | which sections are there? Those of the libraries are their own settings |
+//! | `layers` | defaults, a file, the environment: which value counts, and what is wrong with one? |
+//! | `service` | does a service run, and with which of its library's settings? |
+//! | `show` | `zenav config show`: every value with unit, default, bounds and origin |
+
+mod layers;
+mod service;
+mod show;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use zenav_mapping::MappingSettings;
+use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{DrivingProfile, LostPolicy};
+use zenav_protocol::settings;
+use zenav_protocol::settings::Settings as _;
+use zenav_smoothing::SmoothingSettings;
+
+use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
+use crate::failure::Failure;
+
+pub use layers::load;
+pub use service::Service;
+pub use show::{ConfigArgs, run};
+
+settings! {
+    /// Which parts run, where they meet, and their settings. The default is one simulated robot and every service on this machine.
+    pub struct Deployment {
+        /// The router.
+        pub router: RouterSection;
+        /// How the parts reach the router.
+        pub bus: BusSection;
+        /// The simulated world.
+        pub simulation: SimulationSection;
+        /// The robots, by id; a file that names any means those and no others.
+        pub robots: BTreeMap<String, RobotSection> = one_robot();
+        /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
+        pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        /// The mapping service.
+        pub mapping: Service<MappingSettings>;
+        /// Motion workers.
+        pub planning: PlanningSection;
+        /// How paths become trajectories.
+        pub smoothing: SmoothingSettings;
+        /// Zones of the map.
+        pub zones: ZonesSection;
+        /// The mission orchestrator.
+        pub mission: MissionSection;
+        /// What is kept on disk.
+        pub data: DataSection;
+    }
+    check = Deployment::fits;
+}
+
+settings! {
+    /// The router.
+    pub struct RouterSection {
+        /// Whether `zenav up` runs one.
+        pub enabled: bool = true;
+        /// Endpoints that it listens on.
+        pub listen: Vec<String> = vec![DEFAULT_ENDPOINT.to_owned()];
+        /// Other routers to link to.
+        pub connect: Vec<String> = Vec::new();
+    }
+}
+
+settings! {
+    /// How the parts reach the router.
+    pub struct BusSection {
+        /// The router's endpoint.
+        pub connect: String = DEFAULT_ENDPOINT.to_owned();
+    }
+}
+
+settings! {
+    /// The simulated world.
+    pub struct SimulationSection {
+        /// World file or shipped name.
+        pub world: String = "kitchen".to_owned();
+        /// Seed of all noise.
+        pub seed: u64 = 1;
+        /// Simulated time against wall time.
+        pub speed: f64 = 1.0, "", 0.001..=1000.0;
+    }
+}
+
+settings! {
+    /// A robot.
+    pub struct RobotSection {
+        /// Robot file or shipped name.
+        pub model: String = "tiago".to_owned();
+        /// The edge's own endpoint: works with router and cloud gone. Port 0 takes a free one.
+        pub listen: String = "tcp/127.0.0.1:0".to_owned();
+        /// What to do with an accepted plan when the lease has expired.
+        pub on_lost: LostPolicy = LostPolicy::default();
+        /// Whether it is a robot of the world that `zenav sim serve` serves, instead of one simulated in the edge's process.
+        pub attach: bool = false;
+        /// Pose in the world at the start; without it, the world's own.
+        pub start: Option<Pose2> = None;
+    }
+}
+
+settings! {
+    /// Motion workers.
+    pub struct PlanningSection {
+        /// How many run.
+        pub workers: usize = 1, "", 1..=64;
+        /// Planner that missions ask for.
+        pub planner: String = "astar".to_owned();
+    }
+}
+
+settings! {
+    /// Zones of the map, in which all robots are: each robot's map frame is the same.
+    pub struct ZonesSection {
+        /// A file of keep-out and speed zones; none without it.
+        pub file: Option<PathBuf> = None;
+    }
+}
+
+settings! {
+    /// The mission orchestrator.
+    pub struct MissionSection {
+        /// Whether it runs.
+        pub enabled: bool = true;
+        /// Its name as a lease holder.
+        pub holder: String = "mission".to_owned();
+        /// How far ahead of the robot a replan starts.
+        pub latency_budget_secs: f64 = zenav_mission::config::LATENCY_BUDGET, "s", 0.0..=10.0;
+        /// Validity of a plan.
+        pub plan_valid_secs: f64 = 5.0, "s", 0.0..=60.0;
+        /// Driving profile of goals that name none: `fastest` or `economy`.
+        pub profile: DrivingProfile = DrivingProfile::Fastest;
+    }
+}
+
+settings! {
+    /// What is kept on disk.
+    pub struct DataSection {
+        /// Folder for maps, goals, and the edges' epochs.
+        pub dir: PathBuf = "zenav-data".into();
+    }
+}
+
+fn one_robot() -> BTreeMap<String, RobotSection> {
+    let robot = RobotSection {
+        listen: ROBOT_ENDPOINT.to_owned(),
+        ..RobotSection::default()
+    };
+    [("tiago".to_owned(), robot)].into()
+}
+
+impl Deployment {
+    fn fits(&self) -> Result<(), OutOfBounds> {
+        for (name, robot) in &self.robots {
+            robot.check().map_err(|error| error.within(name).within("robots"))?;
+        }
+        if self.robots.is_empty() {
+            return Err(OutOfBounds {
+                key: "robots".to_owned(),
+                problem: "names no robot: expected at least one section [robots.NAME]".to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Folder for a robot's files.
+    #[must_use]
+    pub fn robot_dir(&self, robot: &Id) -> PathBuf {
+        self.data.dir.join(robot.as_str())
+    }
+
+    /// The robots' checked ids with their sections.
+    ///
+    /// # Errors
+    /// A usage failure that names the bad id.
+    pub fn robot_ids(&self) -> Result<Vec<(Id, &RobotSection)>, Failure> {
+        self.robots
+            .iter()
+            .map(|(name, section)| {
+                Id::robot(name.clone())
+                    .map(|id| (id, section))
+                    .map_err(|error| Failure::usage(format!("[robots.{name}]: {error}")))
+            })
+            .collect()
+    }
+
+    /// The groups' names and robots, checked.
+    ///
+    /// # Errors
+    /// A usage failure that names the bad group.
+    pub fn group_ids(&self) -> Result<Vec<(Id, Vec<Id>)>, Failure> {
+        let check = |(name, robots): (&String, &Vec<String>)| {
+            let bad = |why: String| Failure::usage(format!("[groups] {name}: {why}"));
+            let group = Id::robot(name.clone()).map_err(|error| bad(error.to_string()))?;
+            if self.robots.contains_key(name) {
+                return Err(bad("a robot has this name".to_owned()));
+            }
+            if robots.is_empty() {
+                return Err(bad("expected names of robots".to_owned()));
+            }
+            let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
+            Ok((group, members.map_err(|error| bad(error.to_string()))?))
+        };
+        self.groups.iter().map(check).collect()
+    }
+}

@@ -1,0 +1,308 @@
+//! A part of the plane. How is it drawn? The plane on the left, metres as pixels; beside it a panel with title, notes, a legend and a scale bar.
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::robot::Footprint;
+
+use super::canvas::{Anchor, Canvas, Color, Face, GREY, INK, Pixel, WHITE, text_width};
+use crate::failure::Failure;
+
+/// What is free.
+pub const FREE: Color = WHITE;
+/// What has not been seen.
+pub const UNKNOWN: Color = [205, 208, 212];
+/// What is solid.
+pub const OCCUPIED: Color = [30, 34, 40];
+/// Named places.
+pub const PLACE: Color = [30, 130, 76];
+/// Robots.
+pub const ROBOT: Color = [40, 110, 220];
+
+/// Width of the panel, px.
+pub const PANEL: u32 = 172;
+/// Least height of a picture: the panel's.
+const LEAST_HEIGHT: u32 = 320;
+const PAPER: Color = [247, 248, 250];
+/// Between the panel's edge and what stands in it, px.
+const INSET: f32 = 12.0;
+/// Height of a line in the panel, and of its letters, px.
+const LINE: f32 = 19.0;
+const LETTERS: f32 = 12.0;
+/// Shares of ten that a scale bar may be long.
+const ROUND: [f64; 3] = [5.0, 2.0, 1.0];
+
+/// How a thing of the legend is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// A line.
+    Line,
+    /// A dot.
+    Dot,
+    /// An area.
+    Area,
+}
+
+/// A part of the plane, and a panel.
+pub struct Plane {
+    canvas: Canvas,
+    panel: Canvas,
+    low: Point2<f64>,
+    /// Pixels a metre.
+    scale: f64,
+    /// Where the panel's next line stands.
+    line: f32,
+}
+
+impl Plane {
+    /// The plane from `low` to `high` with `size` pixels on its longer side, on a background.
+    ///
+    /// # Errors
+    /// A part without extent.
+    pub fn new(low: Point2<f64>, high: Point2<f64>, size: u32, title: &str, color: Color) -> Result<Self, Failure> {
+        let extent = high - low;
+        let scale = f64::from(size) / extent.amax();
+        if !scale.is_finite() || extent.amin() < 0.0 {
+            return Err(Failure::failed("there is nothing to draw"));
+        }
+        let pixels = |metres: f64| ((metres * scale).round() as u32).max(1);
+        let canvas = Canvas::new(pixels(extent.x), pixels(extent.y), color)?;
+        let mut plane = Self {
+            panel: Canvas::new(PANEL, canvas.height().max(LEAST_HEIGHT), PAPER)?,
+            canvas,
+            low,
+            scale,
+            line: 26.0,
+        };
+        plane.word(title, 14.0, INK, Face::Bold, 0.0);
+        plane.line += 6.0;
+        Ok(plane)
+    }
+
+    /// The picture.
+    ///
+    /// # Errors
+    /// Too many pixels.
+    pub fn finish(mut self) -> Result<Canvas, Failure> {
+        self.scale_bar();
+        self.canvas.beside(&self.panel, PAPER)
+    }
+
+    /// Where a point lies, in pixels from the top left.
+    fn pixel(&self, point: Point2<f64>) -> Pixel {
+        let off = (point - self.low) * self.scale;
+        [off.x as f32, (f64::from(self.canvas.height()) - off.y) as f32]
+    }
+
+    fn pixels(&self, points: &[Point2<f64>]) -> Vec<Pixel> {
+        points.iter().map(|point| self.pixel(*point)).collect()
+    }
+
+    /// A map, wherever it lies.
+    pub fn map(&mut self, map: &OccupancyGrid) {
+        let (width, height) = (self.canvas.width(), self.canvas.height());
+        for y in 0..height {
+            for x in 0..width {
+                let off = Vector2::new(f64::from(x) + 0.5, f64::from(height - y) - 0.5);
+                if let Some(value) = map.at(self.low + off / self.scale) {
+                    let color = match Occupancy::of(*value) {
+                        Occupancy::Free => FREE,
+                        Occupancy::Occupied => OCCUPIED,
+                        Occupancy::Unknown => UNKNOWN,
+                    };
+                    self.canvas.set(x, y, color);
+                }
+            }
+        }
+    }
+
+    /// A dot; `radius` in pixels.
+    pub fn dot(&mut self, at: Point2<f64>, color: Color, radius: f32) {
+        let at = self.pixel(at);
+        self.canvas.disc(at, radius, color);
+    }
+
+    /// Lines from point to point; `width` in pixels.
+    pub fn polyline(&mut self, points: &[Point2<f64>], color: Color, width: f32) {
+        let pixels = self.pixels(points);
+        self.canvas.stroke(&pixels, false, color, width);
+    }
+
+    /// Lines from point to point, and back to the first; `width` in pixels.
+    pub fn outline(&mut self, corners: &[Point2<f64>], color: Color, width: f32) {
+        let pixels = self.pixels(corners);
+        self.canvas.stroke(&pixels, true, color, width);
+    }
+
+    /// A filled polygon.
+    pub fn polygon(&mut self, corners: &[Point2<f64>], color: Color) {
+        let pixels = self.pixels(corners);
+        self.canvas.fill(&pixels, color, 255);
+    }
+
+    /// A filled disc; `radius` in metres.
+    pub fn disc(&mut self, center: Point2<f64>, radius: f64, color: Color) {
+        self.polygon(&circle(center, radius), color);
+    }
+
+    /// A robot: its footprint, and a line from its middle to its front.
+    pub fn robot(&mut self, pose: Pose2, footprint: &Footprint) {
+        let outline: Vec<Point2<f64>> = match footprint {
+            Footprint::Radius(radius) => circle(pose.position(), *radius),
+            Footprint::Polygon(corners) => corners.iter().map(|corner| pose.transform_point(*corner)).collect(),
+        };
+        self.polygon(&outline, ROBOT);
+        self.outline(&outline, [15, 50, 120], 1.0);
+        let front = pose.position() + pose.heading() * footprint.inscribed_radius();
+        self.polyline(&[pose.position(), front], WHITE, 2.0);
+    }
+
+    /// A named place.
+    pub fn place(&mut self, name: &str, at: Point2<f64>) {
+        self.dot(at, PLACE, 4.0);
+        let [x, y] = self.pixel(at);
+        let width = text_width(name, 11.0, Face::Regular);
+        // Beside its dot, on the side that has room.
+        let left = if x + width + 12.0 > self.canvas.width() as f32 {
+            x - width - 12.0
+        } else {
+            x + 6.0
+        };
+        let top = (y - 8.0).clamp(0.0, (self.canvas.height() as f32 - 16.0).max(0.0));
+        if x.is_finite() && y.is_finite() {
+            self.canvas.card([left, top], [width + 6.0, 16.0], 3.0, WHITE, 215);
+            let at = [left + 3.0, top + 12.0];
+            self.canvas.text(at, name, 11.0, PLACE, Anchor::Start, Face::Regular);
+        }
+    }
+
+    /// A line in the panel.
+    pub fn note(&mut self, text: &str) {
+        self.word(text, LETTERS, GREY, Face::Regular, 0.0);
+    }
+
+    /// A line of the legend in the panel.
+    pub fn legend(&mut self, mark: Mark, color: Color, text: &str) {
+        let (left, middle) = (INSET, self.line - 4.0);
+        match mark {
+            Mark::Line => {
+                let line = [[left, middle], [left + 18.0, middle]];
+                self.panel.stroke(&line, false, color, 3.0);
+            }
+            Mark::Dot => self.panel.disc([left + 9.0, middle], 4.5, color),
+            Mark::Area => {
+                let (corner, size) = ([left + 1.0, middle - 6.0], [16.0, 12.0]);
+                self.panel
+                    .card([corner[0] - 0.5, corner[1] - 0.5], [17.0, 13.0], 2.0, GREY, 255);
+                self.panel.card(corner, size, 2.0, color, 255);
+            }
+        }
+        self.word(text, LETTERS, INK, Face::Regular, 26.0);
+    }
+
+    /// The legend of a map.
+    pub fn map_legend(&mut self) {
+        self.legend(Mark::Area, OCCUPIED, "occupied");
+        self.legend(Mark::Area, FREE, "free");
+        self.legend(Mark::Area, UNKNOWN, "unknown");
+    }
+
+    /// Room between the panel's lines.
+    pub fn gap(&mut self) {
+        self.line += 0.5 * LINE;
+    }
+
+    /// Writes a line in the panel, cut to its width.
+    fn word(&mut self, text: &str, size: f32, color: Color, face: Face, indent: f32) {
+        let room = PANEL as f32 - 1.5 * INSET - indent;
+        let mut text: String = text.chars().filter(|letter| !letter.is_control()).collect();
+        if text_width(&text, size, face) > room {
+            while !text.is_empty() && text_width(&text, size, face) + size > room {
+                text.pop();
+            }
+            text.push('…');
+        }
+        let at = [INSET + indent, self.line];
+        self.panel.text(at, &text, size, color, Anchor::Start, face);
+        self.line += LINE;
+    }
+
+    /// A bar that is a round number of metres long, at the panel's foot.
+    fn scale_bar(&mut self) {
+        let most = f64::from(PANEL) - 2.0 * f64::from(INSET);
+        let metres = round_below(most / self.scale);
+        let length = (metres * self.scale) as f32;
+        let (left, y) = (INSET, self.panel.height() as f32 - 20.0);
+        for line in [
+            [[left, y], [left + length, y]],
+            [[left, y - 4.0], [left, y + 4.0]],
+            [[left + length, y - 4.0], [left + length, y + 4.0]],
+        ] {
+            self.panel.stroke(&line, false, INK, 1.5);
+        }
+        let at = [left, y - 9.0];
+        self.panel
+            .text(at, &format!("{metres} m"), LETTERS, INK, Anchor::Start, Face::Regular);
+    }
+}
+
+/// The greatest of …, 0.5, 1, 2, 5, 10, … that is not above a number.
+fn round_below(number: f64) -> f64 {
+    let exponent = number.log10().floor();
+    let (exponent, number) = if exponent.is_finite() {
+        (exponent as i32, number)
+    } else {
+        (0, 1.0)
+    };
+    // Powers of ten from their text: 0.1, not 0.1000…01.
+    let ten: f64 = format!("1e{exponent}").parse().unwrap_or(1.0);
+    let share = ROUND.into_iter().find(|share| share * ten <= number * (1.0 + 1e-9));
+    format!("{}e{exponent}", share.unwrap_or(1.0)).parse().unwrap_or(ten)
+}
+
+/// A circle as a polygon.
+#[must_use]
+pub fn circle(center: Point2<f64>, radius: f64) -> Vec<Point2<f64>> {
+    const CORNERS: u32 = 48;
+    (0..CORNERS)
+        .map(|corner| std::f64::consts::TAU * f64::from(corner) / f64::from(CORNERS))
+        .map(|angle| center + Vector2::new(angle.cos(), angle.sin()) * radius)
+        .collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scale_bar_is_a_round_number_of_metres() {
+        for (number, bar) in [
+            (1.0, 1.0),
+            (0.73, 0.5),
+            (4.99, 2.0),
+            (49.0, 20.0),
+            (0.1, 0.1),
+            (0.0, 1.0),
+        ] {
+            assert_eq!(round_below(number), bar, "{number}");
+        }
+    }
+
+    #[test]
+    fn a_name_of_any_length_and_a_place_anywhere_can_be_drawn() {
+        let mut plane = Plane::new(Point2::origin(), Point2::new(4.0, 3.0), 200, &"long ".repeat(40), FREE).unwrap();
+        for at in [
+            Point2::new(3.9, 2.9),
+            Point2::new(1e300, f64::NAN),
+            Point2::new(-1e9, 0.0),
+        ] {
+            plane.place("a place", at);
+            plane.dot(at, PLACE, 3.0);
+        }
+        plane.note("");
+        let canvas = plane.finish().unwrap();
+        assert_eq!((canvas.width(), canvas.height()), (200 + PANEL, LEAST_HEIGHT));
+        assert!(Plane::new(Point2::origin(), Point2::origin(), 200, "", FREE).is_err());
+    }
+}

@@ -1,0 +1,192 @@
+//! Scene. What did a robot know, plan and drive? Map, places, search tree, scan, plan, trail and footprint in one picture, with a legend.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::SearchTree;
+use zenav_protocol::robot::Footprint;
+
+use super::canvas::{Canvas, Color};
+use super::plane::{Mark, PLACE, Plane, ROBOT, UNKNOWN};
+use crate::failure::Failure;
+
+const TREE: Color = [150, 190, 235];
+const PATH: Color = [40, 110, 220];
+const PLAN: Color = [30, 160, 80];
+const TRAIL: Color = [215, 60, 40];
+const SCAN: Color = [235, 120, 20];
+const GOAL: Color = [240, 150, 0];
+const START: Color = [120, 60, 170];
+
+/// What is drawn; what is `None` is left out, of the legend too.
+#[derive(Clone, Debug)]
+pub struct Scene<'a> {
+    /// Stands above the legend.
+    pub title: String,
+    /// Lines below the title.
+    pub notes: Vec<String>,
+    /// The map.
+    pub map: &'a OccupancyGrid,
+    /// The part of the plane; the map's own where it is `None`.
+    pub area: Option<(Point2<f64>, Point2<f64>)>,
+    /// Named places.
+    pub places: &'a [(String, Point2<f64>)],
+    /// What the planner searched, and its path.
+    pub tree: Option<&'a SearchTree>,
+    /// The returns of the newest scan.
+    pub scan: Option<&'a [Point2<f64>]>,
+    /// The plan in force.
+    pub plan: Option<&'a [Point2<f64>]>,
+    /// The true path driven so far.
+    pub trail: Option<&'a [Point2<f64>]>,
+    /// The goal.
+    pub goal: Option<Point2<f64>>,
+    /// The robot.
+    pub robot: Option<(Pose2, &'a Footprint)>,
+}
+
+impl<'a> Scene<'a> {
+    /// A scene of a map alone.
+    #[must_use]
+    pub fn new(title: &str, map: &'a OccupancyGrid) -> Self {
+        Self {
+            title: title.to_owned(),
+            notes: Vec::new(),
+            map,
+            area: None,
+            places: &[],
+            tree: None,
+            scan: None,
+            plan: None,
+            trail: None,
+            goal: None,
+            robot: None,
+        }
+    }
+
+    /// Draws it, the plane's longer side of about `size` pixels.
+    ///
+    /// # Errors
+    /// A map without cells.
+    pub fn draw(&self, size: u32) -> Result<Canvas, Failure> {
+        let spec = self.map.spec();
+        let (low, high) = self.area.unwrap_or((spec.origin, spec.upper()));
+        let longer = spec.width.max(spec.height).max(1);
+        // A map's cells are all of one size.
+        let size = match self.area {
+            None => (size / longer).clamp(1, 8) * longer,
+            Some(_) => size,
+        };
+        let mut plane = Plane::new(low, high, size, &self.title, UNKNOWN)?;
+        for note in &self.notes {
+            plane.note(note);
+        }
+        plane.gap();
+        plane.map(self.map);
+        plane.map_legend();
+        if let Some(tree) = self.tree {
+            for edge in &tree.edges {
+                plane.polyline(edge, TREE, 1.0);
+            }
+            plane.polyline(&tree.path, PATH, 2.5);
+            plane.legend(Mark::Line, TREE, "search tree");
+            plane.legend(Mark::Line, PATH, "path found");
+        }
+        for at in self.scan.into_iter().flatten() {
+            plane.dot(*at, SCAN, 1.5);
+        }
+        for (points, color, name) in [(self.trail, TRAIL, "driven"), (self.plan, PLAN, "plan")] {
+            if let Some(points) = points {
+                plane.polyline(points, color, 2.5);
+                plane.legend(Mark::Line, color, name);
+            }
+        }
+        if self.scan.is_some() {
+            plane.legend(Mark::Dot, SCAN, "laser scan");
+        }
+        if let Some((pose, footprint)) = self.robot {
+            plane.robot(pose, footprint);
+            plane.legend(Mark::Area, ROBOT, "robot");
+        } else if let Some(start) = self.trail.and_then(<[_]>::first) {
+            plane.dot(*start, START, 5.0);
+            plane.legend(Mark::Dot, START, "start");
+        }
+        for (name, at) in self.places {
+            plane.place(name, *at);
+        }
+        if !self.places.is_empty() {
+            plane.legend(Mark::Dot, PLACE, "named place");
+        }
+        if let Some(goal) = self.goal {
+            plane.dot(goal, GOAL, 6.0);
+            plane.legend(Mark::Dot, GOAL, "goal");
+        }
+        plane.finish()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy};
+
+    use super::*;
+
+    fn map() -> OccupancyGrid {
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, -1.0),
+            resolution: 0.1,
+            width: 40,
+            height: 40,
+        };
+        let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+        map[Cell::new(39, 0)] = Occupancy::OCCUPIED;
+        map
+    }
+
+    #[test]
+    fn a_drive_lies_where_it_was_driven() {
+        let map = map();
+        let trail = [Point2::new(-0.95, -0.95), Point2::new(2.5, -0.95)];
+        let scene = Scene {
+            trail: Some(&trail),
+            ..Scene::new("a drive", &map)
+        };
+        let canvas = scene.draw(320).unwrap();
+        assert_eq!(
+            (canvas.width(), canvas.height()),
+            (320 + super::super::plane::PANEL, 320)
+        );
+        let pixels = canvas.rgb();
+        let at = |x: u32, y: u32| &pixels[((y * canvas.width() + x) * 3) as usize..][..3];
+        assert_eq!(at(100, 316), TRAIL, "the drive runs along the lowest row");
+        assert_eq!(at(100, 4), [255; 3]);
+        assert!(at(318, 318)[0] < 60, "the obstacle stands at the lower right");
+    }
+
+    #[test]
+    fn what_lies_beyond_the_map_or_nowhere_does_no_harm() {
+        let far = [
+            Point2::new(1e300, -1e300),
+            Point2::new(f64::NAN, 0.0),
+            Point2::new(0.0, 1e9),
+        ];
+        let tree = SearchTree {
+            stamp: zenav_protocol::time::Stamp::ZERO,
+            edges: vec![[far[0], far[1]], [far[2], Point2::origin()]],
+            path: far.to_vec(),
+        };
+        let map = map();
+        let footprint = Footprint::Radius(0.2);
+        let scene = Scene {
+            tree: Some(&tree),
+            plan: Some(&far),
+            trail: Some(&far),
+            scan: Some(&far),
+            goal: Some(far[0]),
+            robot: Some((Pose2::new(1e300, 0.0, 0.0), &footprint)),
+            ..Scene::new("", &map)
+        };
+        assert!(scene.draw(100).is_ok());
+    }
+}

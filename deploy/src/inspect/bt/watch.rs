@@ -1,0 +1,164 @@
+//! `zenav bt watch`: the tree that a mission runs, with the status of every node.
+
+use std::collections::BTreeMap;
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
+use zenav_protocol::topics;
+
+use crate::connect::{self, RobotArgs};
+use crate::failure::{Failure, Outcome};
+use crate::inspect::diagnosis;
+use crate::output::{self, Format};
+
+pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
+    let patience = robot.link.patience();
+    connect::on_robot(robot, async |bus, robot| {
+        let mut missions = bus.latest(&topics::MISSION, &[&robot])?;
+        let live = std::io::stdout().is_terminal() && format == Format::Table && !once;
+        let mut drawn = 0;
+        let mut last = String::new();
+        loop {
+            let patience = if last.is_empty() { patience } else { Duration::MAX };
+            let received = tokio::select! {
+                biased;
+                _ = tokio::signal::ctrl_c() => return Ok(exit_code::INTERRUPTED),
+                received = tokio::time::timeout(patience, missions.next()) => received,
+            };
+            let status = match received {
+                Ok(Some(received)) => received.message,
+                Ok(None) => return Err(Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed")),
+                Err(_) => {
+                    return Err(Failure::new(
+                        exit_code::TIMEOUT,
+                        format!(
+                            "no word from {} in time: does a mission run?",
+                            topics::MISSION.key(&[&robot])
+                        ),
+                    ));
+                }
+            };
+            let text = picture(&status, live);
+            if text == last && format == Format::Table {
+                continue;
+            }
+            if live {
+                // Over what was drawn before.
+                let up = if drawn > 0 {
+                    format!("\x1b[{drawn}A\x1b[J")
+                } else {
+                    String::new()
+                };
+                output::line(&format!("{up}{text}"));
+                drawn = text.lines().count();
+            } else {
+                output::value(format, &status, |_| text.clone())?;
+            }
+            last = text;
+            if once {
+                return Ok(exit_code::OK);
+            }
+        }
+    })
+}
+
+/// A mission's tree, a node a row.
+fn picture(status: &MissionStatus, colors: bool) -> String {
+    let goal = status.goal_id.as_deref().unwrap_or("no goal");
+    let leads = match status.leads {
+        true => format!("leads, {}", diagnosis::standbys(status)),
+        false => "does not lead".to_owned(),
+    };
+    let mut lines = vec![format!(
+        "{} {leads} (epoch {}): {goal}, tree {}, {} waiting",
+        status.holder,
+        status.epoch,
+        status.tree.as_deref().unwrap_or("none"),
+        status.queued
+    )];
+    let mut depths = BTreeMap::new();
+    for node in &status.nodes {
+        // Document order: a parent comes before its children.
+        let depth = node
+            .parent
+            .and_then(|parent| depths.get(&parent))
+            .map_or(0, |depth: &usize| depth + 1);
+        depths.insert(node.uid, depth);
+        lines.push(row(node, depth, colors));
+    }
+    lines.join("\n")
+}
+
+fn row(node: &NodeStatus, depth: usize, colors: bool) -> String {
+    let mark = match node.status.as_str() {
+        "RUNNING" => ('▶', 33),
+        "SUCCESS" => ('✓', 32),
+        "FAILURE" => ('✗', 31),
+        "SKIPPED" => ('-', 90),
+        _ => ('·', 90),
+    };
+    let id = if node.id == node.name {
+        String::new()
+    } else {
+        format!(" [{}]", node.id)
+    };
+    let feedback = if node.feedback.is_empty() {
+        String::new()
+    } else {
+        format!("  {}", node.feedback)
+    };
+    // A feedback of several lines, or with the terminal's own codes, must not break the picture.
+    let text: String = format!("{}{id}{feedback}", node.name)
+        .chars()
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
+    let indent = "  ".repeat(depth.min(40));
+    if colors {
+        format!("{indent}\x1b[{}m{}\x1b[0m {text}", mark.1, mark.0)
+    } else {
+        format!("{indent}{} {text}", mark.0)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::messages::GoalFeedback;
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    #[test]
+    fn a_mission_is_drawn_by_depth() {
+        let node = |uid, parent, name: &str, status: &str| NodeStatus {
+            uid,
+            parent,
+            name: name.into(),
+            id: name.into(),
+            status: status.into(),
+            feedback: String::new(),
+        };
+        let status = MissionStatus {
+            stamp: Stamp(0),
+            holder: "m".into(),
+            leads: true,
+            epoch: 2,
+            goal_id: None,
+            tree: Some("T".into()),
+            nodes: vec![
+                node(1, None, "Sequence", "RUNNING"),
+                node(2, Some(1), "Wait", "SUCCESS"),
+                node(3, Some(1), "Drive\n", "RUNNING"),
+            ],
+            feedback: GoalFeedback::default(),
+            queued: 0,
+            standbys: Vec::new(),
+        };
+        let drawn = picture(&status, false);
+        assert_eq!(
+            drawn.lines().skip(1).collect::<Vec<_>>(),
+            ["▶ Sequence", "  ✓ Wait", "  ▶ Drive "]
+        );
+    }
+}

@@ -1,0 +1,296 @@
+//! Edge settings. What can be tuned on the robot's side, in which unit, within which bounds, and why is the default what it is?
+//!
+//! One section a subsystem; a robot's section of the deployment file holds them. What belongs to one robot model (gains, distances of the wall follower) is in the robot file instead. Numerical epsilons and memory bounds stay
+//! private constants of their subsystem.
+
+use zenav_protocol::config_text::OutOfBounds;
+
+zenav_protocol::settings! {
+    /// All tunables of an edge.
+    pub struct EdgeSettings {
+        /// Lease and link.
+        pub lease: LeaseSettings;
+        /// Which plans are accepted.
+        pub acceptance: AcceptanceSettings;
+        /// How an accepted plan is followed to its end or expiry.
+        pub plan: PlanSettings;
+        /// Teleop.
+        pub teleop: TeleopSettings;
+        /// Maneuvers: spin, back up, wait, drive to free space.
+        pub maneuvers: ManeuverSettings;
+        /// Wall follower, beyond what the robot file sets.
+        pub wall_follower: WallFollowerSettings;
+        /// Return to home.
+        pub return_home: ReturnHomeSettings;
+        /// Collision monitor.
+        pub collision_monitor: CollisionMonitorSettings;
+        /// Passive safety: the limits that the collision monitor applies.
+        pub passive_safety: PassiveSafetySettings;
+        /// Detection of moving obstacles.
+        pub moving_obstacles: MovingObstacleSettings;
+        /// Pose estimator.
+        pub estimator: EstimatorSettings;
+        /// Telemetry.
+        pub telemetry: TelemetrySettings;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Lease and link.
+    pub struct LeaseSettings {
+        /// Time to live of a lease without a heartbeat (contract: 1 s, ten heartbeats).
+        pub ttl: f64 = 1.0, "s", 0.1..=60.0;
+        /// Age of the last renewal at which the link is `Stale` (contract).
+        pub stale_after: f64 = 0.5, "s", 0.05..=60.0;
+        /// Age of the last renewal at which the link is `Lost` (contract).
+        pub lost_after: f64 = 3.0, "s", 0.1..=3600.0;
+    }
+    check = |lease: &LeaseSettings| match lease.stale_after <= lease.lost_after {
+        true => Ok(()),
+        false => Err(OutOfBounds::unlike("lost_after", lease.lost_after, format!("at least `stale_after`, {}", lease.stale_after))),
+    };
+}
+
+zenav_protocol::settings! {
+    /// Which plans are accepted.
+    pub struct AcceptanceSettings {
+        /// Longest validity that a plan may claim; a longer one is cut.
+        pub max_validity: f64 = 60.0, "s", 0.5..=3600.0;
+        /// Largest distance between where a trajectory starts and where the robot will be.
+        pub start_distance: f64 = 0.25, "m", 0.01..=2.0;
+        /// Largest heading difference at the start.
+        pub start_yaw: f64 = 0.6, "rad", 0.01..=3.2;
+        /// Largest difference of the wheels' surface speed at the start.
+        pub start_speed: f64 = 0.35, "m/s", 0.01..=5.0;
+        /// The footprint checked against the scan is smaller than the true one by this, for range noise.
+        pub scan_tolerance: f64 = 0.02, "m", 0.0..=0.2;
+        /// And by this for each metre from the robot, for heading error.
+        pub scan_tolerance_per_metre: f64 = 0.01, "m/m", 0.0..=0.2;
+        /// Beyond this distance from the robot the scan is not used.
+        pub scan_horizon: f64 = 4.0, "m", 0.5..=50.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// How an accepted plan is followed to its end or expiry.
+    pub struct PlanSettings {
+        /// Share of the normal deceleration that braking for the expiry uses; the rest is for control.
+        pub braking_share: f64 = 0.9, "", 0.1..=1.0;
+        /// How far in the past the splice of an arriving replan may lie.
+        pub late_splice: f64 = 1.5, "s", 0.0..=10.0;
+        /// Farther than this from where the plan has the robot, the plan is discarded.
+        pub off_track: f64 = 0.6, "m", 0.05..=10.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Teleop.
+    pub struct TeleopSettings {
+        /// Dead-man timeout: a twist acts until the edge stamp that it echoes is this old (contract: 0.3 s).
+        pub dead_man: f64 = 0.3, "s", 0.05..=2.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Maneuvers: spin, back up, wait, drive to free space.
+    pub struct ManeuverSettings {
+        /// Share of the robot's top speeds that maneuvers use.
+        pub speed_share: f64 = 0.8, "", 0.05..=1.0;
+        /// Speed of the drive to a free place.
+        pub escape_speed: f64 = 0.1, "m/s", 0.01..=1.0;
+        /// Largest speed into the lidar's blind spot, over floor seen before: the path was checked when the maneuver began.
+        pub blind_speed: f64 = 0.15, "m/s", 0.0..=1.0;
+        /// Stopped by the collision monitor for this long a maneuver has failed.
+        pub blocked_timeout: f64 = 1.0, "s", 0.1..=60.0;
+        /// Heading feedback of a straight drive.
+        pub straight_gain: f64 = 2.0, "1/s", 0.0..=20.0;
+        /// Remaining turn at which a spin is done.
+        pub turn_tolerance: f64 = 0.02, "rad", 0.001..=0.5;
+        /// Remaining distance at which a drive is done.
+        pub distance_tolerance: f64 = 0.005, "m", 0.001..=0.5;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Wall follower, beyond what the robot file sets.
+    pub struct WallFollowerSettings {
+        /// Free on both sides of the body where the robot goes straight.
+        pub side_clearance: f64 = 0.05, "m", 0.0..=1.0;
+        /// Stopped by the collision monitor for this long the robot turns elsewhere.
+        pub blocked_timeout: f64 = 1.0, "s", 0.1..=60.0;
+        /// A wall shorter than this is approached only where there is no longer one: a pillar is no wall.
+        pub short_wall: f64 = 0.5, "m", 0.0..=10.0;
+        /// A wall this many times farther than any distance that is kept is lost.
+        pub lost_factor: f64 = 1.4, "", 1.0..=10.0;
+        /// A bump ends when an operator has driven the robot this far from the contact.
+        pub bump_clearance: f64 = 0.05, "m", 0.0..=1.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Return to home.
+    pub struct ReturnHomeSettings {
+        /// Spacing of the recorded trail; where the trail comes this near to itself the loop is cut off.
+        pub spacing: f64 = 0.2, "m", 0.05..=5.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Collision monitor.
+    pub struct CollisionMonitorSettings {
+        /// A lidar scan older than this stops the robot.
+        pub scan_timeout: f64 = 0.5, "s", 0.05..=5.0;
+        /// A zone must last this long before it is left for a milder one.
+        pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
+        /// In contact, the robot must move away from what it touches at this share of its speed at least.
+        pub departure_share: f64 = 0.2, "", 0.0..=1.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Passive safety: the limits that the collision monitor applies.
+    pub struct PassiveSafetySettings {
+        /// Assumed speed of moving obstacles in view; without it, the robot's own top speed.
+        pub speed_in_view: Option<f64> = None, "m/s";
+        /// Assumed speed of moving obstacles that have left the field of view; without it, the robot's own top speed (1.4 m/s is a walking
+        /// person).
+        pub speed_out_of_sight: Option<f64> = None, "m/s";
+        /// Least time to contact while creeping inside the margin.
+        pub creep_time: f64 = 1.0, "s", 0.1..=10.0;
+        /// An obstacle that recedes faster than this share of the robot's speed is left behind.
+        pub left_behind: f64 = 0.3, "", 0.0..=1.0;
+        /// Distance kept from unseen floor beyond the margin: odometry drifts, and cells are coarse.
+        pub unseen_margin: f64 = 0.03, "m", 0.0..=0.5;
+        /// Time constants of the motors until rest after braking: a first-order lag is at 5 % after three.
+        pub lags_to_rest: f64 = 3.0, "", 0.0..=10.0;
+    }
+    check = |safety: &PassiveSafetySettings| {
+        let speeds = [("speed_in_view", safety.speed_in_view), ("speed_out_of_sight", safety.speed_out_of_sight)];
+        speeds.into_iter().try_for_each(|(key, speed)| match speed {
+            Some(speed) if !(0.0..=20.0).contains(&speed) => Err(OutOfBounds::unlike(key, speed, "0 to 20 m/s")),
+            _ => Ok(()),
+        })
+    };
+}
+
+zenav_protocol::settings! {
+    /// Detection of moving obstacles.
+    pub struct MovingObstacleSettings {
+        /// Returns beyond this range are ignored.
+        pub range: f64 = 3.5, "m", 0.5..=50.0;
+        /// Reference scans that a new one is compared with.
+        pub references: usize = 3, "", 1..=16;
+        /// Least time between two reference scans.
+        pub reference_period: f64 = 0.32, "s", 0.05..=5.0;
+        /// A moving obstacle is at least this wide.
+        pub least_width: f64 = 0.04, "m", 0.0..=1.0;
+        /// And this many beam spacings at its range: an earlier scan may have missed a thinner one.
+        pub least_beams: f64 = 2.5, "", 0.0..=20.0;
+        /// Departed returns are looked for in a reference scan at least this old: by then the obstacle is clearly farther away.
+        pub departed_after: f64 = 0.3, "s", 0.05..=5.0;
+        /// A return this near to where something moved counts as moving, too.
+        pub turning_distance: f64 = 0.2, "m", 0.0..=2.0;
+        /// For this long: an obstacle that turns round seems to rest.
+        pub turning_secs: f64 = 1.0, "s", 0.0..=30.0;
+        /// An obstacle last seen this near to the blind spot, plus its motion between two scans, may have entered it.
+        pub beside_blind_spot: f64 = 0.3, "m", 0.0..=5.0;
+        /// An obstacle that needs longer than this to reach the robot is not followed into the blind spot.
+        pub near_secs: f64 = 0.75, "s", 0.0..=10.0;
+        /// An obstacle that entered the blind spot is remembered for this long.
+        pub memory: f64 = 10.0, "s", 0.0..=600.0;
+        /// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one.
+        pub reappearance_tolerance: f64 = 0.1, "m", 0.0..=2.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Pose estimator.
+    pub struct EstimatorSettings {
+        /// Standard deviation of the start position.
+        pub start_std: f64 = 0.05, "m", 0.0001..=10.0;
+        /// Standard deviation of the start heading.
+        pub start_yaw_std: f64 = 0.05, "rad", 0.0001..=3.2;
+        /// Wheels that have not turned for this long are at rest: the gyro then shows its bias.
+        pub still_after: f64 = 0.5, "s", 0.05..=10.0;
+        /// After this many rejected measurements in a row the estimate is doubted rather than the sensor.
+        pub doubt_after: u32 = 25, "", 1..=10000;
+        /// Least random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled.
+        pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;
+        /// Share of the forward variance that acts sideways.
+        pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
+        /// Random walk of the gyro's bias (fitted to constant biases, NEES 3).
+        pub bias_walk: f64 = 1e-11, "(rad/s)²/s", 0.0..=0.01;
+        /// Standard deviation of a wheel's radius from its stated value, as a share.
+        pub radius_std: f64 = 0.01, "", 0.0..=0.5;
+        /// The same of the wheel separation.
+        pub separation_std: f64 = 0.02, "", 0.0..=0.5;
+        /// Random walk of those.
+        pub wheel_walk: f64 = 1e-10, "1/s", 0.0..=0.01;
+        /// Without wheel angles for longer the robot may have gone anywhere.
+        pub encoder_timeout: f64 = 0.3, "s", 0.02..=10.0;
+        /// Averaging time of the velocity: encoder steps are coarse against one tick.
+        pub velocity_smoothing: f64 = 0.05, "s", 0.001..=5.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Telemetry.
+    pub struct TelemetrySettings {
+        /// Period of the state (contract: 10 Hz).
+        pub state_period: f64 = 0.1, "s", 0.02..=1.0;
+        /// Period of markers.
+        pub marker_period: f64 = 0.2, "s", 0.02..=10.0;
+        /// Period of what changes slowly (battery, bumper).
+        pub slow_period: f64 = 1.0, "s", 0.1..=60.0;
+    }
+}
+
+impl PassiveSafetySettings {
+    /// Assumed speed of moving obstacles in view, m/s, for a robot with this top speed.
+    #[must_use]
+    pub fn speed_in_view(&self, top_speed: f64) -> f64 {
+        self.speed_in_view.unwrap_or(top_speed)
+    }
+
+    /// Assumed speed of moving obstacles out of sight, m/s, for a robot with this top speed.
+    #[must_use]
+    pub fn speed_out_of_sight(&self, top_speed: f64) -> f64 {
+        self.speed_out_of_sight.unwrap_or(top_speed)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::settings::Settings;
+
+    #[test]
+    fn the_defaults_are_within_their_bounds_and_every_setting_has_its_own_key() {
+        EdgeSettings::default().check().unwrap();
+        let mut keys: Vec<String> = EdgeSettings::rows().into_iter().map(|row| row.key).collect();
+        let count = keys.len();
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), count);
+    }
+
+    #[test]
+    fn a_value_that_makes_no_sense_is_refused_with_its_key() {
+        for (text, key) in [
+            (r#"{"lease": {"lost_after": 0.2}}"#, "lease.lost_after"),
+            (
+                r#"{"passive_safety": {"speed_out_of_sight": -1.0}}"#,
+                "passive_safety.speed_out_of_sight",
+            ),
+            (
+                r#"{"collision_monitor": {"scan_timeout": 60.0}}"#,
+                "collision_monitor.scan_timeout",
+            ),
+        ] {
+            let settings: EdgeSettings = serde_json::from_str(text).unwrap();
+            assert!(settings.check().unwrap_err().to_string().contains(key), "{text}");
+        }
+        assert!(serde_json::from_str::<EdgeSettings>(r#"{"guard": {"margin": 1.0}}"#).is_err());
+    }
+}
