@@ -95,7 +95,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 cancel_sent = Some(rig.ask(cancel()));
             }
             rig.step();
-            if let Some(Ok(MissionReply::Goal(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
+            if let Some(Ok(MissionReply::Cancel(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
                 assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
                 canceled = true;
             }
