@@ -341,6 +341,7 @@ impl Parts {
 fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
+    edge.settings = section.edge.clone();
     edge
 }
 

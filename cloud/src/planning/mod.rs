@@ -1,5 +1,5 @@
-//! How does a planning worker live on the network? Requests in, paths out, and what was searched for whoever looks. Thin: [`PlanWorker`]
-//! answers, [`host`] carries.
+//! Planning worker. How are plan requests answered over the network? [`PlanWorker`] answers them, [`host`] carries them, and the trees of a
+//! search are published where somebody listens.
 
 pub mod worker;
 

@@ -1,4 +1,4 @@
-//! How is one plan request answered? On a copy of the map, by the planner asked for, within a budget.
+//! Plan requests. How is one answered? On a copy of the map, by the planner asked for, within a budget.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

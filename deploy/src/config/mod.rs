@@ -101,6 +101,8 @@ settings! {
         pub attach: bool = false;
         /// Pose in the world at the start; without it, the world's own.
         pub start: Option<Pose2> = None;
+        /// Tunables of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
+        pub edge: zenav_edge::EdgeSettings;
     }
 }
 
