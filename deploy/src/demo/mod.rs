@@ -190,7 +190,7 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
         } else {
             LostPolicy::default()
         },
-        start: None,
+        ..RobotSection::default()
     };
     deployment.robots = [(id.to_owned(), robot)].into();
     if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
