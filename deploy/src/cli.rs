@@ -35,7 +35,7 @@ enum Command {
     Router(launch::RouterArgs),
     /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),
-    /// Run off-board services: mapping, planning, mission, or all
+    /// Run off-board services: mapping, motion, mission, or all
     Cloud(launch::CloudArgs),
     /// Submit, list, watch and cancel goals
     Goal(goal::GoalArgs),

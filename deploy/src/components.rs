@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use tokio::task::JoinSet;
-use zenav_cloud::{dispatch, mapping, planning, smoothing};
+use zenav_cloud::{dispatch, mapping, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
 use zenav_protocol::geometry::Pose2;
@@ -30,8 +30,9 @@ const DRAIN: Duration = Duration::from_secs(8);
 pub enum CloudPart {
     /// Maps from scans
     Mapping,
-    /// Planning and smoothing workers
-    Planning,
+    /// Motion workers: paths and trajectories
+    #[value(alias = "planning")]
+    Motion,
     /// Missions of the deployment's robots
     Mission,
     /// All of them
@@ -191,37 +192,27 @@ impl Parts {
         });
     }
 
-    /// Starts planning and smoothing workers.
+    /// Starts motion workers.
     ///
     /// # Errors
     /// A name that no worker may have, bad zones.
-    pub fn planning(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
+    pub fn motion(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
         for number in 1..=deployment.planning.run.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
-            let bus = |kind: &str| BusConfig::service(&format!("{kind}-{worker}"), &deployment.bus.connect);
-            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
-            let settings = deployment.planning.settings.clone();
-            self.spawn(
-                format!("planning {worker}"),
-                bus("planning"),
-                move |bus, shutdown| async move {
-                    let clock = Clock::follow(&bus)?;
-                    planning::run(bus, clock, name, map_zones, settings, shutdown)
-                        .await
-                        .map_err(|error| Failure::failed(error.to_string()))
-                },
-            );
-            let (name, map_zones) = (worker.clone(), Arc::clone(&zones));
-            self.spawn(
-                format!("smoothing {worker}"),
-                bus("smoothing"),
-                move |bus, shutdown| async move {
-                    smoothing::run(bus, name, map_zones, shutdown)
-                        .await
-                        .map_err(|error| Failure::failed(error.to_string()))
-                },
-            );
+            let name = format!("motion-{worker}");
+            let bus = BusConfig::service(&name, &deployment.bus.connect);
+            let zones = Arc::clone(&zones);
+            let settings = motion::MotionSettings {
+                planning: deployment.planning.settings.clone(),
+                smoothing: deployment.smoothing.clone(),
+            };
+            self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
+                let clock = Clock::follow(&bus)?;
+                motion::run(bus, clock, worker, zones, settings, shutdown)
+                    .await
+                    .map_err(|error| Failure::failed(error.to_string()))
+            });
         }
         Ok(())
     }
@@ -304,8 +295,8 @@ impl Parts {
                 self.dispatch(deployment, world, group, robots);
             }
         }
-        if wanted(CloudPart::Planning) {
-            self.planning(deployment, worker)?;
+        if wanted(CloudPart::Motion) {
+            self.motion(deployment, worker)?;
         }
         Ok(())
     }

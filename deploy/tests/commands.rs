@@ -334,7 +334,11 @@ async fn a_doctor_finds_what_is_missing() {
         ("ok".into(), "ok".into(), "ok".into())
     );
     assert_eq!(
-        (verdict("r1", "mapping"), verdict("svc", "plan"), verdict("r1", "scan")),
+        (
+            verdict("r1", "mapping"),
+            verdict("svc", "motion"),
+            verdict("r1", "scan")
+        ),
         ("fail".into(), "fail".into(), "fail".into())
     );
     zenav(&endpoint, &["doctor", "--robot", "r9"]).await.expect(3);

@@ -17,9 +17,9 @@ use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan,
-    PlanReply, PlanRequest, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock,
-    SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, WheelSpeeds,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
+    ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree,
+    SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -46,10 +46,8 @@ pub enum Producer {
     Edge,
     /// The mapping service.
     Mapping,
-    /// A planning worker.
-    Planning,
-    /// A smoothing worker.
-    Smoothing,
+    /// A motion worker.
+    Motion,
     /// The mission that holds the robot's lease, nobody else.
     Mission,
     /// Whoever operates by hand.
@@ -285,6 +283,7 @@ key_table! {
         READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, 256 * KIB;
         WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, KIB;
         SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
+        LIDAR_SCAN: Scan = "zenav/{robot}/edge/scan/{lidar}", Edge, Qos::Latest, 256 * KIB;
         ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
         IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
         GPS: Gps = "zenav/{robot}/edge/gps", Edge, Qos::Latest, 4 * KIB;
@@ -299,7 +298,7 @@ key_table! {
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
-        TREE: SearchTree = "zenav/{robot}/cloud/tree", Planning, Qos::Latest, 4 * MIB;
+        TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;
         MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
         GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 64 * KIB;
         TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;
@@ -325,8 +324,7 @@ key_table! {
     asks {
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
         MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
-        PLAN_SERVICE: PlanRequest => PlanReply = "zenav/svc/plan/{worker}", Planning, 4 * MIB;
-        SMOOTH_SERVICE: SmoothRequest => SmoothReply = "zenav/svc/smooth/{worker}", Smoothing, 4 * MIB;
+        MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }
 }
@@ -341,7 +339,7 @@ pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
 
 /// Liveliness of a robot's component (`edge`, `mapping`, `mission`): discovery only, never authority.
 pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
-/// Liveliness of a stateless worker of `plan` or `smooth`, and of who takes goals for a group (`group-{name}`).
+/// Liveliness of a stateless worker of `motion`, and of who takes goals for a group (`group-{name}`).
 pub const ALIVE_WORKER: &str = "zenav/svc/alive/{service}/{worker}";
 
 /// Fills the named chunks of a liveliness pattern in order.

@@ -16,9 +16,9 @@ use zenav_protocol::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, Odometry, ParamReply, ParamRequest, PauseRequest, Plan,
-    PlanReply, PlanRequest, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree,
-    SimClock, SmoothReply, SmoothRequest, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
+    ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan,
+    SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -93,10 +93,8 @@ messages! {
     ParamReply
     BehaviourRequest
     BehaviourReply
-    PlanRequest
-    PlanReply
-    SmoothRequest
-    SmoothReply
+    MotionRequest
+    MotionReply
     AttachRequest
     AttachReply
     RemoteRequest

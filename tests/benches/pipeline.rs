@@ -16,8 +16,7 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use zenav_cloud::planning::worker::PlanWorker;
-use zenav_cloud::smoothing::worker::SmoothWorker;
+use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
 use zenav_fixtures::robot;
 use zenav_mapping::{Mapper, MappingSettings};
@@ -31,7 +30,7 @@ use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
-use zenav_smoothing::{SmoothQuery, SmoothSettings, smooth};
+use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy};
 
 #[path = "../../cloud/behaviour_tree/benches/trees/mod.rs"]
@@ -88,7 +87,7 @@ fn recorded() -> (Vec<Scan>, Vec<Readings>) {
                 out.publications
                     .into_iter()
                     .filter_map(|publication| match publication {
-                        Publication::Scan(scan) => Some(scan),
+                        Publication::Scan(_, scan) => Some(scan),
                         _ => None,
                     }),
             );
@@ -212,14 +211,15 @@ fn smoothing(criterion: &mut Criterion) {
         panic!("no way");
     };
     let query = SmoothQuery {
-        way: &path,
+        path: &path,
         start: START,
         start_velocity: Twist2::ZERO,
         goal_yaw: None,
+        profile: DrivingProfile::Fastest,
     };
     criterion.bench_function("smoothing of a way through the kitchen", |bencher| {
         bencher.iter(|| {
-            let smoothed = smooth(&space, &query, &model, &SmoothSettings::default(), &mut || 0.0);
+            let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut || 0.0);
             assert!(smoothed.is_smooth(), "{}", smoothed.statistics.status);
             smoothed
         });
@@ -230,7 +230,7 @@ fn smoothing(criterion: &mut Criterion) {
 fn scan_to_plan(criterion: &mut Criterion) {
     let (scans, _) = recorded();
     let (mut mapper, mut mirror) = kitchen(&scans);
-    let (mut planning, mut smoothing) = (PlanWorker::default(), SmoothWorker::default());
+    let mut worker = MotionWorker::default();
     let model = model();
     let last = scans.last().unwrap();
     let begin = Instant::now();
@@ -252,35 +252,33 @@ fn scan_to_plan(criterion: &mut Criterion) {
                 while let Some(patch) = mapper.take_patch() {
                     assert_eq!(mirror.apply(&patch), PatchResult::Applied);
                 }
-                let request = PlanRequest {
+                let plan = PlanRequest {
                     robot: ROBOT.into(),
                     model: model.clone(),
                     map: mirror.map().clone(),
                     start: START,
+                    via: Vec::new(),
                     goal: GOAL,
                     planner: "astar".into(),
                     unknown_is_free: true,
+                    escape: 0.0,
                     budget_ms: 1000,
                     seed: 1,
                 };
-                let reply = planning.answer(Some(&mirror), &request, None).unwrap();
-                let PlanOutcome::Found { path, .. } = reply.outcome else {
-                    panic!("{:?}", reply.outcome)
-                };
-                let request = SmoothRequest {
-                    robot: ROBOT.into(),
-                    model: model.clone(),
-                    map: reply.map,
-                    path,
-                    start: START,
+                let request = MotionRequest::Trajectory(TrajectoryRequest {
+                    plan,
                     start_velocity: Twist2::ZERO,
                     goal_yaw: None,
-                    unknown_is_free: true,
                     profile: DrivingProfile::default(),
+                });
+                let mut clock = || begin.elapsed().as_secs_f64();
+                let reply = worker.answer(Some(&mirror), &request, &mut clock, &Cancel::default());
+                let Ok(MotionReply::Trajectory(TrajectoryReply {
+                    smooth: Some(reply), ..
+                })) = reply
+                else {
+                    panic!("{reply:?}")
                 };
-                let reply = smoothing
-                    .answer(Some(&mirror), &request, &mut || begin.elapsed().as_secs_f64())
-                    .unwrap();
                 assert!(!reply.trajectory.is_empty());
                 reply
             },
@@ -363,7 +361,7 @@ impl Driven {
         self.now = self.now.plus_secs(0.02);
         self.counter += 1;
         readings.stamp = self.now;
-        if let Some(sweep) = &mut readings.sweep {
+        for sweep in &mut readings.sweeps {
             sweep.stamp = self.now;
         }
         let mut inbox = Inbox {

@@ -217,14 +217,14 @@ impl Context {
     }
 
     /// Publishes a new plan for the active goal.
-    pub fn drive(&mut self, course: super::motion::ActivePlan) {
+    pub fn drive(&mut self, draft: super::motion::PlanDraft) {
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
             return;
         };
         let replaces = self.motion.was_begun_for_leg;
         let plan = self
             .motion
-            .begin(course, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
+            .begin(draft, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
         self.goal.feedback.plans += 1;
         self.goal.feedback.replans += u64::from(replaces);
         if let Some(leg) = self.goal.legs.last_mut() {

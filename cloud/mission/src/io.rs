@@ -44,10 +44,8 @@ pub enum Ask {
     EdgeInfo(InfoRequest),
     /// To the robot: a manoeuvre.
     Behaviour(BehaviourRequest),
-    /// To a planning worker.
-    Plan(Box<PlanRequest>),
-    /// To a smoothing worker.
-    Smooth(Box<SmoothRequest>),
+    /// To a motion worker.
+    Motion(Box<MotionRequest>),
     /// To mapping.
     Map(MapRequest),
     /// To a program that runs a remote action, on its key.
@@ -61,8 +59,8 @@ impl Ask {
         match self {
             Self::Lease(_) => 1.0,
             Self::EdgeInfo(_) | Self::Behaviour(_) | Self::Remote(..) => 2.0,
-            Self::Plan(request) => 2.0 + 2.0 * request.budget_ms.min(60_000) as f64 * 1e-3,
-            Self::Smooth(_) => 3.0,
+            // Long enough for a second worker when the first one is silent.
+            Self::Motion(request) => 2.0 + 2.0 * request.budget().as_secs_f64(),
             Self::Map(_) => 5.0,
         }
     }
@@ -77,10 +75,8 @@ pub enum Answer {
     EdgeInfo(Box<InfoReply>),
     /// A manoeuvre's progress.
     Behaviour(BehaviourReply),
-    /// A path, or why there is none.
-    Plan(PlanReply),
-    /// A trajectory.
-    Smooth(Box<SmoothReply>),
+    /// A path, a trajectory, or both; or why there is none.
+    Motion(Box<MotionReply>),
     /// A map.
     Map(Box<MapReply>),
     /// A remote action's progress.

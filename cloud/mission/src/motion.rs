@@ -1,43 +1,46 @@
-//! Which plan is in force, and is it still good? Published, renewed, held, and what the robot says of it.
+//! Active plan. Which plan is in force, and is it still good? Published, renewed, held, and what the robot says of it.
 //!
-//! A motion keeps its name while it is renewed; the robot goes on where it is. A new motion gets a new name. Nothing
-//! here decides to move: leaves do.
+//! A trajectory keeps its name while its plan is renewed; the robot goes on where it is. A new trajectory gets a new name.
+//! Nothing here decides to move: leaves do.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, EdgeState, Event, EventKind, MapRef, Mode, Plan, PlanStatistics, Revision, Splice,
+};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::Trajectory;
 
 use super::lease::newer;
 use zenav_space::ConfigurationSpace;
 
-/// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact for even motion.
+/// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
 const SPACING: (f64, f64) = (0.05, 0.1);
-/// The way this near to the robot is not rechecked: what stands there is its guard's business, m.
+/// The path this near to the robot is not rechecked: what stands there is its collision monitor's business, m.
 const NEAR: f64 = 0.1;
 /// What the map has where the robot stands may be left for so far, m.
 const ESCAPE: f64 = 0.6;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
-/// A robot that says nothing of an accepted motion for this long has dropped it, s.
+/// A robot that says nothing of an accepted plan for this long has dropped it, s.
 const DROPPED: f64 = 0.6;
 
-/// What a new motion consists of.
+/// What a new plan consists of.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ActivePlan {
+pub struct PlanDraft {
     /// The map that it was made on.
     pub map: MapRef,
     /// Corner points.
     pub waypoints: Vec<Point2<f64>>,
     /// Trajectory; empty for plain waypoints.
     pub trajectory: Trajectory,
-    /// Where on the motion before it begins.
+    /// Where on the trajectory before it begins.
     pub splice: Option<Splice>,
     /// How it came about.
     pub statistics: PlanStatistics,
 }
 
-/// What the robot says of the motion in force.
+/// What the robot says of the plan in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanStatus {
     /// Nothing yet.
@@ -57,14 +60,14 @@ pub enum PlanStatus {
 pub enum Recheck {
     /// Free as far as the map knows.
     Free,
-    /// Something stands on the way, this many seconds of plan time ahead.
+    /// Something stands on the path, this many seconds of plan time ahead.
     Blocked(f64),
 }
 
 #[derive(Clone, Debug)]
-struct InForce {
+struct ActivePlan {
     plan: Plan,
-    standing: PlanStatus,
+    status: PlanStatus,
     /// When it was published, renewed or held last.
     published: Stamp,
     /// When the robot was last heard to have it.
@@ -78,11 +81,11 @@ pub struct MotionKeeper {
     incarnation: u64,
     revisions: u64,
     motions: u64,
-    current: Option<InForce>,
-    /// What was in force before, while the robot has not taken the new motion.
-    previous: Option<InForce>,
+    current: Option<ActivePlan>,
+    /// What was in force before, while the robot has not taken the new plan.
+    previous: Option<ActivePlan>,
     changed: bool,
-    /// Whether the present drive has had a motion already: the next one replaces it.
+    /// Whether the present drive has had a plan already: the next one replaces it.
     pub was_begun_for_leg: bool,
 }
 
@@ -105,16 +108,16 @@ impl MotionKeeper {
     pub fn restore(&mut self, plan: Plan) {
         self.was_begun_for_leg = true;
         let long_ago = Stamp::ZERO;
-        self.current = Some(InForce {
+        self.current = Some(ActivePlan {
             plan,
-            standing: PlanStatus::Taken,
+            status: PlanStatus::Taken,
             published: long_ago,
             confirmed: long_ago,
             held: false,
         });
     }
 
-    /// Name of the motion in force.
+    /// Name of the trajectory in force.
     #[must_use]
     pub fn id(&self) -> Option<u64> {
         self.current.as_ref().map(|current| current.plan.trajectory_id)
@@ -122,8 +125,8 @@ impl MotionKeeper {
 
     /// What the robot says of it; `None` when nothing is in force.
     #[must_use]
-    pub fn standing(&self) -> Option<&PlanStatus> {
-        self.current.as_ref().map(|current| &current.standing)
+    pub fn status(&self) -> Option<&PlanStatus> {
+        self.current.as_ref().map(|current| &current.status)
     }
 
     /// The plan as published last.
@@ -151,10 +154,10 @@ impl MotionKeeper {
         std::mem::take(&mut self.changed).then(|| self.current.as_ref().map(|current| Box::new(current.plan.clone())))
     }
 
-    /// A new motion comes into force.
+    /// A new plan comes into force.
     pub fn begin(
         &mut self,
-        course: ActivePlan,
+        draft: PlanDraft,
         goal_id: &str,
         epoch: u64,
         based_on: BasedOn,
@@ -167,22 +170,22 @@ impl MotionKeeper {
             epoch,
             revision: self.next_revision(),
             trajectory_id: newer(self.incarnation, self.motions),
-            map: course.map,
+            map: draft.map,
             frame: "map".to_owned(),
             based_on,
             valid_for,
-            waypoints: course.waypoints,
-            trajectory: course.trajectory,
-            splice: course.splice,
-            statistics: course.statistics,
+            waypoints: draft.waypoints,
+            trajectory: draft.trajectory,
+            splice: draft.splice,
+            statistics: draft.statistics,
         };
         self.previous = self
             .current
             .take()
-            .filter(|current| current.standing == PlanStatus::Taken);
-        self.current = Some(InForce {
+            .filter(|current| current.status == PlanStatus::Taken);
+        self.current = Some(ActivePlan {
             plan: plan.clone(),
-            standing: PlanStatus::Sent,
+            status: PlanStatus::Sent,
             published: now,
             confirmed: now,
             held: false,
@@ -192,12 +195,12 @@ impl MotionKeeper {
         plan
     }
 
-    /// The same motion for longer, under the present epoch. `None` when nothing is in force that could be renewed.
+    /// The same trajectory for longer, under the present epoch. `None` when nothing is in force that could be renewed.
     pub fn renew(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         self.publish(epoch, based_on, valid_for, now, false)
     }
 
-    /// The same motion, to run out soon. `None` when it is held already or nothing is in force.
+    /// The same trajectory, to run out soon. `None` when it is held already or nothing is in force.
     pub fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         if self.is_held() {
             None
@@ -211,7 +214,7 @@ impl MotionKeeper {
         let current = self
             .current
             .as_mut()
-            .filter(|current| matches!(current.standing, PlanStatus::Sent | PlanStatus::Taken))?;
+            .filter(|current| matches!(current.status, PlanStatus::Sent | PlanStatus::Taken))?;
         current.plan = Plan {
             epoch,
             revision,
@@ -224,7 +227,7 @@ impl MotionKeeper {
         Some(current.plan.clone())
     }
 
-    /// The robot has refused the motion: what was in force before still is, if it drove. Whether there is such.
+    /// The robot has refused the plan: what was in force before still is, if it drove. Whether there is such.
     pub fn revert(&mut self) -> bool {
         let previous = self.previous.take();
         self.changed |= previous.is_some();
@@ -255,28 +258,28 @@ impl MotionKeeper {
         }
         let Some(state) = state else { return };
         if state.boot_id != current.plan.based_on.boot_id {
-            current.standing = PlanStatus::Void("the robot has started anew".to_owned());
+            current.status = PlanStatus::Void("the robot has started anew".to_owned());
             return;
         }
         match &state.plan {
             Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
                 current.confirmed = now;
-                if matches!(current.standing, PlanStatus::Sent | PlanStatus::Taken) {
-                    current.standing = if progress.finished {
+                if matches!(current.status, PlanStatus::Sent | PlanStatus::Taken) {
+                    current.status = if progress.finished {
                         PlanStatus::Finished
                     } else {
                         PlanStatus::Taken
                     };
                 }
             }
-            _ if current.standing == PlanStatus::Taken && now.secs_since(current.confirmed) > DROPPED => {
-                current.standing = PlanStatus::Void("the robot has dropped the plan".to_owned());
+            _ if current.status == PlanStatus::Taken && now.secs_since(current.confirmed) > DROPPED => {
+                current.status = PlanStatus::Void("the robot has dropped the plan".to_owned());
             }
             _ => {}
         }
     }
 
-    /// Plan time that the robot has reached by now, s; `None` unless it is driving this motion.
+    /// Plan time that the robot has reached by now, s; `None` unless it is driving this trajectory.
     #[must_use]
     pub fn time(&self, state: &EdgeState, age: f64) -> Option<f64> {
         let current = self.current.as_ref()?;
@@ -297,7 +300,7 @@ impl MotionKeeper {
     }
 }
 
-impl InForce {
+impl ActivePlan {
     fn take(&mut self, now: Stamp, event: &Event) {
         if event.boot_id != self.plan.based_on.boot_id {
             return;
@@ -306,8 +309,8 @@ impl InForce {
         match &event.kind {
             EventKind::PlanAccepted { trajectory_id, .. } if *trajectory_id == ours => {
                 self.confirmed = now;
-                if self.standing == PlanStatus::Sent {
-                    self.standing = PlanStatus::Taken;
+                if self.status == PlanStatus::Sent {
+                    self.status = PlanStatus::Taken;
                 }
             }
             EventKind::PlanRejected {
@@ -315,17 +318,17 @@ impl InForce {
                 revision,
                 reason,
                 ..
-            } if *trajectory_id == ours && *revision == self.plan.revision && self.standing != PlanStatus::Finished => {
-                self.standing = PlanStatus::Refused(reason.clone());
+            } if *trajectory_id == ours && *revision == self.plan.revision && self.status != PlanStatus::Finished => {
+                self.status = PlanStatus::Refused(reason.clone());
             }
             EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {
-                self.standing = PlanStatus::Finished
+                self.status = PlanStatus::Finished
             }
-            // Before the motion was taken this is about the one before it.
+            // Before the plan was taken this is about the one before it.
             EventKind::PlanDiscarded { goal_id, reason }
-                if *goal_id == self.plan.goal_id && self.standing == PlanStatus::Taken =>
+                if *goal_id == self.plan.goal_id && self.status == PlanStatus::Taken =>
             {
-                self.standing = PlanStatus::Void(reason.clone());
+                self.status = PlanStatus::Void(reason.clone());
             }
             _ => {}
         }
@@ -336,15 +339,15 @@ impl InForce {
 #[must_use]
 pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64) -> Recheck {
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
-    let mut way = 0.0;
+    let mut travelled = 0.0;
     let mut before: Option<Pose2> = None;
     let mut leaving = true;
     for (index, point) in trajectory.iter().enumerate().filter(|(_, point)| point.t >= from) {
         let pose = point.pose();
-        way += before.map_or(0.0, |before: Pose2| before.distance(&pose));
+        travelled += before.map_or(0.0, |before: Pose2| before.distance(&pose));
         before = Some(pose);
         // A robot that by the map stands in something must be let out of it.
-        leaving = leaving && way < ESCAPE && space.footprint_clearance(pose) <= 0.0;
+        leaving = leaving && travelled < ESCAPE && space.footprint_clearance(pose) <= 0.0;
         if leaving {
             continue;
         }
@@ -352,7 +355,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64) -
         let spaced = poses.last().is_none_or(|(_, kept)| {
             kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
         });
-        if way >= NEAR && (spaced || last) {
+        if travelled >= NEAR && (spaced || last) {
             poses.push((point.t, pose));
         }
     }
@@ -379,6 +382,7 @@ mod tests {
     use super::*;
     use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::robot::Footprint;
+    use zenav_protocol::trajectory::TrajectoryPoint;
     use zenav_space::UnknownPolicy;
 
     fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {

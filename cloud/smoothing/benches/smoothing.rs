@@ -1,15 +1,15 @@
 //! How long does smoothing take, how often does a curve come out, and is every trajectory sound? `cargo bench -p zenav-cloud --bench smoothing`
 //!
-//! Pairs of places are drawn on a map; for each shipped robot the ways between them are planned and smoothed. Times are thread CPU time, the
-//! least of a few runs a way. Every trajectory is then looked at by other means than the smoother's own: the true footprint every
-//! millimetre, every limit every millisecond; and its duration beside that of stop, turn and go along the same way. A collision or a
+//! Pairs of places are drawn on a map; for each shipped robot the paths between them are planned and smoothed. Times are thread CPU time, the
+//! least of a few runs a path. Every trajectory is then looked at by other means than the smoother's own: the true footprint every
+//! millimetre, every limit every millisecond; and its duration beside that of stop, turn and go along the same path. A collision or a
 //! limit that is not kept ends the bench.
 //!
 //! | variable | does |
 //! |---|---|
 //! | `ZENAV_BENCH_MAP=FILE` | this map instead of a generated house (`.yaml`, `.pgm`, `.png`, `.map`) |
 //! | `ZENAV_BENCH_ONLY=NAME` | only robots whose name holds this |
-//! | `ZENAV_BENCH_WAYS=N` | so many ways, 200 without |
+//! | `ZENAV_BENCH_WAYS=N` | so many paths, 200 without |
 
 #![allow(missing_docs, reason = "a bench has no users")]
 #![allow(
@@ -29,19 +29,19 @@ use zenav_mapping::map_file;
 use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::robot::RobotModel;
-use zenav_smoothing::timing::legs::safe_motion;
+use zenav_smoothing::timing::stop_turn_go::stop_turn_go;
 use zenav_smoothing::timing::{Limits, UNRESTRICTED};
-use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 /// Robots, and what is close to each of them.
 const ROBOTS: [&str; 4] = ["tiago", "neato", "turtlebot3_waffle", "jackal"];
 const SEED: u64 = 1;
-/// Runs of each way, of which the least time counts.
+/// Runs of each path, of which the least time counts.
 const RUNS: usize = 3;
-/// A long way, m.
+/// A long path, m.
 const TOUR: f64 = 113.0;
 /// Limits are kept to within this.
 const ROUNDING: f64 = 1e-6;
@@ -55,22 +55,22 @@ fn main() {
     let ways = std::env::var("ZENAV_BENCH_WAYS").map_or(200, |count| count.parse().expect("a number of ways"));
     println!("times in ms, median (95th percentile); lengths in m\n");
     println!(
-        "| robot | ways | smoothed | fallbacks | corridor | geometry | time law | ms a 100 m, both | a way of 113 m: both | time beside stop, turn, go |"
+        "| robot | ways | smoothed | fallbacks | corridor | geometry | time law | ms a 100 m, both | a path of 113 m: both | time beside stop, turn, go |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for name in ROBOTS.iter().filter(|name| name.contains(&only)) {
         let model = zenav_fixtures::robot(name);
         let mut found = Vec::new();
         let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
-        for (way, start) in drawn(&space, ways, false) {
-            found.push(measured(&space, &model, &way, start));
+        for (path, start) in drawn(&space, ways, false) {
+            found.push(measured(&space, &model, &path, start));
         }
-        let tour = tour(&space, TOUR).map(|(way, start)| measured(&space, &model, &way, start).0);
+        let tour = tour(&space, TOUR).map(|(path, start)| measured(&space, &model, &path, start).0);
         row(name, &found, tour.as_ref());
     }
 }
 
-/// 12 rooms by 9 of 4 m with doors of 1 m and a piece of furniture each.
+/// 12 polygons by 9 of 4 m with doors of 1 m and a piece of furniture each.
 fn house() -> OccupancyGrid {
     const ROOM: u32 = 80;
     let spec = GridSpec {
@@ -98,10 +98,10 @@ fn house() -> OccupancyGrid {
     grid
 }
 
-/// A way, and where a robot at rest starts on it: along its first leg.
+/// A path, and where a robot at rest starts on it: along its first leg.
 type PlannedPath = (Vec<Point2<f64>>, Pose2);
 
-/// Ways between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
+/// Paths between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
 fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<PlannedPath> {
     let spec = *space.spec();
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
@@ -135,11 +135,11 @@ fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<Planned
     ways
 }
 
-/// A way of `length` (m), from one drawn place to the next.
+/// A path of `length` (m), from one drawn place to the next.
 fn tour(space: &ConfigurationSpace, length: f64) -> Option<PlannedPath> {
     let ways = drawn(space, 20, true);
     let start = ways.first()?.1;
-    let points = ways.iter().flat_map(|(way, _)| way.iter().copied());
+    let points = ways.iter().flat_map(|(path, _)| path.iter().copied());
     let (mut tour, mut left): (Vec<Point2<f64>>, f64) = (vec![start.position()], length);
     for point in points {
         let last = *tour.last()?;
@@ -155,21 +155,22 @@ fn tour(space: &ConfigurationSpace, length: f64) -> Option<PlannedPath> {
 }
 
 /// The fastest run, and how long stop, turn and go would take.
-fn measured(space: &ConfigurationSpace, model: &RobotModel, way: &[Point2<f64>], start: Pose2) -> (Smoothed, f64) {
+fn measured(space: &ConfigurationSpace, model: &RobotModel, path: &[Point2<f64>], start: Pose2) -> (Smoothed, f64) {
     let query = SmoothQuery {
-        way,
+        path,
         start,
         start_velocity: Twist2::ZERO,
         goal_yaw: None,
+        profile: DrivingProfile::Fastest,
     };
-    let run = || smooth(space, &query, model, &SmoothSettings::default(), &mut cpu);
+    let run = || smooth(space, &query, model, &SmoothingSettings::default(), None, &mut cpu);
     let best = (1..RUNS).fold(run(), |best, _| {
         let again = run();
         if both(&again) < both(&best) { again } else { best }
     });
     assert_sound(space, model, &best);
     let limits = Limits::of(model);
-    let safe = safe_motion(way, start, Twist2::ZERO, None, &limits, UNRESTRICTED);
+    let safe = stop_turn_go(path, start, Twist2::ZERO, None, &limits, UNRESTRICTED);
     (best, safe.duration())
 }
 
@@ -182,7 +183,7 @@ fn assert_sound(space: &ConfigurationSpace, model: &RobotModel, smoothed: &Smoot
     let (drive, limits) = (&model.drive, Limits::of(model));
     let half = 0.5 * drive.wheel_separation;
     let mut last: Option<Pose2> = None;
-    for state in smoothed.motion.states(1e-3_f64.min(1e-3 / limits.speed)) {
+    for state in smoothed.trajectory.states(1e-3_f64.min(1e-3 / limits.speed)) {
         let (point, a, alpha) = (state.point, state.a, state.alpha);
         for side in [-half, half] {
             assert!((point.v + side * point.w).abs() <= 0.95 * drive.max_wheel_speed * drive.wheel_radius + ROUNDING);
@@ -224,13 +225,13 @@ fn row(name: &str, found: &[(Smoothed, f64)], tour: Option<&Smoothed>) {
         format!("{:.2} ({:.2})", at(0.5), at(0.95))
     };
     let tour = tour.map_or_else(String::new, |tour| {
-        let rooms = tour
+        let polygons = tour
             .statistics
             .certificate
             .corridor
             .as_ref()
-            .map_or(0, |corridor| corridor.rooms);
-        format!("{rooms} rooms, {:.2}, {}", both(tour), tour.statistics.status)
+            .map_or(0, |corridor| corridor.polygons);
+        format!("{polygons} polygons, {:.2}, {}", both(tour), tour.statistics.status)
     });
     let sum = |of: &dyn Fn(&(Smoothed, f64)) -> f64| found.iter().map(of).sum::<f64>();
     println!(
@@ -241,7 +242,7 @@ fn row(name: &str, found: &[(Smoothed, f64)], tour: Option<&Smoothed>) {
         all(|smoothed| smoothed.statistics.geometry_ms),
         all(|smoothed| smoothed.statistics.timing_ms),
         100.0 * sum(&|(smoothed, _)| both(smoothed)) / sum(&|(smoothed, _)| smoothed.statistics.length),
-        sum(&|(smoothed, _)| smoothed.motion.duration()) / sum(&|(_, safe)| *safe),
+        sum(&|(smoothed, _)| smoothed.trajectory.duration()) / sum(&|(_, safe)| *safe),
     );
 }
 

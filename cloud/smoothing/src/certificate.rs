@@ -1,5 +1,5 @@
-//! May a motion be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of the drive, both
-//! from the motion itself and not from what any solver said, before it leaves the house.
+//! Certificate. May a trajectory be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of the drive, both
+//! from the trajectory itself and not from what any solver said, before it leaves the house.
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
@@ -7,19 +7,19 @@ use zenav_protocol::robot::{Drive, Footprint};
 
 use super::corridor::FreePolygon;
 use super::shortcut::is_permitted_along;
-use super::timing::{JerkFigures, Limits, Motion};
+use super::timing::{JerkFigures, Limits, PiecewiseTrajectory};
 use zenav_space::ConfigurationSpace;
 
 /// Largest distance between two checked poses, m, and turn between them, rad.
 const STEP: f64 = 0.03;
 const TURN: f64 = 0.08;
 
-/// The motion touches an obstacle, or leads where nobody has looked.
+/// The trajectory touches an obstacle, or leads where nobody has looked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("collision")]
 pub struct Collision;
 
-/// Least distance (m) of the true footprint to an obstacle along a motion; `None` when there is nothing within the space's reach.
+/// Least distance (m) of the true footprint to an obstacle along a trajectory; `None` when there is nothing within the space's reach.
 ///
 /// The first `exempt` metres around the start are no reason to refuse: a robot that stands where it should not has to leave. They
 /// count in the clearance that is told.
@@ -28,7 +28,7 @@ pub struct Collision;
 /// [`Collision`].
 pub fn clearance(
     space: &ConfigurationSpace,
-    motion: &Motion,
+    trajectory: &PiecewiseTrajectory,
     limits: &Limits,
     exempt: f64,
 ) -> Result<Option<f64>, Collision> {
@@ -39,7 +39,7 @@ pub fn clearance(
     let period = (STEP / limits.speed).min(turning);
     // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
     let bulge = limits.lateral_acceleration * period * period / 8.0;
-    let all: Vec<Pose2> = motion
+    let all: Vec<Pose2> = trajectory
         .states(period)
         .into_iter()
         .map(|state| state.point.pose())
@@ -107,14 +107,14 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Adds a curve through rooms.
-    pub fn add(&mut self, rooms: &[FreePolygon], solver: SolverFigures) {
-        let width = rooms.iter().map(width).fold(f64::INFINITY, f64::min);
+    /// Adds a curve through polygons.
+    pub fn add(&mut self, polygons: &[FreePolygon], solver: SolverFigures) {
+        let width = polygons.iter().map(width).fold(f64::INFINITY, f64::min);
         let corridor = self.corridor.get_or_insert(CorridorFigures {
-            rooms: 0,
+            polygons: 0,
             least_width: f64::INFINITY,
         });
-        corridor.rooms += rooms.len();
+        corridor.polygons += polygons.len();
         corridor.least_width = corridor.least_width.min(width);
         let known = self.geometry.get_or_insert_with(|| SolverFigures {
             status: solver.status.clone(),
@@ -136,16 +136,16 @@ impl Evidence {
     }
 }
 
-/// Width of a room across the middle of its piece, m.
-fn width(room: &FreePolygon) -> f64 {
-    let along = room.to - room.from;
+/// Width of a polygon across the middle of its piece, m.
+fn width(polygon: &FreePolygon) -> f64 {
+    let along = polygon.to - polygon.from;
     let across = nalgebra::Vector2::new(-along.y, along.x);
     let Some(across) = across.try_normalize(1e-9) else {
         return f64::INFINITY;
     };
-    let middle = nalgebra::center(&room.from, &room.to);
+    let middle = nalgebra::center(&polygon.from, &polygon.to);
     let reach = |direction: nalgebra::Vector2<f64>| {
-        let sides = room
+        let sides = polygon
             .sides
             .iter()
             .map(|side| (side.depth(middle), side.normal.dot(&direction)));
@@ -157,9 +157,14 @@ fn width(room: &FreePolygon) -> f64 {
     reach(across) + reach(-across)
 }
 
-/// The certificate of a motion: what its parts told, and what the motion itself shows.
+/// The certificate of a trajectory: what its parts told, and what the trajectory itself shows.
 #[must_use]
-pub fn certify(motion: &Motion, drive: &Drive, evidence: Evidence, jerk: Option<JerkFigures>) -> Certificate {
+pub fn certify(
+    trajectory: &PiecewiseTrajectory,
+    drive: &Drive,
+    evidence: Evidence,
+    jerk: Option<JerkFigures>,
+) -> Certificate {
     let time_law = match &jerk {
         None => "sweep".to_owned(),
         Some(JerkFigures { failed: None, .. }) => "jerk_limited".to_owned(),
@@ -172,27 +177,27 @@ pub fn certify(motion: &Motion, drive: &Drive, evidence: Evidence, jerk: Option<
         geometry: evidence.geometry,
         time_law,
         timing: jerk.map(|figures| figures.solver),
-        largest_use: largest_use(motion, drive),
-        lower_bound: motion.lower_bound(),
-        over_lower_bound: if motion.lower_bound() > 0.0 {
-            motion.duration() / motion.lower_bound()
+        largest_use: largest_use(trajectory, drive),
+        lower_bound: trajectory.lower_bound(),
+        over_lower_bound: if trajectory.lower_bound() > 0.0 {
+            trajectory.duration() / trajectory.lower_bound()
         } else {
             1.0
         },
     }
 }
 
-/// Acceleration that differs by less where two pieces of a motion meet does not jump, m/s².
+/// Acceleration that differs by less where two pieces of a trajectory meet does not jump, m/s².
 const SAME_ACCELERATION: f64 = 1e-6;
 
-/// Largest use of each limit along a motion.
+/// Largest use of each limit along a trajectory.
 #[must_use]
-pub fn largest_use(motion: &Motion, drive: &Drive) -> LimitUse {
+pub fn largest_use(trajectory: &PiecewiseTrajectory, drive: &Drive) -> LimitUse {
     let mut most = LimitUse::default();
     let mut jerk = 0.0_f64;
     let half = 0.5 * drive.wheel_separation;
     let mut before: Option<(f64, f64)> = None;
-    for rates in motion.rates() {
+    for rates in trajectory.rates() {
         let (v, w) = (rates.twist.v, rates.twist.w);
         for wheel in drive.wheels(rates.twist) {
             most.wheel_speed = most.wheel_speed.max(wheel.abs() / drive.max_wheel_speed);
@@ -259,14 +264,14 @@ mod tests {
                 links.extend((1..=pieces).map(|i| (0.02, k + (target - k) * i as f64 / pieces as f64)));
                 k = target;
             }
-            let mut motion = Motion::new();
-            motion.spin(Pose2::new(0.0, 0.0, -angle), angle, &limits);
-            motion.follow(GeometricPath::chain(PathPoint::default(), &links).unwrap(), 0.0, &limits).unwrap();
-            let (motion, figures) = motion.with_limited_jerk(&limits);
-            let found = largest_use(&motion, drive);
+            let mut trajectory = PiecewiseTrajectory::new();
+            trajectory.spin(Pose2::new(0.0, 0.0, -angle), angle, &limits);
+            trajectory.follow(GeometricPath::chain(PathPoint::default(), &links).unwrap(), 0.0, &limits).unwrap();
+            let (trajectory, figures) = trajectory.with_limited_jerk(&limits);
+            let found = largest_use(&trajectory, drive);
             let mut fine = LimitUse::default();
             let mut fine_jerk = 0.0_f64;
-            let states = motion.states(2e-4);
+            let states = trajectory.states(2e-4);
             let half = 0.5 * drive.wheel_separation;
             for pair in states.windows(2) {
                 let (point, a, alpha) = (pair[1].point, pair[1].a, pair[1].alpha);
@@ -301,7 +306,7 @@ mod tests {
             normal: nalgebra::Vector2::new(x, y),
             offset,
         };
-        let room = |width: f64| FreePolygon {
+        let polygon = |width: f64| FreePolygon {
             sides: vec![
                 side(0.0, 1.0, 0.5 * width),
                 side(0.0, -1.0, 0.5 * width),
@@ -318,11 +323,11 @@ mod tests {
             gap,
         };
         let mut evidence = Evidence::default();
-        evidence.add(&[room(2.0), room(0.7)], solver("AlmostSolved", 9, 1e-5));
-        evidence.add(&[room(1.0)], solver("Solved", 7, 1e-9));
-        let certificate = certify(&Motion::new(), &tiago(None).drive, evidence, None);
+        evidence.add(&[polygon(2.0), polygon(0.7)], solver("AlmostSolved", 9, 1e-5));
+        evidence.add(&[polygon(1.0)], solver("Solved", 7, 1e-9));
+        let certificate = certify(&PiecewiseTrajectory::new(), &tiago(None).drive, evidence, None);
         let corridor = certificate.corridor.unwrap();
-        assert!(corridor.rooms == 3 && (corridor.least_width - 0.7).abs() < 1e-12);
+        assert!(corridor.polygons == 3 && (corridor.least_width - 0.7).abs() < 1e-12);
         assert_eq!(certificate.geometry.unwrap(), solver("AlmostSolved", 16, 1e-5));
         assert_eq!(certificate.over_lower_bound, 1.0);
     }

@@ -1,8 +1,8 @@
-//! How much room is there around a way? A chain of overlapping convex polygons, each free for the robot's centre.
+//! Corridor. How much room is there around a path? A chain of overlapping convex polygons, each free for the robot's centre.
 //!
-//! Around a straight piece of the way every obstacle nearby is cut off by a line at right angles to the shortest connection between the
+//! Around a straight piece of the path every obstacle nearby is cut off by a line at right angles to the shortest connection between the
 //! two, the nearest obstacle first; obstacles that a line has cut off already need none of their own. A line keeps what the robot reaches
-//! towards it (a disc its radius, a polygon what it has there with headings near the piece's), and on top of it a comfortable distance,
+//! towards it (a disc its radius, a polygon what it has there with headings near the piece's), and on top of it a clearance,
 //! but no more than half of what the piece itself has: the other half is for the curve. A polygon is convex, so that a curve whose control
 //! points lie inside does not leave it: free between samples too.
 //!
@@ -14,6 +14,7 @@ use std::f64::consts::{FRAC_PI_2, SQRT_2};
 use nalgebra::{Point2, Rotation2, Vector2};
 use zenav_protocol::robot::Footprint;
 
+use super::settings::CorridorSettings;
 use super::shortcut::HAIR;
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
@@ -39,16 +40,16 @@ impl HalfPlane {
     }
 }
 
-/// A convex free polygon, and the piece of the way that runs through it.
+/// A convex free polygon, and the piece of the path that runs through it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreePolygon {
     /// Its sides.
     pub sides: Vec<HalfPlane>,
-    /// Where the way enters, m.
+    /// Where the path enters, m.
     pub from: Point2<f64>,
     /// Where it leaves, m.
     pub to: Point2<f64>,
-    /// Length of the way between, m.
+    /// Length of the path between, m.
     pub length: f64,
 }
 
@@ -59,7 +60,7 @@ impl FreePolygon {
         self.sides.iter().all(|side| side.depth(point) >= -tolerance)
     }
 
-    /// Heading of the way through it, rad.
+    /// Heading of the path through it, rad.
     #[must_use]
     pub fn heading(&self) -> f64 {
         let along = self.to - self.from;
@@ -70,50 +71,39 @@ impl FreePolygon {
 /// Share of what a piece has beyond the robot that is kept clear.
 const SHARE: f64 = 0.5;
 
-/// How large a room may be.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FreePolygonSize {
-    /// Longest piece of the way in one room at the ends of a leg, m; in the middle of a leg twice as long.
-    pub length: f64,
-    /// How far a room may reach beyond its piece, m.
-    pub reach: f64,
-    /// Distance to obstacles beyond the robot's own shape, m, where the way has it.
-    pub comfort: f64,
-}
-
 /// How far a polygon's heading may differ from the piece's, rad, before anything is known about the curve.
 pub const SPREAD: f64 = 0.1;
 
-/// The rooms along a way (corner points, map frame), in order; neighbours share the point where the way goes from one to the next.
+/// The polygons along a path (corner points, map frame), in order; neighbours share the point where the path goes from one to the next.
 #[must_use]
-pub fn corridor(space: &ConfigurationSpace, way: &[Point2<f64>], size: &FreePolygonSize) -> Vec<FreePolygon> {
-    let points = split(way, size.length);
+pub fn corridor(space: &ConfigurationSpace, path: &[Point2<f64>], size: &CorridorSettings) -> Vec<FreePolygon> {
+    let points = split(path, size.length);
     let is_round = matches!(space.footprint(), Footprint::Radius(_));
-    let mut rooms = Vec::new();
+    let mut polygons = Vec::new();
     let mut at = 0;
     while at + 1 < points.len() {
-        let mut room = room(space, points[at], points[at + 1], size, SPREAD);
+        let mut polygon = free_polygon(space, points[at], points[at + 1], size, SPREAD);
         let along = points[at + 1] - points[at];
         at += 1;
-        // Short pieces that fit into the same room make one piece; a polygon must go the same way in all of them.
+        // Short pieces that fit into the same polygon make one piece; a polygon must go the same path in all of them.
         while let Some(next) = points.get(at + 1) {
             let leg = next - points[at];
-            let longer = room.length + leg.norm();
-            if longer > size.length || !room.holds(*next, 0.0) || !(is_round || along.angle(&leg) < 0.5 * SPREAD) {
+            let longer = polygon.length + leg.norm();
+            if longer > size.length || !polygon.holds(*next, 0.0) || !(is_round || along.angle(&leg) < 0.5 * SPREAD) {
                 break;
             }
-            (room.to, room.length) = (*next, longer);
+            (polygon.to, polygon.length) = (*next, longer);
             at += 1;
         }
-        rooms.push(room);
+        polygons.push(polygon);
     }
-    rooms
+    polygons
 }
 
-/// The way with points between its corners: pieces of at most `length` at the ends of a leg, where the way bends, and twice that between.
-fn split(way: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
-    let mut points: Vec<Point2<f64>> = way.first().copied().into_iter().collect();
-    for pair in way.windows(2) {
+/// The path with points between its corners: pieces of at most `length` at the ends of a leg, where the path bends, and twice that between.
+fn split(path: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
+    let mut points: Vec<Point2<f64>> = path.first().copied().into_iter().collect();
+    for pair in path.windows(2) {
         let leg = pair[1] - pair[0];
         // In lengths of a piece at an end.
         let total = leg.norm() / length;
@@ -184,7 +174,7 @@ impl Shape {
     }
 }
 
-/// An obstacle's square near a piece of the way, m.
+/// An obstacle's square near a piece of the path, m.
 struct Square {
     center: Point2<f64>,
     /// Nobody has looked there: the robot's centre alone stays off.
@@ -206,22 +196,22 @@ struct Connection {
     wanted: f64,
 }
 
-/// The room around a straight piece of a way. A polygon's heading may differ by `spread` (rad) from the piece's.
+/// The polygon around a straight piece of a path. A polygon's heading may differ by `spread` (rad) from the piece's.
 #[must_use]
-pub fn room(
+pub fn free_polygon(
     space: &ConfigurationSpace,
     from: Point2<f64>,
     to: Point2<f64>,
-    size: &FreePolygonSize,
+    size: &CorridorSettings,
     spread: f64,
 ) -> FreePolygon {
     let piece = (from, to);
     let shape = Shape::new(space, to - from, spread);
-    let comfort = size.comfort.max(0.0);
+    let clearance = size.clearance.max(0.0);
     let mut sides = frame(space, from, to, size.reach);
     let half = 0.5 * space.spec().resolution;
-    // Nothing beyond this has a say in the room.
-    let wide = frame_corners(from, to, size.reach + shape.most() + HAIR + comfort);
+    // Nothing beyond this has a say in the polygon.
+    let wide = frame_corners(from, to, size.reach + shape.most() + HAIR + clearance);
     let mut squares = Vec::new();
     for is_unknown in [false, true] {
         if is_unknown && space.unknown_policy() != UnknownPolicy::Blocked {
@@ -230,7 +220,7 @@ pub fn room(
         let kept = if is_unknown {
             HAIR
         } else {
-            shape.most() + HAIR + comfort
+            shape.most() + HAIR + clearance
         };
         space.outer_cells(&wide, is_unknown, |center| {
             squares.push(Square {
@@ -244,7 +234,7 @@ pub fn room(
     while let Some(first) = (0..squares.len()).min_by(|a, b| squares[*a].slack.total_cmp(&squares[*b].slack)) {
         let square = &mut squares[first];
         let Some(connection) = square.connection else {
-            let connection = connect(piece, square, &shape, comfort, half);
+            let connection = connect(piece, square, &shape, clearance, half);
             match connection {
                 Some(found) => (square.slack, square.connection) = (found.distance - found.wanted, connection),
                 // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
@@ -321,7 +311,7 @@ fn connect(
     piece: (Point2<f64>, Point2<f64>),
     square: &Square,
     shape: &Shape,
-    comfort: f64,
+    clearance: f64,
     half: f64,
 ) -> Option<Connection> {
     let (on_piece, nearest) = closest(piece, square.center, half);
@@ -341,7 +331,7 @@ fn connect(
         outwards,
         distance,
         least,
-        wanted: if square.is_unknown { least } else { least + comfort },
+        wanted: if square.is_unknown { least } else { least + clearance },
     })
 }
 
@@ -396,7 +386,7 @@ fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
         corners = clipped;
     }
     if corners.len() < 3 {
-        // No area, as where the way itself touches on both sides: nothing can be left out.
+        // No area, as where the path itself touches on both sides: nothing can be left out.
         return sides.to_vec();
     }
     let mut kept: Vec<usize> = corners.into_iter().map(|(_, edge)| edge).collect();
@@ -413,10 +403,10 @@ mod tests {
     use zenav_protocol::grid::{GridSpec, Occupancy};
     use zenav_protocol::robot::Footprint;
 
-    const SIZE: FreePolygonSize = FreePolygonSize {
+    const SIZE: CorridorSettings = CorridorSettings {
         length: 2.0,
         reach: 1.0,
-        comfort: 0.2,
+        clearance: 0.2,
     };
     const RADIUS: f64 = 0.25;
 
@@ -435,10 +425,10 @@ mod tests {
 
     #[test]
     fn without_obstacles_a_room_is_a_rectangle_inside_the_map() {
-        let rooms = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(1.0, 1.0)], &SIZE);
-        assert_eq!(rooms.len(), 1);
-        assert_eq!(rooms[0].sides.len(), 4);
-        assert!(rooms[0].holds(Point2::new(1.9, 0.6), 0.0) && !rooms[0].holds(Point2::new(0.5, 0.4), 0.0));
+        let polygons = corridor(&space(&[], &[]), &[Point2::new(0.0, 1.0), Point2::new(1.0, 1.0)], &SIZE);
+        assert_eq!(polygons.len(), 1);
+        assert_eq!(polygons[0].sides.len(), 4);
+        assert!(polygons[0].holds(Point2::new(1.9, 0.6), 0.0) && !polygons[0].holds(Point2::new(0.5, 0.4), 0.0));
     }
 
     #[test]
@@ -460,16 +450,16 @@ mod tests {
         #[test]
         fn a_room_holds_its_piece_and_no_place_where_the_robot_collides(
             occupied in prop::collection::vec((0_u32..70, 0_u32..60), 0..60), unknown in prop::collection::vec((0_u32..70, 0_u32..60), 0..20),
-            a in (-1.0..6.0_f64, 0.5..6.5_f64), way in (-2.0..2.0_f64, -2.0..2.0_f64), inside in prop::collection::vec((0.0..1.0_f64, 0.0..1.0_f64), 200),
+            a in (-1.0..6.0_f64, 0.5..6.5_f64), path in (-2.0..2.0_f64, -2.0..2.0_f64), inside in prop::collection::vec((0.0..1.0_f64, 0.0..1.0_f64), 200),
         ) {
             let space = space(&occupied, &unknown);
-            let (a, b) = (Point2::new(a.0, a.1), Point2::new(a.0 + way.0, a.1 + way.1));
+            let (a, b) = (Point2::new(a.0, a.1), Point2::new(a.0 + path.0, a.1 + path.1));
             prop_assume!(super::super::shortcut::is_clear(&space, a, b, RADIUS + HAIR));
-            for room in corridor(&space, &[a, b], &SIZE) {
-                prop_assert!(room.holds(room.from, 1e-9) && room.holds(room.to, 1e-9));
+            for polygon in corridor(&space, &[a, b], &SIZE) {
+                prop_assert!(polygon.holds(polygon.from, 1e-9) && polygon.holds(polygon.to, 1e-9));
                 for (x, y) in &inside {
-                    let point = Point2::new(a.x.min(b.x) - 1.2 + x * (way.0.abs() + 2.4), a.y.min(b.y) - 1.2 + y * (way.1.abs() + 2.4));
-                    if room.holds(point, 0.0) {
+                    let point = Point2::new(a.x.min(b.x) - 1.2 + x * (path.0.abs() + 2.4), a.y.min(b.y) - 1.2 + y * (path.1.abs() + 2.4));
+                    if polygon.holds(point, 0.0) {
                         prop_assert!(space.clearance(point) > RADIUS && space.is_permitted(point), "{point}");
                     }
                 }

@@ -1,4 +1,4 @@
-//! What does a curve cost? The quadratic form of its length, curvature and change of curvature, over places and derivatives at its joints.
+//! Cost. What does a curve cost? The quadratic form of its length, curvature and change of curvature, over places and derivatives at its joints.
 
 use clarabel::algebra::CscMatrix;
 use nalgebra::{Matrix6, Vector6};
@@ -23,19 +23,19 @@ pub(super) fn controls(length: f64) -> [[(usize, usize, f64); 3]; 6] {
 }
 
 /// The cost's matrix (upper triangle).
-pub(super) fn cost(rooms: &[FreePolygon], turning_length: f64) -> CscMatrix<f64> {
+pub(super) fn cost(polygons: &[FreePolygon], turning_length: f64) -> CscMatrix<f64> {
     let units = unit_costs();
     let weights = [1.0, turning_length.powi(2), turning_length.powi(4)];
-    let block = |room: &FreePolygon| {
+    let block = |polygon: &FreePolygon| {
         // Derivatives by the share of the piece, not by its length: each order has the length once more.
-        let length = room.length;
+        let length = polygon.length;
         let scale = Vector6::new(1.0, length, length * length, 1.0, length, length * length);
         let weights = [0, 1, 2].map(|order| weights[order] * length.powi(-1 - 2 * order as i32));
         let sum = units[0] * weights[0] + units[1] * weights[1] + units[2] * weights[2];
         sum.component_mul(&(scale * scale.transpose()))
     };
-    let blocks: Vec<Matrix6<f64>> = rooms.iter().map(block).collect();
-    let variables = JOINT * (rooms.len() + 1);
+    let blocks: Vec<Matrix6<f64>> = polygons.iter().map(block).collect();
+    let variables = JOINT * (polygons.len() + 1);
     let (mut starts, mut indices, mut values) = (vec![0], Vec::new(), Vec::new());
     for variable in 0..variables {
         let (joint, order, axis) = (variable / JOINT, variable % JOINT / 2, variable % 2);

@@ -1,4 +1,4 @@
-//! Where does a curve run? Bezier pieces of degree five, one after the other, and samples along them.
+//! Bezier curve. Where does a curve run? Bezier pieces of degree five, one after the other, and samples along them.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::wrap_angle;
@@ -32,7 +32,7 @@ pub enum CurveError {
 #[derive(Clone, Debug)]
 pub struct Sampled {
     /// The samples.
-    pub path: GeometricPath,
+    pub geometry: GeometricPath,
     /// The last sample of each piece.
     pub ends: Vec<usize>,
 }
@@ -85,8 +85,8 @@ impl Curve {
             }
             ends.push(points.len() - 1);
         }
-        let path = GeometricPath::new(points).ok_or(CurveError::Cusp)?;
-        Ok(Sampled { path, ends })
+        let geometry = GeometricPath::new(points).ok_or(CurveError::Cusp)?;
+        Ok(Sampled { geometry, ends })
     }
 }
 
@@ -179,7 +179,7 @@ mod tests {
         second.reverse();
         let curve = Curve::new(vec![first, second], String::new(), 0, 0.0);
         let sampled = curve.sampled(0.02).unwrap();
-        let points = sampled.path.points();
+        let points = sampled.geometry.points();
         assert_eq!(sampled.ends[1], points.len() - 1);
         let end = points[sampled.ends[0]];
         assert!((Point2::new(end.x, end.y) - first[5]).norm() < 1e-4);

@@ -1,13 +1,13 @@
-//! Which curve through a corridor bends least? Bezier pieces of degree five whose control points lie in their rooms.
+//! Curve fitting. Which curve through a corridor bends least? Bezier pieces of degree five whose control points lie in their polygons.
 //!
-//! With `p`, `v`, `a` (place, first and second derivative by a parameter that runs as fast as the way's length) at every joint, a piece of
+//! With `p`, `v`, `a` (place, first and second derivative by a parameter that runs as fast as the path's length) at every joint, a piece of
 //! length `T` has the control points `p`, `p + vT/5`, `p + 2vT/5 + aT²/20` and the same from its end: joints are C² by construction. The
 //! curve minimises `∫ |p'|² + l² |p''|² + l⁴ |p'''|²` (length, curvature, change of curvature; `l` is the length over which the robot
-//! likes to turn) under `normal · control <= offset` for every side of the piece's room. A Bezier curve lies in the convex hull of its
-//! control points, so it does not leave the room. The way itself is always such a curve.
+//! likes to turn) under `normal · control <= offset` for every side of the piece's polygon. A Bezier curve lies in the convex hull of its
+//! control points, so it does not leave the polygon. The path itself is always such a curve.
 //!
 //! The quadratic program is solved by the interior point method of Clarabel. Of some two thousand sides and control points fewer than a
-//! tenth matter in the end: only those near the way are asked for at first, then those that the curve has crossed.
+//! tenth matter in the end: only those near the path are asked for at first, then those that the curve has crossed.
 //!
 //! Sources: Gao, Wu, Lin and Shen, "Online Safe Trajectory Generation for Quadrotors Using Fast Marching Method and Bernstein Basis
 //! Polynomial", ICRA 2018; Goulart and Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024;
@@ -41,19 +41,24 @@ pub struct Ends {
     pub end: Option<EndTangent>,
 }
 
-/// Sides this near to the way are asked for at first, in turning lengths.
+/// Sides this near to the path are asked for at first, in turning lengths.
 const NEAR: f64 = 2.0;
-/// A control point may lie so far outside of its room, m: a fifth of the hair that rooms keep.
+/// A control point may lie so far outside of its polygon, m: a fifth of the hair that polygons keep.
 const OUTSIDE: f64 = 1e-4;
 /// Solutions with some of the sides only; then all are asked for.
 const ROUNDS: usize = 4;
 
-/// The best curve through rooms, from the first room's `from` to the last one's `to`. `turning_length` in m, `max_iterations` of the solver.
+/// The best curve through polygons, from the first polygon's `from` to the last one's `to`. `turning_length` in m, `max_iterations` of the solver.
 ///
 /// # Errors
-/// [`CurveError::Solver`]: the rooms do not admit the ends' tangents, or the solver failed.
-pub fn fit(rooms: &[FreePolygon], ends: &Ends, turning_length: f64, max_iterations: u32) -> Result<Curve, CurveError> {
-    let program = Program::new(rooms, ends, turning_length)?;
+/// [`CurveError::Solver`]: the polygons do not admit the ends' tangents, or the solver failed.
+pub fn fit(
+    polygons: &[FreePolygon],
+    ends: &Ends,
+    turning_length: f64,
+    max_iterations: u32,
+) -> Result<Curve, CurveError> {
+    let program = Program::new(polygons, ends, turning_length)?;
     let mut asked = program.near(NEAR * turning_length);
     let mut iterations = 0;
     for _ in 0..ROUNDS {
@@ -103,12 +108,12 @@ impl Row {
 
 /// The quadratic program. Places are relative to the first one.
 struct Program<'a> {
-    rooms: &'a [FreePolygon],
+    polygons: &'a [FreePolygon],
     origin: Point2<f64>,
     cost: CscMatrix<f64>,
     /// What holds exactly: both ends.
     given: Vec<Row>,
-    /// What holds at most: every control point of a piece, but for the ends, on every side of its room.
+    /// What holds at most: every control point of a piece, but for the ends, on every side of its polygon.
     walls: Vec<Row>,
 }
 
@@ -126,12 +131,12 @@ impl Solved {
 }
 
 impl<'a> Program<'a> {
-    fn new(rooms: &'a [FreePolygon], ends: &Ends, turning_length: f64) -> Result<Self, CurveError> {
-        let (Some(first), Some(last)) = (rooms.first(), rooms.last()) else {
-            return Err(CurveError::Solver("no rooms".to_owned()));
+    fn new(polygons: &'a [FreePolygon], ends: &Ends, turning_length: f64) -> Result<Self, CurveError> {
+        let (Some(first), Some(last)) = (polygons.first(), polygons.last()) else {
+            return Err(CurveError::Solver("no polygons".to_owned()));
         };
         let origin = first.from;
-        let end = JOINT * rooms.len();
+        let end = JOINT * polygons.len();
         let mut given = Vec::new();
         for (joint, place, tangent) in [(0, first.from, ends.start), (end, last.to, ends.end)] {
             let place = place - origin;
@@ -148,10 +153,10 @@ impl<'a> Program<'a> {
             }
         }
         let mut walls = Vec::new();
-        for (i, room) in rooms.iter().enumerate() {
-            for side in &room.sides {
+        for (i, polygon) in polygons.iter().enumerate() {
+            for side in &polygon.sides {
                 let bound = side.offset - side.normal.dot(&origin.coords);
-                for control in &controls(room.length)[inner(i, rooms.len())] {
+                for control in &controls(polygon.length)[inner(i, polygons.len())] {
                     let mut terms = [(0, 0.0); 6];
                     for (slot, (joint, order, factor)) in control.iter().enumerate() {
                         let variable = JOINT * (i + joint) + 2 * order;
@@ -163,22 +168,22 @@ impl<'a> Program<'a> {
             }
         }
         Ok(Self {
-            rooms,
+            polygons,
             origin,
-            cost: cost(rooms, turning_length),
+            cost: cost(polygons, turning_length),
             given,
             walls,
         })
     }
 
-    /// Which walls are nearer than `near` (m) to where their control points would lie on the way itself.
+    /// Which walls are nearer than `near` (m) to where their control points would lie on the path itself.
     fn near(&self, near: f64) -> Vec<bool> {
         let mut asked = Vec::with_capacity(self.walls.len());
-        for (i, room) in self.rooms.iter().enumerate() {
-            for side in &room.sides {
-                let [from, to] = [room.from, room.to].map(|p| side.depth(p));
+        for (i, polygon) in self.polygons.iter().enumerate() {
+            for side in &polygon.sides {
+                let [from, to] = [polygon.from, polygon.to].map(|p| side.depth(p));
                 let depth = |control: usize| from + (to - from) * control as f64 / 5.0;
-                asked.extend(inner(i, self.rooms.len()).map(|control| depth(control) < near));
+                asked.extend(inner(i, self.polygons.len()).map(|control| depth(control) < near));
             }
         }
         asked
@@ -237,17 +242,17 @@ impl<'a> Program<'a> {
         }
 
         let vector = |variable: usize| Vector2::new(solved.x[variable], solved.x[variable + 1]);
-        let piece = |(i, room): (usize, &FreePolygon)| {
-            controls(room.length).map(|control| {
+        let piece = |(i, polygon): (usize, &FreePolygon)| {
+            controls(polygon.length).map(|control| {
                 control.iter().fold(self.origin, |sum, (joint, order, factor)| {
                     sum + vector(JOINT * (i + joint) + 2 * order) * *factor
                 })
             })
         };
-        let mut pieces: Vec<[Point2<f64>; 6]> = self.rooms.iter().enumerate().map(piece).collect();
+        let mut pieces: Vec<[Point2<f64>; 6]> = self.polygons.iter().enumerate().map(piece).collect();
         let last = pieces.len() - 1;
         pieces[0][0] = self.origin;
-        pieces[last][5] = self.rooms[last].to;
+        pieces[last][5] = self.polygons[last].to;
         Curve::new(pieces, format!("{:?}", solved.status), iterations, solved.gap)
     }
 }
@@ -341,25 +346,34 @@ mod tests {
             50,
         )
         .unwrap();
-        let path = curve.sampled(0.02).unwrap().path;
-        assert!((path.length() - 3.0).abs() < 1e-6);
-        assert!(path.points().iter().all(|p| p.y.abs() < 1e-6 && p.k.abs() < 1e-4));
+        let geometry = curve.sampled(0.02).unwrap().geometry;
+        assert!((geometry.length() - 3.0).abs() < 1e-6);
+        assert!(geometry.points().iter().all(|p| p.y.abs() < 1e-6 && p.k.abs() < 1e-4));
     }
 
     #[test]
     fn around_a_corner_the_curve_stays_in_its_rooms_and_its_curvature_is_continuous() {
-        let rooms = corner();
-        let path = fit(&rooms, &Ends::default(), 0.5, 50)
+        let polygons = corner();
+        let geometry = fit(&polygons, &Ends::default(), 0.5, 50)
             .unwrap()
             .sampled(0.01)
             .unwrap()
-            .path;
-        for p in path.points() {
-            assert!(rooms.iter().any(|room| room.holds(Point2::new(p.x, p.y), 2e-4)));
+            .geometry;
+        for p in geometry.points() {
+            assert!(
+                polygons
+                    .iter()
+                    .any(|polygon| polygon.holds(Point2::new(p.x, p.y), 2e-4))
+            );
         }
-        assert!(path.points().windows(2).all(|pair| (pair[1].k - pair[0].k).abs() < 0.3));
-        assert!(path.length() < 6.0, "corners are cut");
-        for pair in path.points().windows(2) {
+        assert!(
+            geometry
+                .points()
+                .windows(2)
+                .all(|pair| (pair[1].k - pair[0].k).abs() < 0.3)
+        );
+        assert!(geometry.length() < 6.0, "corners are cut");
+        for pair in geometry.points().windows(2) {
             let chord = (pair[1].x - pair[0].x).hypot(pair[1].y - pair[0].y);
             assert!((pair[1].s - pair[0].s - chord).abs() < 1e-4 * chord);
         }
@@ -376,7 +390,7 @@ mod tests {
             direction: Vector2::new(-sin, cos),
             curvature: None,
         };
-        let path = fit(
+        let geometry = fit(
             &corner(),
             &Ends {
                 start: Some(start),
@@ -388,8 +402,8 @@ mod tests {
         .unwrap()
         .sampled(0.01)
         .unwrap()
-        .path;
-        let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
+        .geometry;
+        let (first, last) = (geometry.points()[0], geometry.points()[geometry.points().len() - 1]);
         assert!((first.yaw - 0.2).abs() < 1e-6 && (first.k + 0.4).abs() < 1e-4);
         assert!((last.yaw - 0.2 - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
         assert_eq!((last.x, last.y), (3.0, 3.0));

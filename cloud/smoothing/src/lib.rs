@@ -1,33 +1,78 @@
-//! What does the robot really drive? A smooth curve through the free space around a way, with a time law.
+//! Trajectory smoothing. Which collision-free trajectory does a path become, within the limits of a differential drive?
+//!
+//! # The problem
+//!
+//! Given corner points `q₀ … qₙ` in a configuration space, a pose and velocity at the start, and the limits of a drive with half the wheel
+//! separation `h`; wanted is a curve `p(s)` with curvature `k(s)`, and a time law `s(t)`, to rest at `qₙ`. It is solved in three phases,
+//! timed under these names:
+//!
+//! 1. **corridor**: cut needless corners; around each piece `i` of what is left a convex polygon `Aᵢ x ≤ bᵢ` that is free for the
+//!    robot's centre ([`corridor()`]).
+//! 2. **geometry**: quintic Bezier curves, C² where they meet, with control points `c`:
+//!
+//!    ```text
+//!    minimise   ∫ |p'|² + l² |p''|² + l⁴ |p'''|²      over p, p', p'' at the joints
+//!    subject to Aᵢ c ≤ bᵢ for each control point of piece i;   p, p' (and k) as given at both ends
+//!    ```
+//!
+//!    a sparse convex quadratic programme ([`fit()`]). A curve lies in the convex hull of its control points: it does not leave the
+//!    corridor. A long robot's footprint is swept along the curve, and the polygons that it leaves are tightened for its headings.
+//! 3. **timing**: with `b = v²` the limits are linear in `b` and `a = b'/2`:
+//!
+//!    ```text
+//!    minimise   ∫ b^(-1/2) ds
+//!    subject to v (1 ± k h) ≤ v_wheel,   |a (1 ± k h) ± h k' b| ≤ a_wheel,   |k| b ≤ a_lateral,   |k| v ≤ w_max
+//!    ```
+//!
+//!    two sweeps are exact for the samples ([`timing::sweep`]); with a limit of the jerk `|a'| √b ≤ J` a few quadratic programmes follow
+//!    ([`timing::jerk`]); for the least energy a search over two limits ([`timing::economy`]).
+//!
+//! What comes out is checked by other means ([`certificate`]): the footprint swept along the trajectory, and the largest use of each
+//! limit. Where a phase fails, the path itself goes out as stop, turn and go ([`timing::stop_turn_go`]); [`Outcome`] says why.
+//!
+//! # Use
+//!
+//! [`smooth()`] does all of it; [`unsmoothed()`] only the last resort. `cargo run -p zenav-smoothing --example around_a_corner` prints a
+//! trajectory and its certificate.
 //!
 //! | file | answers |
 //! |---|---|
-//! | [`shortcut`] | which corners of a way are needed? |
-//! | [`corridor`] | how much room is there around it? |
-//! | [`fit`] | which curve through that room bends least? |
-//! | `cost` | what does a curve cost? |
+//! | `smoother` | which trajectory does a path become? |
+//! | [`mod@shortcut`] | which corners of a path are needed? |
+//! | [`mod@corridor`] | how much room is there around it? |
+//! | [`mod@fit`], `cost` | which curve through that room bends least, and what does a curve cost? |
 //! | [`curve`] | where does a curve run? |
 //! | `segment` | which curve leads from one stop to the next, for the true footprint? |
 //! | `trajectory_builder` | where does the robot brake, stop and turn, and on which curves does it go between? |
-//! | [`certificate`] | is the motion free? |
-//! | [`smoother`] | which trajectory does a way become? |
-//! | [`mod@unsmoothed`] | what goes out where nobody smooths? |
 //! | [`timing`] | when is the robot where? |
+//! | [`certificate`] | is the trajectory free, and within the limits? |
+//! | `unsmoothed` | what goes out where nobody smooths? |
+//! | `settings`, `outcome`, `phases` | what can be tuned, what came out, how long did it take? |
 
 pub mod certificate;
 pub mod corridor;
 mod cost;
 pub mod curve;
 pub mod fit;
+mod outcome;
+mod phases;
 mod segment;
+mod settings;
 pub mod shortcut;
-pub mod smoother;
+mod smoother;
 pub mod timing;
 mod trajectory_builder;
-pub mod unsmoothed;
+mod unsmoothed;
 
 #[cfg(test)]
 mod tests;
 
-pub use smoother::{PERIOD, SmoothQuery, SmoothSettings, Smoothed, smooth};
+pub use corridor::{FreePolygon, HalfPlane, corridor};
+pub use curve::{Curve, CurveError};
+pub use fit::{EndTangent, Ends, fit};
+pub use outcome::{Fallback, Outcome};
+pub use settings::{CorridorSettings, SmoothingSettings, StopSettings};
+pub use shortcut::shortcut;
+pub use smoother::{SAMPLE_PERIOD, SmoothQuery, Smoothed, smooth};
+pub use timing::{GeometricPath, Limits, PiecewiseTrajectory, TimeLaw};
 pub use unsmoothed::unsmoothed;

@@ -1,7 +1,7 @@
-//! Which curve leads from one stop to the next? The best one through the corridor, which is tightened where the true footprint does not fit.
+//! Segment. Which curve leads from one stop to the next? The best one through the corridor, which is tightened where the true footprint does not fit.
 //!
-//! A disc needs no more than its rooms. What a longer robot needs depends on its heading, which nobody knows before there is a curve: rooms
-//! are first made for headings near each piece's own; the footprint is then swept along the curve, and where it touches something the room
+//! A disc needs no more than its polygons. What a longer robot needs depends on its heading, which nobody knows before there is a curve: polygons
+//! are first made for headings near each piece's own; the footprint is then swept along the curve, and where it touches something the polygon
 //! is made anew for the headings that it had there.
 
 use std::f64::consts::FRAC_PI_2;
@@ -10,19 +10,20 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::robot::Footprint;
 
-use super::corridor::{FreePolygon, SPREAD, corridor, room};
+use super::corridor::{FreePolygon, SPREAD, corridor, free_polygon};
 use super::curve::{Curve, CurveError, Sampled};
 use super::fit::{Ends, fit};
-use super::smoother::{SmoothSettings, Times};
+use super::phases::Phases;
+use super::settings::SmoothingSettings;
 use super::timing::GeometricPath;
 use zenav_space::ConfigurationSpace;
 
 /// A curve that is free all along.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
-    pub(super) path: GeometricPath,
-    pub(super) rooms: Vec<FreePolygon>,
-    /// The curve; none where the way is one straight line.
+    pub(super) geometry: GeometricPath,
+    pub(super) polygons: Vec<FreePolygon>,
+    /// The curve; none where the path is one straight line.
     pub(super) curve: Option<Curve>,
 }
 
@@ -33,38 +34,47 @@ pub(super) enum NoSegment {
     Curve(CurveError),
     /// The footprint touches something at these places, m.
     Collides(Vec<Point2<f64>>),
+    /// Time was up.
+    TimedOut,
 }
 
 /// Times that a corridor is tightened.
 const TIGHTENED: usize = 5;
-/// A room is made for headings so much farther off than those that the curve had, rad, and for so many times more than before.
+/// A polygon is made for headings so much farther off than those that the curve had, rad, and for so many times more than before.
 const MARGIN: f64 = 0.05;
 const GROWTH: f64 = 1.5;
 
-/// The curve along a way (corner points) between two ends.
+/// The curve along a path (corner points) between two ends.
 pub(super) fn segment(
     space: &ConfigurationSpace,
-    way: &[Point2<f64>],
+    path: &[Point2<f64>],
     ends: &Ends,
-    settings: &SmoothSettings,
-    times: &mut Times<'_>,
+    settings: &SmoothingSettings,
+    phases: &mut Phases<'_>,
 ) -> Result<Segment, NoSegment> {
-    if let Some(path) = straight(way, ends, settings.step) {
-        let (rooms, curve) = (Vec::new(), None);
-        return Ok(Segment { path, rooms, curve });
+    if let Some(geometry) = straight(path, ends, settings.step) {
+        let (polygons, curve) = (Vec::new(), None);
+        return Ok(Segment {
+            geometry,
+            polygons,
+            curve,
+        });
     }
     let is_long = matches!(space.footprint(), Footprint::Polygon(_));
-    let mut rooms = times.measure(|t| &mut t.corridor, || corridor(space, way, &settings.rooms));
-    let mut spreads = vec![SPREAD; rooms.len()];
+    let mut polygons = phases.measure(|p| &mut p.corridor, || corridor(space, path, &settings.corridor));
+    let mut spreads = vec![SPREAD; polygons.len()];
     let mut places = Vec::new();
     for _ in 0..=TIGHTENED {
-        let fitted = times.measure(
-            |t| &mut t.geometry,
+        if phases.is_over() {
+            return Err(NoSegment::TimedOut);
+        }
+        let fitted = phases.measure(
+            |p| &mut p.geometry,
             || {
-                let curve = fit(&rooms, ends, settings.turning_length, settings.max_iterations)?;
+                let curve = fit(&polygons, ends, settings.turning_length, settings.max_iterations)?;
                 let sampled = curve.sampled(settings.step)?;
                 let hits = if is_long {
-                    collisions(space, &sampled.path)
+                    collisions(space, &sampled.geometry)
                 } else {
                     Vec::new()
                 };
@@ -77,25 +87,29 @@ pub(super) fn segment(
             Err(_) => break,
         };
         if hits.is_empty() {
-            let (path, curve) = (sampled.path, Some(curve));
-            return Ok(Segment { path, rooms, curve });
+            let (geometry, curve) = (sampled.geometry, Some(curve));
+            return Ok(Segment {
+                geometry,
+                polygons,
+                curve,
+            });
         }
-        let points = sampled.path.points();
+        let points = sampled.geometry.points();
         places = hits
             .iter()
             .map(|hit| Point2::new(points[*hit].x, points[*hit].y))
             .collect();
-        let widened = widen(&mut spreads, &rooms, &sampled, &hits);
-        let tightened = times.measure(
-            |t| &mut t.corridor,
+        let widened = widen(&mut spreads, &polygons, &sampled, &hits);
+        let tightened = phases.measure(
+            |p| &mut p.corridor,
             || {
                 let mut tightened = false;
                 for i in widened {
-                    let (from, to) = (rooms[i].from, rooms[i].to);
-                    let tight = room(space, from, to, &settings.rooms, spreads[i]);
+                    let (from, to) = (polygons[i].from, polygons[i].to);
+                    let tight = free_polygon(space, from, to, &settings.corridor, spreads[i]);
                     if tight.holds(from, 1e-6) && tight.holds(to, 1e-6) {
-                        tightened |= tight.sides != rooms[i].sides;
-                        rooms[i].sides = tight.sides;
+                        tightened |= tight.sides != polygons[i].sides;
+                        polygons[i].sides = tight.sides;
                     }
                 }
                 tightened
@@ -109,8 +123,8 @@ pub(super) fn segment(
 }
 
 /// One straight line, where that is what the ends ask for.
-fn straight(way: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPath> {
-    let [from, to] = way else { return None };
+fn straight(path: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPath> {
+    let [from, to] = path else { return None };
     let along = to - from;
     let admits = [ends.start, ends.end]
         .into_iter()
@@ -120,28 +134,28 @@ fn straight(way: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPath
 }
 
 /// Samples after which the footprint touches something before the next one.
-fn collisions(space: &ConfigurationSpace, path: &GeometricPath) -> Vec<usize> {
+fn collisions(space: &ConfigurationSpace, geometry: &GeometricPath) -> Vec<usize> {
     let pose = |i: usize| {
-        let point = path.points()[i];
+        let point = geometry.points()[i];
         Pose2 {
             x: point.x,
             y: point.y,
             yaw: point.yaw,
         }
     };
-    (0..path.points().len() - 1)
+    (0..geometry.points().len() - 1)
         .filter(|i| !space.motion_is_free(pose(*i), pose(i + 1)))
         .collect()
 }
 
-/// Notes for which headings rooms are to be made; says which rooms change.
-fn widen(spreads: &mut [f64], rooms: &[FreePolygon], sampled: &Sampled, hits: &[usize]) -> Vec<usize> {
+/// Notes for which headings polygons are to be made; says which polygons change.
+fn widen(spreads: &mut [f64], polygons: &[FreePolygon], sampled: &Sampled, hits: &[usize]) -> Vec<usize> {
     let before = spreads.to_vec();
     for hit in hits {
-        let i = sampled.ends.partition_point(|end| *end <= *hit).min(rooms.len() - 1);
+        let i = sampled.ends.partition_point(|end| *end <= *hit).min(polygons.len() - 1);
         let off = [*hit, hit + 1].map(|sample| {
-            let yaw = sampled.path.points()[sample].yaw;
-            wrap_angle(yaw - rooms[i].heading()).abs()
+            let yaw = sampled.geometry.points()[sample].yaw;
+            wrap_angle(yaw - polygons[i].heading()).abs()
         });
         let wider = (off[0].max(off[1]) + MARGIN).max(before[i] * GROWTH);
         spreads[i] = spreads[i].max(wider.min(FRAC_PI_2));
@@ -179,16 +193,16 @@ mod tests {
         let outline = [(-0.6, -0.15), (0.2, -0.15), (0.2, 0.15), (-0.6, 0.15)];
         let corners = outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
         let space = ConfigurationSpace::new(&grid, &Footprint::Polygon(corners), UnknownPolicy::Blocked, 0.0);
-        let way = [Point2::new(0.8, 1.6), Point2::new(2.3, 1.6), Point2::new(2.3, 3.5)];
-        let (settings, mut clock) = (SmoothSettings::default(), || 0.0);
-        let mut times = Times::new(&mut clock);
-        let loose = fit(&corridor(&space, &way, &settings.rooms), &Ends::default(), 0.25, 50).unwrap();
+        let path = [Point2::new(0.8, 1.6), Point2::new(2.3, 1.6), Point2::new(2.3, 3.5)];
+        let (settings, mut clock) = (SmoothingSettings::default(), || 0.0);
+        let mut phases = Phases::new(&mut clock, None);
+        let loose = fit(&corridor(&space, &path, &settings.corridor), &Ends::default(), 0.25, 50).unwrap();
         let loose = loose.sampled(settings.step).unwrap();
-        let found = segment(&space, &way, &Ends::default(), &settings, &mut times).unwrap();
+        let found = segment(&space, &path, &Ends::default(), &settings, &mut phases).unwrap();
         assert!(
-            !collisions(&space, &loose.path).is_empty(),
+            !collisions(&space, &loose.geometry).is_empty(),
             "it takes the true footprint to tell"
         );
-        assert!(collisions(&space, &found.path).is_empty());
+        assert!(collisions(&space, &found.geometry).is_empty());
     }
 }

@@ -1,17 +1,19 @@
-//! Which corners of a way are needed? Straight cuts across it, each as far from obstacles as what it replaces.
+//! Shortcut. Which corners of a path are needed? Straight cuts across it, each as far from obstacles as what it replaces.
 //!
 //! A search on a grid knows eight directions; a robot knows all. A cut is made where the robot's true shape fits along it, and where it is
-//! not led closer to obstacles than the way itself went, up to a comfortable distance: what the search paid for is kept. A robot that is
+//! not led closer to obstacles than the path itself went, up to a clearance: what the search paid for is kept. A robot that is
 //! longer than wide must be able to turn at both ends of a cut.
+
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
 use zenav_protocol::robot::Footprint;
 
 use zenav_space::ConfigurationSpace;
 
-/// Points at which a way may be cut, at most this far from one another, m.
+/// Points at which a path may be cut, at most this far from one another, m.
 const SPACING: f64 = 0.75;
-/// Times that the cut way is cut again.
+/// Times that the cut path is cut again.
 const PASSES: usize = 2;
 /// Kept clear on top of the robot's own shape, m: the rounding of whatever comes later stays free.
 pub const HAIR: f64 = 5e-4;
@@ -36,25 +38,38 @@ pub fn has_leg(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, kept:
     fits && space.is_permitted_between(a, b)
 }
 
-/// The way with fewer corners; its ends stay. `comfort` (m) is what may be asked for beyond the robot's shape; `heading` (rad) is where the
+/// The path with fewer corners; its ends stay. Once `cancel` is set it stays as it is. `comfort` (m) is what may be asked for beyond the robot's shape; `heading` (rad) is where the
 /// robot stands at first, where that matters.
 #[must_use]
 pub fn shortcut(
     space: &ConfigurationSpace,
-    way: &[Point2<f64>],
-    comfort: f64,
+    path: &[Point2<f64>],
+    clearance: f64,
     heading: Option<f64>,
+    cancel: Option<&AtomicBool>,
 ) -> Vec<Point2<f64>> {
-    let mut way = way.to_vec();
+    let is_over = || cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed));
+    let mut path = path.to_vec();
     for _ in 0..PASSES {
-        way = pass(space, &way, comfort, heading);
+        if is_over() {
+            break;
+        }
+        let cut = pass(space, &path, clearance, heading, &is_over);
+        path = cut.unwrap_or(path);
     }
-    way
+    path
 }
 
-fn pass(space: &ConfigurationSpace, way: &[Point2<f64>], comfort: f64, heading: Option<f64>) -> Vec<Point2<f64>> {
-    let wanted = HAIR + comfort.max(0.0);
-    let (points, clearances) = spaced(space, way, wanted);
+/// The path cut once; `None` when time is up.
+fn pass(
+    space: &ConfigurationSpace,
+    path: &[Point2<f64>],
+    clearance: f64,
+    heading: Option<f64>,
+    is_over: &dyn Fn() -> bool,
+) -> Option<Vec<Point2<f64>>> {
+    let wanted = HAIR + clearance.max(0.0);
+    let (points, clearances) = spaced(space, path, wanted);
     let is_long = matches!(space.footprint(), Footprint::Polygon(_));
     let mut heading = heading.filter(|_| is_long);
     let direction = |from: usize, to: usize| {
@@ -64,9 +79,12 @@ fn pass(space: &ConfigurationSpace, way: &[Point2<f64>], comfort: f64, heading: 
     let mut cut = Vec::new();
     let mut at = 0;
     while let Some(from) = points.get(at) {
+        if is_over() {
+            return None;
+        }
         cut.push(*from);
         let last = points.len() - 1;
-        // At both ends a robot that is longer than wide turns: from where it comes, and to where the way goes on.
+        // At both ends a robot that is longer than wide turns: from where it comes, and to where the path goes on.
         let turns = |to: usize| {
             let along = direction(at, to);
             let goes_on = to == last || space.turn_is_free(points[to], along, direction(to, to + 1));
@@ -92,14 +110,14 @@ fn pass(space: &ConfigurationSpace, way: &[Point2<f64>], comfort: f64, heading: 
         }
         at = seen;
     }
-    cut
+    Some(cut)
 }
 
-/// The way's corners and points between them, and the clearance of each leg beyond the robot's shape (m, at most `wanted`).
-fn spaced(space: &ConfigurationSpace, way: &[Point2<f64>], wanted: f64) -> (Vec<Point2<f64>>, Vec<f64>) {
-    let mut points: Vec<Point2<f64>> = way.first().copied().into_iter().collect();
+/// The path's corners and points between them, and the clearance of each leg beyond the robot's shape (m, at most `wanted`).
+fn spaced(space: &ConfigurationSpace, path: &[Point2<f64>], wanted: f64) -> (Vec<Point2<f64>>, Vec<f64>) {
+    let mut points: Vec<Point2<f64>> = path.first().copied().into_iter().collect();
     let mut clearances = Vec::new();
-    for pair in way.windows(2) {
+    for pair in path.windows(2) {
         let leg = pair[1] - pair[0];
         let pieces = (leg.norm() / SPACING).ceil().clamp(1.0, 1e5) as usize;
         let mut from = pair[0];
@@ -138,29 +156,29 @@ mod tests {
             .flat_map(|i| [(i, i), (i + 1, i)])
             .map(|(x, y)| Point2::new(1.0 + 0.1 * f64::from(x), 1.0 + 0.1 * f64::from(y)))
             .collect();
-        assert_eq!(shortcut(&space(&[]), &stairs, 0.3, None), [stairs[0], stairs[39]]);
+        assert_eq!(shortcut(&space(&[]), &stairs, 0.3, None, None), [stairs[0], stairs[39]]);
     }
 
     #[test]
     fn a_cut_is_as_clear_as_what_it_replaces() {
         let space = space(&[(30, 30)]);
         let wide = [Point2::new(1.0, 3.0), Point2::new(3.0, 4.5), Point2::new(5.0, 3.0)];
-        let least = |way: &[Point2<f64>]| {
-            way.windows(2)
+        let least = |path: &[Point2<f64>]| {
+            path.windows(2)
                 .map(|pair| space.segment_clearance(pair[0], pair[1]))
                 .fold(f64::INFINITY, f64::min)
         };
-        let comfortable = shortcut(&space, &wide, 0.4, None);
+        let comfortable = shortcut(&space, &wide, 0.4, None, None);
         assert!(least(&comfortable) >= 0.7 && comfortable.len() >= 3);
-        let short = shortcut(&space, &wide, 0.0, None);
+        let short = shortcut(&space, &wide, 0.0, None, None);
         assert!(least(&short) > 0.3 && least(&short) < 0.7);
     }
 
     #[test]
     fn nothing_much_stays_nothing_much() {
-        assert!(shortcut(&space(&[]), &[], 0.3, None).is_empty());
+        assert!(shortcut(&space(&[]), &[], 0.3, None, None).is_empty());
         assert_eq!(
-            shortcut(&space(&[]), &[Point2::origin()], 0.3, None),
+            shortcut(&space(&[]), &[Point2::origin()], 0.3, None, None),
             [Point2::origin()]
         );
     }

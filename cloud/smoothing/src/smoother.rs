@@ -1,183 +1,173 @@
-//! Which trajectory does a way become? Shortcut, corridor, curve, time law, check; and what is always safe where that fails.
+//! Smoother. Which trajectory does a path become? Shortcut, corridor, curve, time law, check; and what is always safe where that fails.
 //!
-//! A smoother never fails a plan: the unsmoothed way goes out with a safe time law, and says why (`fallback:REASON`). It knows no clock:
-//! times come from the one it is given, and nothing but the statistics depends on them.
+//! Smoothing never fails a plan: the unsmoothed path goes out with a safe time law, and says why ([`Fallback`]). It knows no time: a clock
+//! for the statistics and a flag that ends it early are the caller's.
+
+use std::sync::atomic::AtomicBool;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{DrivingProfile, PlanStatistics};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::trajectory::Trajectory;
-
-use super::certificate::certify;
-use super::corridor::FreePolygonSize;
-use super::shortcut::{is_clear, shortcut};
-use super::timing::economy::economical;
-use super::timing::legs::corners_from;
-use super::timing::{Limits, Motion, UNRESTRICTED};
-use super::trajectory_builder::{Checked, TrajectoryBuilder};
 use zenav_space::ConfigurationSpace;
 
-/// Time between two points of a trajectory that goes out, s.
-pub const PERIOD: f64 = 0.05;
+use super::certificate::certify;
+use super::outcome::{Fallback, Outcome};
+use super::phases::Phases;
+use super::settings::SmoothingSettings;
+use super::shortcut::{is_clear, shortcut};
+use super::timing::economy::economical;
+use super::timing::stop_turn_go::corners_from;
+use super::timing::{Limits, PiecewiseTrajectory, UNRESTRICTED};
+use super::trajectory_builder::{Checked, TrajectoryBuilder};
 
-/// What is asked of a smoother.
+/// Time between two points of a trajectory that goes out, s.
+pub const SAMPLE_PERIOD: f64 = 0.05;
+
+/// What is to be smoothed.
 #[derive(Clone, Copy, Debug)]
 pub struct SmoothQuery<'a> {
-    /// The way: corner points, map frame, the start included or not.
-    pub way: &'a [Point2<f64>],
-    /// Pose at the start.
+    /// Corner points, map frame, m; the start included or not.
+    pub path: &'a [Point2<f64>],
+    /// Pose at the start, map frame.
     pub start: Pose2,
     /// Velocity at the start.
     pub start_velocity: Twist2,
-    /// Heading wanted at the end.
+    /// Heading wanted at the end, rad; the path's own without.
     pub goal_yaw: Option<f64>,
-}
-
-/// How a smoother works.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SmoothSettings {
-    /// Size of the corridor's rooms.
-    pub rooms: FreePolygonSize,
-    /// Length over which the robot likes to turn, m.
-    pub turning_length: f64,
-    /// Distance between samples of the curve, m.
-    pub step: f64,
-    /// The solver's iterations, at most.
-    pub max_iterations: u32,
-    /// What the time law is to be good at.
+    /// What the trajectory is to be good at.
     pub profile: DrivingProfile,
-}
-
-impl Default for SmoothSettings {
-    fn default() -> Self {
-        Self {
-            rooms: FreePolygonSize {
-                length: 1.5,
-                reach: 1.0,
-                comfort: 0.3,
-            },
-            turning_length: 0.25,
-            step: 0.02,
-            max_iterations: 60,
-            profile: DrivingProfile::default(),
-        }
-    }
 }
 
 /// A trajectory and how it came about.
 #[derive(Clone, Debug, Default)]
 pub struct Smoothed {
-    /// The motion; empty when there is nothing to drive, and when the way itself is blocked.
-    pub motion: Motion,
-    /// `status`, `solver`, times of the phases, length, duration, least clearance; planner and search are the caller's.
+    /// What came out.
+    pub outcome: Outcome,
+    /// In closed form; empty when there is nothing to drive, and when the path itself is blocked.
+    pub trajectory: PiecewiseTrajectory,
+    /// The outcome as `status`, the solver's, times of the phases, length, duration, least clearance, certificate; planner and search are
+    /// the caller's.
     pub statistics: PlanStatistics,
 }
 
 impl Smoothed {
-    /// Points at most `period` seconds apart.
+    /// Points at most `period` seconds apart, as they go to the robot.
     #[must_use]
-    pub fn trajectory(&self, period: f64) -> Trajectory {
-        self.motion.trajectory(period)
+    pub fn sampled(&self, period: f64) -> Trajectory {
+        self.trajectory.sampled(period)
     }
 
-    /// Whether the curve came out, rather than the unsmoothed way.
+    /// Whether the smooth curve came out, rather than the unsmoothed path.
     #[must_use]
     pub fn is_smooth(&self) -> bool {
-        self.statistics.status == SMOOTHED
+        self.outcome == Outcome::Smoothed
     }
 }
 
-/// Status of a trajectory along a curve.
-pub const SMOOTHED: &str = "smoothed";
-
-/// The trajectory along a way. Deterministic but for the times that `clock` (s) tells.
+/// The trajectory along a path, from the start's pose and velocity to rest at the path's end.
 ///
-/// `model` has the footprint that `space` was made for.
+/// `model` has the footprint that `space` was made for. `clock` (s) tells the times of the phases, and nothing else depends on it;
+/// once `cancel` is set the safe trajectory comes out soon. Deterministic but for these two.
+///
+/// Cost: some milliseconds, most of them in the quadratic programme, which is linear in the corridor's polygons.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// use zenav_protocol::messages::DrivingProfile;
+/// use zenav_protocol::robot::{RobotModel, shipped};
+/// use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
+/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// let grid = Grid::filled(spec, Occupancy::FREE);
+/// let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+/// let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
+/// let query = SmoothQuery {
+///     path: &[Point2::new(3.0, 1.0), Point2::new(3.0, 4.0)],
+///     start: Pose2::new(1.0, 1.0, 0.0),
+///     start_velocity: Twist2::ZERO,
+///     goal_yaw: None,
+///     profile: DrivingProfile::Fastest,
+/// };
+/// let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut || 0.0);
+/// assert!(smoothed.is_smooth());
+/// let trajectory = smoothed.sampled(SAMPLE_PERIOD);
+/// let end = trajectory.last().unwrap();
+/// assert!(end.v == 0.0 && (end.position() - Point2::new(3.0, 4.0)).norm() < 1e-6);
+/// assert!(trajectory.length() < 5.0, "the corner is cut");
+/// ```
 pub fn smooth(
     space: &ConfigurationSpace,
     query: &SmoothQuery<'_>,
     model: &RobotModel,
-    settings: &SmoothSettings,
+    settings: &SmoothingSettings,
+    cancel: Option<&AtomicBool>,
     clock: &mut dyn FnMut() -> f64,
 ) -> Smoothed {
     let limits = Limits::of(model);
-    let mut times = Times::new(clock);
-    let mut result = Smoothed::default();
-    let (checked, status) = match smoothed_or_safe(space, query, &limits, settings, &mut times) {
-        Ok(curve) => (Some(curve), SMOOTHED.to_owned()),
-        Err((reason, safe)) => (safe.map(|safe| *safe), format!("fallback:{reason}")),
+    let mut phases = Phases::new(clock, cancel);
+    let (checked, outcome) = match smoothed_or_safe(space, query, &limits, settings, &mut phases) {
+        Ok(curve) => (Some(curve), Outcome::Smoothed),
+        Err((reason, safe)) => (safe.map(|safe| *safe), Outcome::Unsmoothed(reason)),
     };
     let Checked {
-        motion,
+        trajectory,
         evidence,
         least,
     } = checked.unwrap_or_default();
-    let (motion, limits) = match settings.profile {
-        DrivingProfile::Fastest => (motion, limits),
-        DrivingProfile::Economy => times.measure(|t| &mut t.timing, || economical(motion, model, &limits)),
-    };
-    let (motion, jerk) = times.measure(|t| &mut t.timing, || motion.with_limited_jerk(&limits));
-    let solver = evidence.status();
-    let certificate = times.measure(|t| &mut t.timing, || certify(&motion, &model.drive, evidence, jerk));
-    let statistics = &mut result.statistics;
-    (statistics.corridor_ms, statistics.geometry_ms, statistics.timing_ms) =
-        (times.corridor * 1e3, times.geometry * 1e3, times.timing * 1e3);
-    (statistics.length, statistics.duration) = (motion.length(), motion.duration());
-    (statistics.status, statistics.solver, statistics.min_clearance) = (status, solver, least);
-    statistics.certificate = certificate;
-    statistics.energy_j = motion.energy(model);
-    result.motion = motion;
-    result
-}
-
-/// Times of the phases, s.
-pub(super) struct Times<'a> {
-    clock: &'a mut dyn FnMut() -> f64,
-    pub(super) corridor: f64,
-    pub(super) geometry: f64,
-    pub(super) timing: f64,
-}
-
-impl<'a> Times<'a> {
-    pub(super) fn new(clock: &'a mut dyn FnMut() -> f64) -> Self {
-        Self {
-            clock,
-            corridor: 0.0,
-            geometry: 0.0,
-            timing: 0.0,
+    let (trajectory, limits) = match query.profile {
+        DrivingProfile::Economy if !phases.is_over() => {
+            phases.measure(|p| &mut p.timing, || economical(trajectory, model, &limits))
         }
-    }
-
-    pub(super) fn measure<T>(&mut self, phase: fn(&mut Self) -> &mut f64, work: impl FnOnce() -> T) -> T {
-        let begin = (self.clock)();
-        let result = work();
-        let end = (self.clock)();
-        *phase(self) += end - begin;
-        result
+        DrivingProfile::Economy | DrivingProfile::Fastest => (trajectory, limits),
+    };
+    let (trajectory, jerk) = phases.measure(|p| &mut p.timing, || trajectory.with_limited_jerk(&limits));
+    let solver = evidence.status();
+    let certificate = phases.measure(|p| &mut p.timing, || certify(&trajectory, &model.drive, evidence, jerk));
+    let statistics = PlanStatistics {
+        corridor_ms: phases.corridor * 1e3,
+        geometry_ms: phases.geometry * 1e3,
+        timing_ms: phases.timing * 1e3,
+        length: trajectory.length(),
+        duration: trajectory.duration(),
+        energy_j: trajectory.energy(model),
+        min_clearance: least,
+        status: outcome.to_string(),
+        solver,
+        certificate,
+        ..PlanStatistics::default()
+    };
+    Smoothed {
+        outcome,
+        trajectory,
+        statistics,
     }
 }
 
 /// Why there is no curve, and what is safe instead.
-type Failed = (String, Option<Box<Checked>>);
+type Failed = (Fallback, Option<Box<Checked>>);
 
 fn smoothed_or_safe(
     space: &ConfigurationSpace,
     query: &SmoothQuery<'_>,
     limits: &Limits,
-    settings: &SmoothSettings,
-    times: &mut Times<'_>,
+    settings: &SmoothingSettings,
+    phases: &mut Phases<'_>,
 ) -> Result<Checked, Failed> {
     if !query.start.is_finite() || !query.start_velocity.is_finite() {
-        return Err(("start_not_finite".to_owned(), None));
+        return Err((Fallback::StartNotFinite, None));
     }
-    let way = corners_from(query.start.position(), query.way);
-    let Some(exempt) = exempt(space, &way) else {
-        return Err(("way_blocked".to_owned(), None));
+    let path = corners_from(query.start.position(), query.path);
+    let Some(exempt) = exempt(space, &path) else {
+        return Err((Fallback::PathBlocked, None));
     };
     let zones = space.zones();
     let in_zones = |point: Point2<f64>| zones.speed_limit(point);
-    let course = TrajectoryBuilder {
+    let builder = TrajectoryBuilder {
         space,
         query,
         limits,
@@ -189,42 +179,43 @@ fn smoothed_or_safe(
             UNRESTRICTED
         },
     };
-    // A way that comes back to where it was is cut there.
-    let short = times.measure(
-        |t| &mut t.corridor,
+    // A path that comes back to where it was is cut there.
+    let cancel = phases.cancel();
+    let short = phases.measure(
+        |p| &mut p.corridor,
         || {
-            let short = shortcut(space, &way, settings.rooms.comfort, course.heading());
+            let short = shortcut(space, &path, settings.corridor.clearance, builder.heading(), cancel);
             corners_from(query.start.position(), &short)
         },
     );
-    let safe = |times: &mut Times<'_>| {
-        times.measure(
-            |t| &mut t.timing,
-            || course.stop_turn_go(&short).or_else(|| course.stop_turn_go(&way)),
+    let safe = |phases: &mut Phases<'_>| {
+        phases.measure(
+            |p| &mut p.timing,
+            || builder.stop_turn_go(&short).or_else(|| builder.stop_turn_go(&path)),
         )
     };
     if short.len() < 2 {
         // Nothing to drive: braking and turning is all there is.
-        return safe(times).ok_or(("collision".to_owned(), None));
+        return safe(phases).ok_or((Fallback::Collision, None));
     }
-    let legs = times.measure(|t| &mut t.timing, || course.legs(&short).duration());
-    match course.smooth(&short, legs, times) {
-        Ok(curve) if curve.motion.duration() <= legs => Ok(curve),
-        Ok(curve) => match safe(times) {
-            Some(safe) if safe.motion.duration() < curve.motion.duration() => {
-                Err(("slower".to_owned(), Some(Box::new(safe))))
+    let unsmoothed = phases.measure(|p| &mut p.timing, || builder.unchecked_stop_turn_go(&short).duration());
+    match builder.smooth(&short, unsmoothed, phases) {
+        Ok(curve) if curve.trajectory.duration() <= unsmoothed => Ok(curve),
+        Ok(curve) => match safe(phases) {
+            Some(safe) if safe.trajectory.duration() < curve.trajectory.duration() => {
+                Err((Fallback::Slower, Some(Box::new(safe))))
             }
             _ => Ok(curve),
         },
-        Err(reason) => Err((reason, safe(times).map(Box::new))),
+        Err(reason) => Err((reason, safe(phases).map(Box::new))),
     }
 }
 
-/// Metres around the start that the robot has to leave whatever the map says there; `None` where the way itself is blocked.
-fn exempt(space: &ConfigurationSpace, way: &[Point2<f64>]) -> Option<f64> {
+/// Metres around the start that the robot has to leave whatever the map says there; `None` where the path itself is blocked.
+fn exempt(space: &ConfigurationSpace, path: &[Point2<f64>]) -> Option<f64> {
     let radius = space.radius();
     let mut exempt = 0.0;
-    for (i, leg) in way.windows(2).enumerate() {
+    for (i, leg) in path.windows(2).enumerate() {
         if is_clear(space, leg[0], leg[1], radius) {
             continue;
         }

@@ -3,15 +3,17 @@
 
 use std::sync::Arc;
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
+use rand::SeedableRng as _;
+use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::PlanOutcome;
+use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::polygon::{contains, edges};
-use zenav_protocol::robot::RobotModel;
+use zenav_protocol::robot::{Footprint, RobotModel};
 
-use super::{SmoothQuery, SmoothSettings, Smoothed, smooth};
+use super::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
 use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_space::{ConfigurationSpace, UnknownPolicy, Zones};
 
@@ -41,7 +43,7 @@ fn cluttered(boxes: &[(u32, u32, u32, u32)]) -> OccupancyGrid {
     grid
 }
 
-fn way(space: &ConfigurationSpace, from: Pose2, to: Pose2, options: &PlanOptions) -> Option<Vec<Point2<f64>>> {
+fn path(space: &ConfigurationSpace, from: Pose2, to: Pose2, options: &PlanOptions) -> Option<Vec<Point2<f64>>> {
     match plan(
         space,
         &mut Searcher::new(space.free()).unwrap(),
@@ -58,7 +60,7 @@ fn way(space: &ConfigurationSpace, from: Pose2, to: Pose2, options: &PlanOptions
 }
 
 fn smoothed(space: &ConfigurationSpace, query: &SmoothQuery<'_>, model: &RobotModel) -> Smoothed {
-    smooth(space, query, model, &SmoothSettings::default(), &mut || 0.0)
+    smooth(space, query, model, &SmoothingSettings::default(), None, &mut || 0.0)
 }
 
 /// At every millisecond: free by the true footprint, within 95 % of every limit, going where the velocity says.
@@ -72,7 +74,7 @@ fn assert_sound(result: &Smoothed, space: &ConfigurationSpace, model: &RobotMode
         0.95 * drive.max_wheel_speed * drive.wheel_radius,
         0.95 * drive.acceleration(),
     );
-    let states = result.motion.states(0.001);
+    let states = result.trajectory.states(0.001);
     for (i, state) in states.iter().enumerate() {
         let point = state.point;
         assert!(
@@ -114,8 +116,101 @@ fn assert_sound(result: &Smoothed, space: &ConfigurationSpace, model: &RobotMode
     }
 }
 
+/// Whether a footprint overlaps a square, by separating axes; the configuration space has no part in it.
+fn overlaps(footprint: &Footprint, pose: Pose2, center: Point2<f64>, half: f64) -> bool {
+    match footprint {
+        Footprint::Radius(radius) => {
+            let (dx, dy) = ((pose.x - center.x).abs(), (pose.y - center.y).abs());
+            (dx - half).max(0.0).hypot((dy - half).max(0.0)) < radius - 1e-9
+        }
+        Footprint::Polygon(corners) => {
+            let corners: Vec<_> = corners.iter().map(|corner| pose.transform_point(*corner)).collect();
+            let normals =
+                edges(&corners).map(|edge| Vector2::new(edge.a.y - edge.b.y, edge.b.x - edge.a.x).normalize());
+            normals.chain([Vector2::x(), Vector2::y()]).all(|axis| {
+                let along = corners.iter().map(|corner| axis.dot(&(corner - center)));
+                let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
+                    (low.min(x), high.max(x))
+                });
+                let reach = half * (axis.x.abs() + axis.y.abs());
+                low < reach - 1e-9 && high > -reach + 1e-9
+            })
+        }
+    }
+}
+
+/// At every hundredth of a second the footprint overlaps no occupied cell.
+fn assert_free(result: &Smoothed, grid: &OccupancyGrid, model: &RobotModel) {
+    let spec = grid.spec();
+    let reach = model.footprint.circumscribed_radius() + spec.resolution;
+    for state in result.trajectory.states(0.01) {
+        let pose = state.point.pose();
+        let cells = |low: f64, high: f64| (low / spec.resolution) as u32..=(high / spec.resolution) as u32;
+        for y in cells(pose.y - reach, pose.y + reach) {
+            for x in cells(pose.x - reach, pose.x + reach) {
+                let cell = Cell::new(x.min(spec.width - 1), y.min(spec.height - 1));
+                let hit = grid[cell] == Occupancy::OCCUPIED
+                    && overlaps(&model.footprint, pose, spec.center(cell), 0.5 * spec.resolution);
+                assert!(!hit, "{pose:?} touches {cell:?}: {}", result.outcome);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_robot_is_smoothed_nearly_everywhere_and_never_left_without_a_trajectory() {
+    for (name, least) in [
+        ("tiago", 0.9),
+        ("neato", 0.9),
+        ("turtlebot3_waffle", 0.8),
+        ("jackal", 0.8),
+    ] {
+        let model = robot(name);
+        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        let (mut asked, mut smooth) = (0, 0);
+        while asked < 20 {
+            let boxes: Vec<_> = (0..6)
+                .map(|_| {
+                    let corner = (rng.random_range(5..150), rng.random_range(5..110));
+                    (corner.0, corner.1, rng.random_range(2..20), rng.random_range(2..20))
+                })
+                .collect();
+            let grid = cluttered(&boxes);
+            let space = space(&grid, &model);
+            let mut pose = || {
+                Pose2::new(
+                    rng.random_range(0.5..7.5),
+                    rng.random_range(0.5..5.5),
+                    rng.random_range(-3.1..3.1),
+                )
+            };
+            let (start, goal) = (pose(), pose());
+            let room = model.footprint.circumscribed_radius() + 0.02;
+            if space.clearance(start.position()) < room || space.clearance(goal.position()) < room {
+                continue;
+            }
+            let Some(path) = path(&space, start, goal, &PlanOptions::default()) else {
+                continue;
+            };
+            let query = SmoothQuery {
+                path: &path,
+                start,
+                start_velocity: Twist2::ZERO,
+                goal_yaw: None,
+                profile: DrivingProfile::Fastest,
+            };
+            let result = smoothed(&space, &query, &model);
+            assert!(!result.trajectory.is_empty(), "{name}: {}", result.outcome);
+            assert_free(&result, &grid, &model);
+            asked += 1;
+            smooth += usize::from(result.is_smooth());
+        }
+        assert!(smooth as f64 >= least * f64::from(asked), "{name}: {smooth} of {asked}");
+    }
+}
+
 fn assert_ends_at(result: &Smoothed, goal: Pose2, goal_yaw: Option<f64>) {
-    let end = result.motion.at(result.motion.duration()).point;
+    let end = result.trajectory.at(result.trajectory.duration()).point;
     assert!(
         end.pose().distance(&goal) < 1e-6 && end.v == 0.0 && end.w == 0.0,
         "{end:?}"
@@ -132,19 +227,20 @@ fn a_motion_stays_out_of_closed_zones_and_is_slow_in_speed_zones() {
     let zones = Arc::new(Zones::from_toml(zones, "zones").unwrap());
     let space = ConfigurationSpace::with_zones(&hall(), &model.footprint, UnknownPolicy::Blocked, 0.0, &zones);
     let (start, goal) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(7.0, 2.0, 0.0));
-    let way = way(&space, start, goal, &PlanOptions::default()).unwrap();
+    let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
     let query = SmoothQuery {
-        way: &way,
+        path: &path,
         start,
         start_velocity: Twist2::ZERO,
         goal_yaw: None,
+        profile: DrivingProfile::Fastest,
     };
     let result = smoothed(&space, &query, &model);
     assert_sound(&result, &space, &model);
     assert_ends_at(&result, goal, None);
     let corners = [(3.0, 0.5), (5.0, 1.0), (4.0, 4.2)].map(|(x, y)| Point2::new(x, y));
     let (mut within, mut fastest) = (0, 0.0_f64);
-    for state in result.motion.states(0.001) {
+    for state in result.trajectory.states(0.001) {
         let position = state.point.pose().position();
         let apart = edges(&corners)
             .map(|edge| {
@@ -169,21 +265,22 @@ fn around_a_wall_the_curve_is_faster_than_stop_and_turn() {
     let model = robot("tiago");
     let space = space(&cluttered(&[(80, 0, 3, 80)]), &model);
     let (start, goal) = (Pose2::new(1.0, 1.0, 0.0), Pose2::new(7.0, 1.0, 0.0));
-    let path = way(&space, start, goal, &PlanOptions::default()).unwrap();
+    let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
     let result = smoothed(
         &space,
         &SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: Some(-1.5),
+            profile: DrivingProfile::Fastest,
         },
         &model,
     );
     assert_eq!(result.statistics.status, "smoothed");
     assert_sound(&result, &space, &model);
     assert_ends_at(&result, goal, Some(-1.5));
-    let safe = super::timing::legs::safe_motion(
+    let safe = super::timing::stop_turn_go::stop_turn_go(
         &path,
         start,
         Twist2::ZERO,
@@ -192,9 +289,9 @@ fn around_a_wall_the_curve_is_faster_than_stop_and_turn() {
         super::timing::UNRESTRICTED,
     );
     assert!(
-        result.motion.duration() < 0.9 * safe.duration(),
+        result.trajectory.duration() < 0.9 * safe.duration(),
         "{} against {}",
-        result.motion.duration(),
+        result.trajectory.duration(),
         safe.duration()
     );
     assert!(result.statistics.min_clearance.unwrap() > 0.1);
@@ -210,24 +307,25 @@ fn a_moving_robot_goes_on_as_it_moves() {
     let result = smoothed(
         &space,
         &SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: velocity,
             goal_yaw: None,
+            profile: DrivingProfile::Fastest,
         },
         &model,
     );
     assert_eq!(result.statistics.status, "smoothed");
-    let first = result.motion.at(0.0).point;
+    let first = result.trajectory.at(0.0).point;
     assert!((first.v - 0.4).abs() < 1e-9 && (first.w - 0.2).abs() < 1e-3 && wrap_angle(first.yaw - 0.3).abs() < 1e-6);
     assert!(
         result
-            .motion
+            .trajectory
             .states(0.01)
             .iter()
             .take(300)
             .all(|state| state.point.v > 0.3),
-        "it does not stop on the way"
+        "it does not stop on the path"
     );
     assert_sound(&result, &space, &model);
 }
@@ -241,10 +339,11 @@ fn a_moving_robot_whose_way_lies_behind_stops_and_turns_first() {
     let result = smoothed(
         &space,
         &SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: Twist2::new(0.5, 0.0),
             goal_yaw: None,
+            profile: DrivingProfile::Fastest,
         },
         &model,
     );
@@ -259,14 +358,15 @@ fn degenerate_ways_are_driven_or_refused_but_never_fatal() {
     let space = space(&hall(), &model);
     let start = Pose2::new(2.0, 2.0, 0.0);
     let (here, there, nowhere) = (start.position(), Point2::new(4.0, 2.0), Point2::new(f64::NAN, 2.0));
-    let run = |way: &[Point2<f64>], yaw: Option<f64>| {
+    let run = |path: &[Point2<f64>], yaw: Option<f64>| {
         smoothed(
             &space,
             &SmoothQuery {
-                way,
+                path,
                 start,
                 start_velocity: Twist2::ZERO,
                 goal_yaw: yaw,
+                profile: DrivingProfile::Fastest,
             },
             &model,
         )
@@ -277,7 +377,7 @@ fn degenerate_ways_are_driven_or_refused_but_never_fatal() {
         run(&[here, here, here], None),
         run(&[nowhere], Some(f64::NAN)),
     ] {
-        assert!(empty.motion.is_empty());
+        assert!(empty.trajectory.is_empty());
         assert_eq!(empty.statistics.status, "smoothed");
     }
     let turned = run(&[here], Some(2.0));
@@ -285,23 +385,24 @@ fn degenerate_ways_are_driven_or_refused_but_never_fatal() {
     let repeated = run(&[here, here, there, there, nowhere, there], None);
     assert_ends_at(&repeated, Pose2::new(4.0, 2.0, 0.0), None);
     let back = run(&[here, there, here], None);
-    assert!(back.motion.is_empty(), "there and back is no way");
+    assert!(back.trajectory.is_empty(), "there and back is no path");
     let tiny = run(&[here, Point2::new(2.004, 2.003)], None);
     assert_ends_at(&tiny, Pose2::new(2.004, 2.003, 0.0), None);
     let lost = smoothed(
         &space,
         &SmoothQuery {
-            way: &[here, there],
+            path: &[here, there],
             start: Pose2 {
                 x: f64::INFINITY,
                 ..start
             },
             start_velocity: Twist2::ZERO,
             goal_yaw: None,
+            profile: DrivingProfile::Fastest,
         },
         &model,
     );
-    assert!(lost.motion.is_empty() && lost.statistics.status == "fallback:start_not_finite");
+    assert!(lost.trajectory.is_empty() && lost.statistics.status == "fallback:start_not_finite");
 }
 
 #[test]
@@ -310,13 +411,14 @@ fn a_blocked_way_is_not_driven() {
     let space = space(&cluttered(&[(80, 0, 3, 120)]), &model);
     let start = Pose2::new(1.0, 1.0, 0.0);
     let query = SmoothQuery {
-        way: &[start.position(), Point2::new(7.0, 1.0)],
+        path: &[start.position(), Point2::new(7.0, 1.0)],
         start,
         start_velocity: Twist2::ZERO,
         goal_yaw: None,
+        profile: DrivingProfile::Fastest,
     };
     let result = smoothed(&space, &query, &model);
-    assert!(result.motion.is_empty() && result.statistics.status == "fallback:way_blocked");
+    assert!(result.trajectory.is_empty() && result.statistics.status == "fallback:way_blocked");
 }
 
 #[test]
@@ -324,18 +426,19 @@ fn a_solver_that_may_not_iterate_leaves_the_safe_way() {
     let model = robot("tiago");
     let space = space(&cluttered(&[(80, 0, 3, 80)]), &model);
     let (start, goal) = (Pose2::new(1.0, 1.0, 0.0), Pose2::new(7.0, 1.0, 0.0));
-    let path = way(&space, start, goal, &PlanOptions::default()).unwrap();
-    let settings = SmoothSettings {
+    let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
+    let settings = SmoothingSettings {
         max_iterations: 1,
-        ..SmoothSettings::default()
+        ..SmoothingSettings::default()
     };
     let query = SmoothQuery {
-        way: &path,
+        path: &path,
         start,
         start_velocity: Twist2::ZERO,
         goal_yaw: None,
+        profile: DrivingProfile::Fastest,
     };
-    let result = smooth(&space, &query, &model, &settings, &mut || 0.0);
+    let result = smooth(&space, &query, &model, &settings, None, &mut || 0.0);
     assert!(
         result.statistics.status.starts_with("fallback:MaxIterations"),
         "{}",
@@ -351,21 +454,22 @@ fn a_robot_that_touches_a_wall_is_led_away_from_it() {
     let space = space(&hall(), &model);
     let start = Pose2::new(0.05 + 0.265 - 0.01, 3.0, 0.0);
     let goal = Pose2::new(4.0, 1.0, 0.0);
-    let path = way(&space, start, goal, &PlanOptions::default()).unwrap();
+    let path = path(&space, start, goal, &PlanOptions::default()).unwrap();
     let result = smoothed(
         &space,
         &SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: None,
+            profile: DrivingProfile::Fastest,
         },
         &model,
     );
     assert_eq!(result.statistics.status, "smoothed");
     assert_ends_at(&result, goal, None);
     let clearances = result
-        .motion
+        .trajectory
         .states(0.01)
         .into_iter()
         .map(|state| space.clearance(state.point.pose().position()));
@@ -382,21 +486,23 @@ proptest! {
         yaw in -3.1..3.1_f64, goal_yaw in prop::option::of(-3.1..3.1_f64), oblong in any::<bool>(), shortest in any::<bool>(),
     ) {
         let model = robot(if oblong { "turtlebot3_waffle" } else { "tiago" });
-        let space = space(&cluttered(&boxes), &model);
+        let grid = cluttered(&boxes);
+        let space = space(&grid, &model);
         let [start, goal] = ends.map(|(x, y)| Pose2::new(x, y, yaw));
-        // FreePolygon to turn at both ends: a robot that stands wedged in is another matter.
-        let room = model.footprint.circumscribed_radius() + 0.02;
-        prop_assume!(space.clearance(start.position()) > room && space.clearance(goal.position()) > room);
+        // Room to turn at both ends: a robot that stands wedged in is another matter.
+        let reach = model.footprint.circumscribed_radius() + 0.02;
+        prop_assume!(space.clearance(start.position()) > reach && space.clearance(goal.position()) > reach);
         let options = if shortest { PlanOptions::shortest(Planner::AStar) } else { PlanOptions::default() };
-        let Some(path) = way(&space, start, goal, &options) else { return Ok(()) };
-        let query = SmoothQuery { way: &path, start, start_velocity: Twist2::ZERO, goal_yaw };
+        let Some(path) = path(&space, start, goal, &options) else { return Ok(()) };
+        let query = SmoothQuery { path: &path, start, start_velocity: Twist2::ZERO, goal_yaw, profile: DrivingProfile::Fastest, };
         let result = smoothed(&space, &query, &model);
-        prop_assert!(!result.motion.is_empty() || start.distance(&goal) < 1e-3 || oblong, "{}", result.statistics.status);
-        if !result.motion.is_empty() {
+        prop_assert!(!result.trajectory.is_empty() || start.distance(&goal) < 1e-3, "{}", result.statistics.status);
+        if !result.trajectory.is_empty() {
             assert_sound(&result, &space, &model);
+            assert_free(&result, &grid, &model);
             assert_ends_at(&result, goal, goal_yaw);
         }
         let again = smoothed(&space, &query, &model);
-        prop_assert_eq!(again.trajectory(0.05), result.trajectory(0.05));
+        prop_assert_eq!(again.sampled(0.05), result.sampled(0.05));
     }
 }

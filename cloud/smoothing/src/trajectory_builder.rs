@@ -1,7 +1,7 @@
-//! How is a way driven from beginning to end? Where the robot brakes, stops and turns, and on which curves it goes between.
+//! Trajectory builder. How is a path driven from beginning to end? Where the robot brakes, stops and turns, and on which curves it goes between.
 //!
 //! A robot at rest begins along its heading or turns on the spot first; one that moves goes on along its arc or brakes first. In between it
-//! stops and turns only at corners too sharp for a curve, and at corners where no curve has room: everything else is one curve.
+//! stops and turns only at corners too sharp for a curve, and at corners where no curve has polygon: everything else is one curve.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -10,33 +10,26 @@ use zenav_protocol::robot::Footprint;
 
 use super::certificate::{Collision, Evidence, clearance};
 use super::fit::{EndTangent, Ends};
+use super::outcome::Fallback;
+use super::phases::Phases;
 use super::segment::{NoSegment, Segment, segment};
+use super::settings::SmoothingSettings;
 use super::shortcut::has_leg;
-use super::smoother::{SmoothQuery, SmoothSettings, Times};
-use super::timing::legs::{corners_from, rejoined, safe_motion};
+use super::smoother::SmoothQuery;
+use super::timing::stop_turn_go::{corners_from, rejoined, stop_turn_go};
 use super::timing::sweep::SweepError;
-use super::timing::{GeometricPath, Limits, Motion, SpeedLimit};
+use super::timing::{GeometricPath, Limits, PiecewiseTrajectory, SpeedLimit};
 use zenav_space::ConfigurationSpace;
 
 /// Slower than this a robot is at rest, m/s and rad/s at the wheels.
 const AT_REST: f64 = 0.02;
-/// A robot at rest whose heading differs by less from the way begins without turning on the spot, rad.
-const ALIGNED: f64 = 0.3;
-/// A moving robot goes on along its arc when the way lies ahead to within this, rad; else it stops first.
-const AHEAD: f64 = 1.2;
-/// Sharpest arc that is gone on with, 1/m.
-const SHARPEST_ARC: f64 = 3.0;
-/// Sharper corners are turned on the spot, rad.
-const SHARP: f64 = 2.0;
-/// A wanted heading at the end this close to the way's is arrived with, rad; else it is turned to on the spot.
-const ARRIVING: f64 = 0.8;
 /// Times that stops are added one by one; then a part without a curve is driven as stop, turn and go.
 const ADDED: usize = 8;
 
-/// A motion that was checked, and how it came about.
+/// A trajectory that was checked, and how it came about.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Checked {
-    pub(super) motion: Motion,
+    pub(super) trajectory: PiecewiseTrajectory,
     pub(super) evidence: Evidence,
     /// Least clearance, m.
     pub(super) least: Option<f64>,
@@ -52,19 +45,19 @@ enum Beginning {
     Turned,
 }
 
-/// A motion in the making, and where it has come to.
+/// A trajectory in the making, and where it ends so far.
 #[derive(Clone)]
-struct Drive {
-    motion: Motion,
+struct Partial {
+    trajectory: PiecewiseTrajectory,
     at: Pose2,
 }
 
-/// What leads along a way.
+/// What leads along a path.
 pub(super) struct TrajectoryBuilder<'a> {
     pub(super) space: &'a ConfigurationSpace,
     pub(super) query: &'a SmoothQuery<'a>,
     pub(super) limits: &'a Limits,
-    pub(super) settings: &'a SmoothSettings,
+    pub(super) settings: &'a SmoothingSettings,
     /// Metres around the start that are not checked.
     pub(super) exempt: f64,
     pub(super) speed_limit: SpeedLimit<'a>,
@@ -86,49 +79,56 @@ impl TrajectoryBuilder<'_> {
     }
 
     /// Stop, turn, go.
-    pub(super) fn legs(&self, way: &[Point2<f64>]) -> Motion {
+    pub(super) fn unchecked_stop_turn_go(&self, path: &[Point2<f64>]) -> PiecewiseTrajectory {
         let SmoothQuery {
             start,
             start_velocity,
             goal_yaw,
             ..
         } = *self.query;
-        safe_motion(way, start, start_velocity, goal_yaw, self.limits, self.speed_limit)
+        stop_turn_go(path, start, start_velocity, goal_yaw, self.limits, self.speed_limit)
     }
 
     /// Stop, turn, go: checked. A robot that is moving brakes and goes on from where it has come to, or from where it was.
-    pub(super) fn stop_turn_go(&self, way: &[Point2<f64>]) -> Option<Checked> {
-        self.checked(self.legs(way), Evidence::default()).ok().or_else(|| {
-            let drive = self.braked();
-            let at = drive.at.position();
-            let back: Vec<_> = [at].iter().chain(way).copied().collect();
-            let ways = [self.joined(at, way), corners_from(at, &back)];
-            let driven = ways.iter().filter(|_| self.moves()).filter_map(|way| {
-                let mut drive = drive.clone();
-                for leg in way.windows(2) {
-                    self.straight(leg[0], leg[1], &mut drive).ok()?;
-                }
-                self.arrived(drive, Evidence::default()).ok()
-            });
-            driven.into_iter().next()
-        })
+    pub(super) fn stop_turn_go(&self, path: &[Point2<f64>]) -> Option<Checked> {
+        self.checked(self.unchecked_stop_turn_go(path), Evidence::default())
+            .ok()
+            .or_else(|| {
+                let partial = self.braked();
+                let at = partial.at.position();
+                let back: Vec<_> = [at].iter().chain(path).copied().collect();
+                let paths = [self.joined(at, path), corners_from(at, &back)];
+                let driven = paths.iter().filter(|_| self.moves()).filter_map(|path| {
+                    let mut partial = partial.clone();
+                    for leg in path.windows(2) {
+                        self.straight(leg[0], leg[1], &mut partial).ok()?;
+                    }
+                    self.arrived(partial, Evidence::default()).ok()
+                });
+                driven.into_iter().next()
+            })
     }
 
     /// The first beginning and end that give a free curve in less than `enough` seconds, else the fastest one; the last reason when none does.
-    pub(super) fn smooth(&self, way: &[Point2<f64>], enough: f64, times: &mut Times<'_>) -> Result<Checked, String> {
-        let mut best: Result<Checked, String> = Err(String::new());
-        for beginning in self.beginnings(way) {
+    pub(super) fn smooth(
+        &self,
+        path: &[Point2<f64>],
+        enough: f64,
+        phases: &mut Phases<'_>,
+    ) -> Result<Checked, Fallback> {
+        let mut best: Result<Checked, Fallback> = Err(Fallback::TimedOut);
+        for beginning in self.beginnings(path) {
             for arrives in [true, false] {
-                if arrives && !self.can_arrive(way) {
+                if arrives && !self.can_arrive(path) {
                     continue;
                 }
-                match (self.attempt(way, &beginning, arrives, times), &best) {
-                    (Ok(found), Ok(known)) if found.motion.duration() >= known.motion.duration() => {}
+                match (self.attempt(path, &beginning, arrives, phases), &best) {
+                    (Ok(found), Ok(known)) if found.trajectory.duration() >= known.trajectory.duration() => {}
                     (Ok(found), _) => best = Ok(found),
                     (Err(_), Ok(_)) => {}
                     (Err(reason), Err(_)) => best = Err(reason),
                 }
-                if best.as_ref().is_ok_and(|found| found.motion.duration() <= enough) {
+                if best.as_ref().is_ok_and(|found| found.trajectory.duration() <= enough) {
                     return best;
                 }
             }
@@ -136,34 +136,34 @@ impl TrajectoryBuilder<'_> {
         best
     }
 
-    fn beginnings(&self, way: &[Point2<f64>]) -> Vec<Beginning> {
+    fn beginnings(&self, path: &[Point2<f64>]) -> Vec<Beginning> {
         let SmoothQuery {
             start,
             start_velocity: Twist2 { v, w },
             ..
         } = *self.query;
-        let leg = way[1] - way[0];
+        let leg = path[1] - path[0];
         let turn = wrap_angle(leg.y.atan2(leg.x) - start.yaw).abs();
         let mut beginnings = Vec::new();
         if self.exempt > 0.0 {
             // A place that has to be left is left straight.
         } else if self.moves() {
-            if v > AT_REST && turn < AHEAD && w.abs() <= SHARPEST_ARC * v {
+            if v > AT_REST && turn < self.settings.stops.ahead && w.abs() <= self.settings.stops.sharpest_arc * v {
                 beginnings.push(Beginning::Moving);
             }
-        } else if turn < ALIGNED {
+        } else if turn < self.settings.stops.aligned {
             beginnings.push(Beginning::Aligned);
         }
         beginnings.push(Beginning::Turned);
         beginnings
     }
 
-    /// Whether the wanted heading is near enough to the way's last leg to be arrived with.
-    fn can_arrive(&self, way: &[Point2<f64>]) -> bool {
-        let [.., before, last] = way else { return false };
+    /// Whether the wanted heading is near enough to the path's last leg to be arrived with.
+    fn can_arrive(&self, path: &[Point2<f64>]) -> bool {
+        let [.., before, last] = path else { return false };
         let leg = last - before;
         self.goal_yaw()
-            .is_some_and(|yaw| wrap_angle(yaw - leg.y.atan2(leg.x)).abs() < ARRIVING)
+            .is_some_and(|yaw| wrap_angle(yaw - leg.y.atan2(leg.x)).abs() < self.settings.stops.arriving)
     }
 
     fn goal_yaw(&self) -> Option<f64> {
@@ -172,44 +172,44 @@ impl TrajectoryBuilder<'_> {
 
     fn attempt(
         &self,
-        way: &[Point2<f64>],
+        path: &[Point2<f64>],
         beginning: &Beginning,
         arrives: bool,
-        times: &mut Times<'_>,
-    ) -> Result<Checked, String> {
+        phases: &mut Phases<'_>,
+    ) -> Result<Checked, Fallback> {
         let SmoothQuery {
             start, start_velocity, ..
         } = *self.query;
-        let mut drive = Drive {
-            motion: Motion::new(),
+        let mut partial = Partial {
+            trajectory: PiecewiseTrajectory::new(),
             at: start,
         };
         let along = |curvature: Option<f64>| EndTangent {
             direction: start.heading(),
             curvature,
         };
-        let (way, enter) = match beginning {
+        let (path, enter) = match beginning {
             Beginning::Moving => {
                 let tangent = along(Some(start_velocity.w / start_velocity.v));
-                (self.led_in(way, start_velocity.v), Some((tangent, start_velocity.v)))
+                (self.led_in(path, start_velocity.v), Some((tangent, start_velocity.v)))
             }
-            Beginning::Aligned => (way.to_vec(), Some((along(None), 0.0))),
+            Beginning::Aligned => (path.to_vec(), Some((along(None), 0.0))),
             Beginning::Turned => {
-                drive = self.braked();
-                let way = if drive.motion.is_empty() {
-                    way.to_vec()
+                partial = self.braked();
+                let path = if partial.trajectory.is_empty() {
+                    path.to_vec()
                 } else {
-                    self.joined(drive.at.position(), way)
+                    self.joined(partial.at.position(), path)
                 };
-                (way, None)
+                (path, None)
             }
         };
-        let mut rest = &way[..];
+        let mut rest = &path[..];
         if self.exempt > 0.0
-            && let [from, to, ..] = way[..]
+            && let [from, to, ..] = path[..]
         {
-            times.measure(|t| &mut t.timing, || self.straight(from, to, &mut drive))?;
-            rest = &way[1..];
+            phases.measure(|p| &mut p.timing, || self.straight(from, to, &mut partial))?;
+            rest = &path[1..];
         }
         let leave = self.goal_yaw().filter(|_| arrives).map(|yaw| EndTangent {
             direction: Pose2::new(0.0, 0.0, yaw).heading(),
@@ -219,7 +219,7 @@ impl TrajectoryBuilder<'_> {
             start: enter.map(|(tangent, _)| tangent),
             end: leave,
         };
-        let parts = self.parts(rest, &ends, times)?;
+        let parts = self.parts(rest, &ends, phases)?;
         let mut evidence = Evidence::default();
         let mut speed = enter.map_or(0.0, |(_, speed)| speed);
         for part in parts {
@@ -229,41 +229,45 @@ impl TrajectoryBuilder<'_> {
                     iterations: curve.iterations,
                     gap: curve.gap,
                 };
-                evidence.add(&part.rooms, solver);
+                evidence.add(&part.polygons, solver);
             }
-            times.measure(|t| &mut t.timing, || self.follow(part.path, speed, &mut drive))?;
+            phases.measure(|p| &mut p.timing, || self.follow(part.geometry, speed, &mut partial))?;
             speed = 0.0;
         }
-        times.measure(|t| &mut t.geometry, || self.arrived(drive, evidence))
+        phases.measure(|p| &mut p.geometry, || self.arrived(partial, evidence))
     }
 
-    /// Curves along a way, from stop to stop; where there is none, another stop.
-    fn parts(&self, way: &[Point2<f64>], ends: &Ends, times: &mut Times<'_>) -> Result<Vec<Segment>, String> {
-        let is_sharp = |i: usize| (way[i] - way[i - 1]).angle(&(way[i + 1] - way[i])) > SHARP;
-        let mut stops: Vec<bool> = (0..way.len())
-            .map(|i| i == 0 || i + 1 >= way.len() || is_sharp(i))
+    /// Curves along a path, from stop to stop; where there is none, another stop.
+    fn parts(&self, path: &[Point2<f64>], ends: &Ends, phases: &mut Phases<'_>) -> Result<Vec<Segment>, Fallback> {
+        let is_sharp =
+            |i: usize| (path[i] - path[i - 1]).angle(&(path[i + 1] - path[i])) > self.settings.stops.sharp_corner;
+        let mut stops: Vec<bool> = (0..path.len())
+            .map(|i| i == 0 || i + 1 >= path.len() || is_sharp(i))
             .collect();
         let mut known: Vec<(usize, usize, Segment)> = Vec::new();
         let mut first_reason = None;
         let mut round = 0;
         loop {
             let (mut parts, mut missing) = (Vec::new(), false);
-            let at: Vec<usize> = (0..way.len()).filter(|i| stops[*i]).collect();
+            let at: Vec<usize> = (0..path.len()).filter(|i| stops[*i]).collect();
             for leg in at.windows(2) {
                 let (from, to) = (leg[0], leg[1]);
                 let ends = Ends {
                     start: ends
                         .start
                         .filter(|_| from == 0)
-                        .or_else(|| self.tight(way, from, from + 1)),
+                        .or_else(|| self.tight(path, from, from + 1)),
                     end: ends
                         .end
-                        .filter(|_| to + 1 == way.len())
-                        .or_else(|| (to + 1 < way.len()).then(|| self.tight(way, to - 1, to)).flatten()),
+                        .filter(|_| to + 1 == path.len())
+                        .or_else(|| (to + 1 < path.len()).then(|| self.tight(path, to - 1, to)).flatten()),
                 };
+                if phases.is_over() {
+                    return Err(Fallback::TimedOut);
+                }
                 let found = match known.iter().position(|part| (part.0, part.1) == (from, to)) {
                     Some(index) => Ok(known.swap_remove(index).2),
-                    None => segment(self.space, &way[from..=to], &ends, self.settings, times),
+                    None => segment(self.space, &path[from..=to], &ends, self.settings, phases),
                 };
                 match found {
                     Ok(found) => parts.push((from, to, found)),
@@ -275,7 +279,7 @@ impl TrajectoryBuilder<'_> {
                         }
                         first_reason.get_or_insert(reason);
                         missing = true;
-                        stop_at(&mut stops[from + 1..to], &way[from..=to], &error, round >= ADDED);
+                        stop_at(&mut stops[from + 1..to], &path[from..=to], &error, round >= ADDED);
                     }
                 }
             }
@@ -292,11 +296,11 @@ impl TrajectoryBuilder<'_> {
         }
     }
 
-    /// Where a long robot has no room to turn freely, it goes along the way's own leg.
-    fn tight(&self, way: &[Point2<f64>], from: usize, to: usize) -> Option<EndTangent> {
+    /// Where a long robot has no room to turn freely, it goes along the path's own leg.
+    fn tight(&self, path: &[Point2<f64>], from: usize, to: usize) -> Option<EndTangent> {
         let around = self.space.footprint().circumscribed_radius();
-        let is_tight = |i: usize| self.space.clearance(way[i]) <= around + 1e-3;
-        let leg = way[to] - way[from];
+        let is_tight = |i: usize| self.space.clearance(path[i]) <= around + 1e-3;
+        let leg = path[to] - path[from];
         (self.is_long() && (is_tight(from) || is_tight(to))).then(|| EndTangent {
             direction: leg.normalize(),
             curvature: None,
@@ -304,95 +308,98 @@ impl TrajectoryBuilder<'_> {
     }
 
     /// The robot at rest, where it comes to rest.
-    fn braked(&self) -> Drive {
-        let mut motion = Motion::new();
-        let at = motion.brake(self.query.start, self.query.start_velocity, self.limits);
-        Drive { motion, at }
+    fn braked(&self) -> Partial {
+        let mut trajectory = PiecewiseTrajectory::new();
+        let at = trajectory.brake(self.query.start, self.query.start_velocity, self.limits);
+        Partial { trajectory, at }
     }
 
     /// Turns towards a place and goes there straight.
-    fn straight(&self, from: Point2<f64>, to: Point2<f64>, drive: &mut Drive) -> Result<(), String> {
+    fn straight(&self, from: Point2<f64>, to: Point2<f64>, partial: &mut Partial) -> Result<(), Fallback> {
         match GeometricPath::straight(from, to, self.settings.step) {
-            Some(path) => self.follow(path, 0.0, drive),
+            Some(geometry) => self.follow(geometry, 0.0, partial),
             None => Ok(()),
         }
     }
 
     /// Turns into a path's direction, where the robot is at rest and not in it, and follows the path.
-    fn follow(&self, path: GeometricPath, speed: f64, drive: &mut Drive) -> Result<(), String> {
-        let (first, last) = (path.points()[0], path.points()[path.points().len() - 1]);
+    fn follow(&self, geometry: GeometricPath, speed: f64, partial: &mut Partial) -> Result<(), Fallback> {
+        let (first, last) = (geometry.points()[0], geometry.points()[geometry.points().len() - 1]);
         if speed == 0.0 {
-            drive
-                .motion
-                .spin(drive.at, wrap_angle(first.yaw - drive.at.yaw), self.limits);
+            partial
+                .trajectory
+                .spin(partial.at, wrap_angle(first.yaw - partial.at.yaw), self.limits);
         }
-        drive
-            .motion
-            .follow(path.limited(self.speed_limit), speed, self.limits)
-            .map_err(|_: SweepError| "too_fast".to_owned())?;
-        drive.at = Pose2::new(last.x, last.y, last.yaw);
+        partial
+            .trajectory
+            .follow(geometry.limited(self.speed_limit), speed, self.limits)
+            .map_err(|_: SweepError| Fallback::TooFast)?;
+        partial.at = Pose2::new(last.x, last.y, last.yaw);
         Ok(())
     }
 
     /// The last turn, and the check of all of it.
-    fn arrived(&self, mut drive: Drive, evidence: Evidence) -> Result<Checked, String> {
+    fn arrived(&self, mut partial: Partial, evidence: Evidence) -> Result<Checked, Fallback> {
         if let Some(yaw) = self.goal_yaw() {
-            drive.motion.spin(drive.at, wrap_angle(yaw - drive.at.yaw), self.limits);
+            partial
+                .trajectory
+                .spin(partial.at, wrap_angle(yaw - partial.at.yaw), self.limits);
         }
-        self.checked(drive.motion, evidence)
+        self.checked(partial.trajectory, evidence)
     }
 
-    fn checked(&self, motion: Motion, evidence: Evidence) -> Result<Checked, String> {
+    fn checked(&self, trajectory: PiecewiseTrajectory, evidence: Evidence) -> Result<Checked, Fallback> {
         let least =
-            clearance(self.space, &motion, self.limits, self.exempt).map_err(|Collision| "collision".to_owned())?;
+            clearance(self.space, &trajectory, self.limits, self.exempt).map_err(|Collision| Fallback::Collision)?;
         Ok(Checked {
-            motion,
+            trajectory,
             evidence,
             least,
         })
     }
 
-    /// The way of a moving robot: a little on along its heading, then to the farthest corner in sight.
-    fn led_in(&self, way: &[Point2<f64>], speed: f64) -> Vec<Point2<f64>> {
+    /// The path of a moving robot: a little on along its heading, then to the farthest corner in sight.
+    fn led_in(&self, path: &[Point2<f64>], speed: f64) -> Vec<Point2<f64>> {
         let start = self.query.start;
-        let mut lead = (0.6 * speed).clamp(0.1, 0.6).min(0.4 * (way[1] - way[0]).norm());
+        let mut lead = (0.6 * speed).clamp(0.1, 0.6).min(0.4 * (path[1] - path[0]).norm());
         while lead > 0.05 {
             let ahead = start.position() + start.heading() * lead;
-            let first = way[1..].iter().rposition(|corner| self.sees(ahead, *corner));
+            let first = path[1..].iter().rposition(|corner| self.sees(ahead, *corner));
             if let Some(first) = first.filter(|_| self.sees(start.position(), ahead)) {
-                return [&[start.position(), ahead], &way[1 + first..]].concat();
+                return [&[start.position(), ahead], &path[1 + first..]].concat();
             }
             lead *= 0.5;
         }
-        way.to_vec()
+        path.to_vec()
     }
 
-    /// The way of a robot that came to rest beside it: to the farthest corner in sight, else back to the nearest point.
-    fn joined(&self, at: Point2<f64>, way: &[Point2<f64>]) -> Vec<Point2<f64>> {
-        match way
+    /// The path of a robot that came to rest beside it: to the farthest corner in sight, else back to the nearest point.
+    fn joined(&self, at: Point2<f64>, path: &[Point2<f64>]) -> Vec<Point2<f64>> {
+        match path
             .get(1..)
             .and_then(|rest| rest.iter().rposition(|corner| self.sees(at, *corner)))
         {
-            Some(corner) => corners_from(at, &way[1 + corner..]),
-            None => rejoined(at, way),
+            Some(corner) => corners_from(at, &path[1 + corner..]),
+            None => rejoined(at, path),
         }
     }
 
     fn sees(&self, from: Point2<f64>, to: Point2<f64>) -> bool {
-        has_leg(self.space, from, to, 0.5 * self.settings.rooms.comfort)
+        has_leg(self.space, from, to, 0.5 * self.settings.corridor.clearance)
     }
 }
 
-fn reason(error: &NoSegment) -> String {
+fn reason(error: &NoSegment) -> Fallback {
     match error {
-        NoSegment::Curve(error) => error.to_string(),
-        NoSegment::Collides(_) => "collision".to_owned(),
+        NoSegment::Curve(error) => Fallback::Curve(error.clone()),
+        NoSegment::Collides(_) => Fallback::Collision,
+        NoSegment::TimedOut => Fallback::TimedOut,
     }
 }
 
 /// Adds stops at inner corners of a part that has no curve: the ones nearest to where it collides, or else the sharpest; or all of them.
-fn stop_at(stops: &mut [bool], way: &[Point2<f64>], error: &NoSegment, all: bool) {
-    let corner = |i: usize| way[i + 1];
+fn stop_at(stops: &mut [bool], path: &[Point2<f64>], error: &NoSegment, all: bool) {
+    let corner = |i: usize| path[i + 1];
     match error {
         _ if all => stops.fill(true),
         NoSegment::Collides(places) => {
@@ -402,8 +409,8 @@ fn stop_at(stops: &mut [bool], way: &[Point2<f64>], error: &NoSegment, all: bool
                 nearest.into_iter().for_each(|i| stops[i] = true);
             }
         }
-        NoSegment::Curve(_) => {
-            let turn = |i: &usize| (corner(*i) - way[*i]).angle(&(way[i + 2] - corner(*i)));
+        NoSegment::Curve(_) | NoSegment::TimedOut => {
+            let turn = |i: &usize| (corner(*i) - path[*i]).angle(&(path[i + 2] - corner(*i)));
             let sharpest = (0..stops.len()).max_by(|a, b| turn(a).total_cmp(&turn(b)));
             sharpest.into_iter().for_each(|i| stops[i] = true);
         }

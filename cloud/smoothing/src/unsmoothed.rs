@@ -1,4 +1,4 @@
-//! What goes out where nobody smooths? The way itself as stop, turn and go, certified like any other trajectory.
+//! Unsmoothed path. What goes out where nobody smooths? The path itself as stop, turn and go, certified like any other trajectory.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -6,32 +6,39 @@ use zenav_protocol::messages::PlanStatistics;
 use zenav_protocol::robot::RobotModel;
 
 use super::certificate::{Evidence, certify};
+use super::outcome::{Fallback, Outcome};
 use super::smoother::Smoothed;
-use super::timing::legs::safe_motion;
+use super::timing::stop_turn_go::stop_turn_go;
 use super::timing::{Limits, UNRESTRICTED};
 
-/// The unsmoothed way (corner points, map frame, the start included or not) from a pose and velocity, to rest at a heading.
+/// The unsmoothed path (corner points, map frame, the start included or not) from a pose and velocity, to rest at a heading.
 ///
 /// It needs neither map nor solver; `status` is the caller's to tell.
 #[must_use]
 pub fn unsmoothed(
-    way: &[Point2<f64>],
+    path: &[Point2<f64>],
     start: Pose2,
     velocity: Twist2,
     goal_yaw: Option<f64>,
     model: &RobotModel,
 ) -> Smoothed {
     let limits = Limits::of(model);
-    let motion = safe_motion(way, start, velocity, goal_yaw, &limits, UNRESTRICTED);
-    let (motion, jerk) = motion.with_limited_jerk(&limits);
+    let trajectory = stop_turn_go(path, start, velocity, goal_yaw, &limits, UNRESTRICTED);
+    let (trajectory, jerk) = trajectory.with_limited_jerk(&limits);
+    let outcome = Outcome::Unsmoothed(Fallback::NotTried);
     let statistics = PlanStatistics {
-        length: motion.length(),
-        duration: motion.duration(),
-        energy_j: motion.energy(model),
-        certificate: certify(&motion, &model.drive, Evidence::default(), jerk),
+        status: outcome.to_string(),
+        length: trajectory.length(),
+        duration: trajectory.duration(),
+        energy_j: trajectory.energy(model),
+        certificate: certify(&trajectory, &model.drive, Evidence::default(), jerk),
         ..PlanStatistics::default()
     };
-    Smoothed { motion, statistics }
+    Smoothed {
+        outcome,
+        trajectory,
+        statistics,
+    }
 }
 
 #[cfg(test)]
@@ -42,8 +49,8 @@ mod tests {
     #[test]
     fn it_is_certified_with_and_without_a_limited_jerk() {
         let mut model = zenav_fixtures::robot("tiago");
-        let way = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
-        let run = |model: &RobotModel| unsmoothed(&way, Pose2::IDENTITY, Twist2::ZERO, Some(0.0), model).statistics;
+        let path = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
+        let run = |model: &RobotModel| unsmoothed(&path, Pose2::IDENTITY, Twist2::ZERO, Some(0.0), model).statistics;
         let sweep = run(&model);
         assert_eq!(
             (sweep.certificate.time_law.as_str(), sweep.certificate.over_lower_bound),

@@ -1,4 +1,4 @@
-//! Is the sweep's law the fastest? On any way it is as fast as the same law as a linear program, and keeps every limit.
+//! Is the sweep's law the fastest? On any path it is as fast as the same law as a linear program, and keeps every limit.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 #[path = "../benches/timing/lp.rs"]

@@ -174,7 +174,7 @@ struct Shell {
     plan: Publisher<Plan>,
     status: Publisher<MissionStatus>,
     goals: Vec<(String, Publisher<GoalState>)>,
-    workers: [Workers; 2],
+    workers: Workers,
     answers: mpsc::Receiver<(Ticket, Result<Answer, NoAnswer>)>,
     answered: mpsc::Sender<(Ticket, Result<Answer, NoAnswer>)>,
 }
@@ -200,7 +200,7 @@ impl Shell {
             plan: bus.publisher(&topics::PLAN, &name)?,
             status: bus.publisher(&topics::MISSION, &name)?,
             goals: Vec::new(),
-            workers: [Workers::watch(bus, "plan")?, Workers::watch(bus, "smooth")?],
+            workers: Workers::watch(bus, crate::motion::SERVICE)?,
             clients: BTreeMap::new(),
             next_client: 0,
             bus: bus.clone(),
@@ -275,9 +275,7 @@ impl Shell {
         inputs
             .answers
             .extend(std::iter::from_fn(|| self.answers.try_recv().ok()).take(MAX_ANSWERS));
-        for workers in &mut self.workers {
-            workers.update();
-        }
+        self.workers.update();
     }
 
     /// `begun` is when the step's inputs were taken.
@@ -370,9 +368,9 @@ impl Shell {
 
     fn ask(&self, ticket: Ticket, ask: Ask) {
         let (bus, robot, answered) = (self.bus.clone(), self.robot.clone(), self.answered.clone());
-        let [planners, smoothers] = self.workers.clone();
+        let workers = self.workers.clone();
         tokio::spawn(async move {
-            let answer = carry(&bus, &robot, &planners, &smoothers, ask).await;
+            let answer = carry(&bus, &robot, &workers, ask).await;
             // The receiver lives as long as the mission does.
             let _ = answered.send((ticket, answer)).await;
         });

@@ -6,22 +6,18 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 use zenav_protocol::bus::{AliveWatch, AskError, Bus, BusError};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics;
 
 use zenav_mission::io::{Answer, Ask, NoAnswer};
 
+/// What a worker's answer may take beyond its budget.
+const ANSWERED: Duration = Duration::from_millis(500);
 /// Pause before workers are looked for again.
 const NO_WORKER: Duration = Duration::from_millis(100);
 
 /// Sends one request to its server.
-pub(super) async fn carry(
-    bus: &Bus,
-    robot: &str,
-    planners: &Workers,
-    smoothers: &Workers,
-    ask: Ask,
-) -> Result<Answer, NoAnswer> {
+pub(super) async fn carry(bus: &Bus, robot: &str, workers: &Workers, ask: Ask) -> Result<Answer, NoAnswer> {
     let patience = Duration::from_secs_f64(ask.patience_secs());
     let name = [robot];
     let no = |error: AskError| match error {
@@ -57,30 +53,16 @@ pub(super) async fn carry(
             .await
             .map(|reply| Answer::Remote(Box::new(reply)))
             .map_err(no),
-        Ask::Plan(request) => {
-            let each = Duration::from_millis(request.budget_ms.min(60_000)) + Duration::from_millis(500);
+        Ask::Motion(request) => {
+            let each = request.budget() + ANSWERED;
             let end = Instant::now() + patience;
-            let mut last = NoAnswer::Silent("no planning worker is there".to_owned());
-            while let Some((worker, deadline)) = planners.next(end, each).await {
-                match bus.ask(&topics::PLAN_SERVICE, &[&worker], &*request, deadline).await {
-                    Ok(reply) => return Ok(Answer::Plan(reply)),
+            let mut last = NoAnswer::Silent("no motion worker is there".to_owned());
+            while let Some((worker, deadline)) = workers.next(end, each).await {
+                match bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await {
+                    Ok(reply) => return Ok(Answer::Motion(Box::new(reply))),
                     Err(error) => match no(error) {
                         refused @ NoAnswer::Refused(_) => return Err(refused),
-                        silent => last = planners.failed(&worker, silent),
-                    },
-                }
-            }
-            Err(last)
-        }
-        Ask::Smooth(request) => {
-            let end = Instant::now() + patience;
-            let mut last = NoAnswer::Silent("no smoothing worker is there".to_owned());
-            while let Some((worker, deadline)) = smoothers.next(end, patience / 2).await {
-                match bus.ask(&topics::SMOOTH_SERVICE, &[&worker], &*request, deadline).await {
-                    Ok(reply) => return Ok(Answer::Smooth(Box::new(reply))),
-                    Err(error) => match no(error) {
-                        refused @ NoAnswer::Refused(_) => return Err(refused),
-                        silent => last = smoothers.failed(&worker, silent),
+                        silent => last = workers.failed(&worker, silent),
                     },
                 }
             }

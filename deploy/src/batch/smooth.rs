@@ -9,7 +9,7 @@ use zenav_protocol::messages::{DrivingProfile, PlanOutcome, exit_code};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_smoothing::shortcut::shortcut;
-use zenav_smoothing::{SmoothQuery, SmoothSettings, Smoothed, smooth as smooth_path};
+use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth as smooth_path};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
@@ -109,10 +109,8 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
         searcher,
         model,
         options,
-        settings: SmoothSettings {
-            profile: args.profile,
-            ..SmoothSettings::default()
-        },
+        profile: args.profile,
+        settings: SmoothingSettings::default(),
         watchdog,
         start: Instant::now(),
     };
@@ -141,7 +139,8 @@ struct Workshop {
     searcher: Searcher,
     model: RobotModel,
     options: PlanOptions,
-    settings: SmoothSettings,
+    profile: DrivingProfile,
+    settings: SmoothingSettings,
     watchdog: Option<Watchdog>,
     start: Instant,
 }
@@ -180,7 +179,7 @@ impl Workshop {
         }
         let settings = self.settings;
         // A query has no heading: the robot stands as its path begins, without the grid's own corners.
-        let corners = shortcut(&self.space, &path, settings.rooms.comfort, None);
+        let corners = shortcut(&self.space, &path, settings.corridor.clearance, None, None);
         if let Some(along) = corners
             .iter()
             .map(|point| point - start.position())
@@ -189,15 +188,23 @@ impl Workshop {
             start.yaw = along.y.atan2(along.x);
         }
         let asked = SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: None,
+            profile: self.profile,
         };
         let mut clock = || self.start.elapsed().as_secs_f64();
         (
             search_us,
-            Some(smooth_path(&self.space, &asked, &self.model, &settings, &mut clock)),
+            Some(smooth_path(
+                &self.space,
+                &asked,
+                &self.model,
+                &settings,
+                None,
+                &mut clock,
+            )),
         )
     }
 }
@@ -224,7 +231,7 @@ fn write_trajectory(path: &Path, smoothed: Option<&Smoothed>) -> Result<(), Fail
     let mut file = Results::create(path)?;
     file.line(format_args!("{},a,alpha", TrajectoryPoint::CSV_HEADER))?;
     for state in smoothed
-        .map(|smoothed| smoothed.motion.states(PERIOD))
+        .map(|smoothed| smoothed.trajectory.states(PERIOD))
         .unwrap_or_default()
     {
         file.line(format_args!("{},{},{}", state.point, state.a, state.alpha))?;

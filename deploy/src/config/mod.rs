@@ -23,6 +23,7 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, LostPolicy};
 use zenav_protocol::settings;
 use zenav_protocol::settings::Settings as _;
+use zenav_smoothing::SmoothingSettings;
 
 use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
@@ -46,8 +47,10 @@ settings! {
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
         pub mapping: Service<MappingSection, MappingSettings>;
-        /// Planning and smoothing workers.
+        /// Motion workers.
         pub planning: Service<PlanningSection, PlanningSettings>;
+        /// How paths become trajectories.
+        pub smoothing: SmoothingSettings;
         /// Zones of the map.
         pub zones: ZonesSection;
         /// The mission orchestrator.

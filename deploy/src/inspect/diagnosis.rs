@@ -282,7 +282,7 @@ fn map(robot: &Robot) -> Check {
 /// Judges the workers that serve all robots.
 pub(super) fn workers(service: &'static str, count: usize) -> Check {
     match count {
-        0 => Check::fail("svc", service, "no worker shows", "start one: `zenav cloud planning`"),
+        0 => Check::fail("svc", service, "no worker shows", "start one: `zenav cloud motion`"),
         1 => Check::ok("svc", service, "1 worker"),
         several => Check::ok("svc", service, format!("{several} workers")),
     }
@@ -440,6 +440,6 @@ pub(super) mod tests {
             Verdict::Fail
         );
         assert_eq!(clock(&ClockSeen { simulated_rate: None }).verdict, Verdict::Ok);
-        assert_eq!(workers("plan", 0).verdict, Verdict::Fail);
+        assert_eq!(workers("motion", 0).verdict, Verdict::Fail);
     }
 }

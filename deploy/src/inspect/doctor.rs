@@ -120,15 +120,9 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
     for robot in robots? {
         checks.extend(diagnosis::judge(&robot, LISTEN));
     }
-    for service in ["plan", "smooth"] {
-        let workers = bus
-            .list_alive(
-                topics::alive_key(topics::ALIVE_WORKER, &[service, "*"]),
-                Duration::from_millis(500),
-            )
-            .await?;
-        checks.push(diagnosis::workers(service, workers.len()));
-    }
+    let workers = topics::alive_key(topics::ALIVE_WORKER, &["motion", "*"]);
+    let workers = bus.list_alive(workers, Duration::from_millis(500)).await?;
+    checks.push(diagnosis::workers("motion", workers.len()));
     checks.push(diagnosis::clock(&clock?));
     Ok(checks)
 }

@@ -5,16 +5,15 @@
 
 use std::sync::Arc;
 
-use zenav_cloud::planning::worker::PlanWorker;
-use zenav_cloud::smoothing::worker::SmoothWorker;
-use zenav_cloud::worker_host::Work as _;
+use zenav_cloud::motion;
+use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
-    GoalRequest, GoalState, Heartbeat, MapAction, MapRef, MapRequest, Plan, PlanRequest, Refusal, SmoothRequest,
+    GoalRequest, GoalState, Heartbeat, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
@@ -60,7 +59,9 @@ pub struct ClosedLoop {
     simulation: Simulation,
     pilot: Pilot,
     mapper: Mapper,
-    workers: Workers,
+    /// The motion worker's copy of the map.
+    replica: MapReplica,
+    worker: MotionWorker,
     mission: Mission,
     up: Link<Up>,
     down: Link<Down>,
@@ -96,11 +97,8 @@ impl ClosedLoop {
             simulation,
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
             mapper,
-            workers: Workers {
-                map: MapReplica::new(),
-                planning: PlanWorker::new(Arc::clone(&config.mission.zones), Default::default()),
-                smoothing: SmoothWorker::new(Arc::clone(&config.mission.zones)),
-            },
+            replica: MapReplica::new(),
+            worker: MotionWorker::new(Arc::clone(&config.mission.zones), Default::default()),
             mission: Mission::new(config.mission, Restored::fresh()),
             up: Link::new(0.5 * config.cloud_delay, config.seed),
             down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
@@ -157,15 +155,15 @@ impl ClosedLoop {
                 Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
-                Up::Publication(Publication::Scan(scan)) => {
+                Up::Publication(Publication::Scan(_, scan)) => {
                     self.mapper.insert(&scan);
                 }
                 Up::Publication(_) => {}
             }
         }
         while let Some(patch) = self.mapper.take_patch() {
-            if self.workers.map.apply(&patch) == PatchResult::Gap {
-                self.workers.map.replace(&self.mapper.reply());
+            if self.replica.apply(&patch) == PatchResult::Gap {
+                self.replica.replace(&self.mapper.reply());
             }
             self.inputs.map_patches.push(patch);
             self.inputs.map_info = Some(self.mapper.info());
@@ -189,12 +187,8 @@ impl ClosedLoop {
                     Ask::Lease(request) => EdgeRequest::Lease(request),
                     Ask::EdgeInfo(request) => EdgeRequest::Info(request),
                     Ask::Behaviour(request) => EdgeRequest::Behaviour(request),
-                    Ask::Plan(request) => {
-                        let answer = self.workers.plan(&request);
-                        return self.inputs.answers.push((ticket, answer));
-                    }
-                    Ask::Smooth(request) => {
-                        let answer = self.workers.smooth(&request);
+                    Ask::Motion(request) => {
+                        let answer = self.motion_answer(&request);
                         return self.inputs.answers.push((ticket, answer));
                     }
                     Ask::Remote(server, _) => {
@@ -213,6 +207,17 @@ impl ClosedLoop {
             // Nothing outlives a lockstep run, and nobody watches it.
             Effect::Persist(_) | Effect::Status(_) | Effect::StandBy | Effect::Fatal(_) => {}
         }
+    }
+
+    fn motion_answer(&mut self, request: &MotionRequest) -> Result<Answer, NoAnswer> {
+        if let Some(extent) = motion::padding(request) {
+            self.replica.reach(&extent);
+        }
+        // No clock, and no time that could be up: both would differ from run to run.
+        self.worker
+            .answer(Some(&self.replica), request, &mut || 0.0, &Cancel::default())
+            .map(|reply| Answer::Motion(Box::new(reply)))
+            .map_err(NoAnswer::Refused)
     }
 
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
@@ -268,35 +273,5 @@ fn answer_of(reply: Result<EdgeReply, Refusal>) -> Result<Answer, NoAnswer> {
         Ok(EdgeReply::Behaviour(reply)) => Ok(Answer::Behaviour(reply)),
         Ok(_) => Err(NoAnswer::Silent("an answer to another question".to_owned())),
         Err(refusal) => Err(NoAnswer::Refused(refusal)),
-    }
-}
-
-/// A planning and a smoothing worker with one copy of the map.
-struct Workers {
-    map: MapReplica,
-    planning: PlanWorker,
-    smoothing: SmoothWorker,
-}
-
-impl Workers {
-    fn plan(&mut self, request: &PlanRequest) -> Result<Answer, NoAnswer> {
-        if let Some(outlook) = PlanWorker::outlook(request) {
-            self.map.reach(&outlook);
-        }
-        self.planning
-            .answer(Some(&self.map), request, None)
-            .map(Answer::Plan)
-            .map_err(NoAnswer::Refused)
-    }
-
-    fn smooth(&mut self, request: &SmoothRequest) -> Result<Answer, NoAnswer> {
-        if let Some(outlook) = SmoothWorker::outlook(request) {
-            self.map.reach(&outlook);
-        }
-        // No clock: times would differ from run to run.
-        self.smoothing
-            .answer(Some(&self.map), request, &mut || 0.0)
-            .map(|reply| Answer::Smooth(Box::new(reply)))
-            .map_err(NoAnswer::Refused)
     }
 }

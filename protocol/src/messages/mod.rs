@@ -9,7 +9,8 @@
 //!
 //! | file | subject |
 //! |---|---|
-//! | `sense` | sensor readings as the robot publishes them, and its pose |
+//! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
+//! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
@@ -25,31 +26,33 @@
 mod behaviour;
 mod body;
 mod control;
+mod estimate;
 mod event;
 mod goal;
 mod journal;
 mod lease;
 mod map;
 mod mission;
+mod motion;
 mod plan;
 mod refusal;
 mod remote;
-mod sense;
 mod state;
 
 pub use behaviour::*;
 pub use body::*;
 pub use control::*;
+pub use estimate::*;
 pub use event::*;
 pub use goal::*;
 pub use journal::*;
 pub use lease::*;
 pub use map::*;
 pub use mission::*;
+pub use motion::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
-pub use sense::*;
 pub use state::*;
 
-pub(crate) use sense::no_return_as_null;
+pub use crate::sensors::{Battery, Bump, Gps, Imu, Scan};

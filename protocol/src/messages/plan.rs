@@ -1,11 +1,9 @@
-//! How is the robot to move? The plan, and the questions that planning and smoothing answer.
+//! Plan. How is the robot to move, and until when may it?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::MapRef;
-use crate::geometry::{Pose2, Twist2};
-use crate::robot::RobotModel;
 use crate::time::Stamp;
 pub use crate::trajectory::{Trajectory, TrajectoryPoint};
 
@@ -36,7 +34,7 @@ pub struct Plan {
     pub epoch: u64,
     /// Newer plans replace older ones.
     pub revision: Revision,
-    /// Names the motion: a renewal keeps it, and the robot goes on where it is; a new one starts a new motion.
+    /// Names the trajectory: a renewal keeps it, and the robot goes on where it is.
     pub trajectory_id: u64,
     /// The map it was checked on.
     pub map: MapRef,
@@ -46,21 +44,21 @@ pub struct Plan {
     pub based_on: BasedOn,
     /// For how long after `based_on` the robot may move by it, s. By then it is at rest.
     pub valid_for: f64,
-    /// The way as corner points, start excluded; driven by the waypoint law when there is no trajectory.
+    /// The path's corner points, start excluded; driven by the waypoint law when there is no trajectory.
     pub waypoints: Vec<Point2<f64>>,
     /// The time-stamped trajectory; empty for a plain list of waypoints.
     pub trajectory: Trajectory,
-    /// Where on the motion before this one the trajectory begins; without it, where the robot rests.
+    /// Where on the trajectory before this one it begins; without it, where the robot rests.
     #[serde(default)]
     pub splice: Option<Splice>,
     /// How it came about.
     pub statistics: PlanStatistics,
 }
 
-/// A point on the motion that a new one replaces: a replan starts at the state predicted there, speed included.
+/// A point on the trajectory that a new one replaces: a replan starts at the state predicted there, speed included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Splice {
-    /// The motion being driven.
+    /// The trajectory being driven.
     pub trajectory_id: u64,
     /// Its plan time at which the new trajectory begins, s.
     pub time: f64,
@@ -79,14 +77,14 @@ pub struct PlanStatistics {
     pub geometry_ms: f64,
     /// Time in the time law, ms.
     pub timing_ms: f64,
-    /// Length of the way, m.
+    /// Length of the path driven, m.
     pub length: f64,
     /// Duration of the trajectory, s.
     pub duration: f64,
     /// Energy that it will draw by the robot's model, J.
     #[serde(default)]
     pub energy_j: f64,
-    /// Least distance of the true footprint to an occupied cell along the way, m; `None` when there is nothing near.
+    /// Least distance of the true footprint to an occupied cell along the trajectory, m; `None` when there is nothing near.
     pub min_clearance: Option<f64>,
     /// `smoothed`, `fallback:REASON`, or `waypoints`.
     pub status: String,
@@ -101,7 +99,7 @@ pub struct PlanStatistics {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Certificate {
-    /// The free rooms that the curve keeps to; `None` where it was driven along the way's own lines.
+    /// The free polygons that the curve keeps to; `None` where the path's own lines are driven.
     pub corridor: Option<CorridorFigures>,
     /// How the curve was found; `None` as above.
     pub geometry: Option<SolverFigures>,
@@ -117,12 +115,13 @@ pub struct Certificate {
     pub over_lower_bound: f64,
 }
 
-/// The corridor around a way.
+/// The corridor around a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CorridorFigures {
-    /// Convex rooms, each overlapping the next.
-    pub rooms: usize,
-    /// Least width across the way that the robot's centre has, m.
+    /// Convex free polygons, each overlapping the next.
+    #[serde(rename = "rooms")]
+    pub polygons: usize,
+    /// Least width across the path that the robot's centre has, m.
     pub least_width: f64,
 }
 
@@ -155,161 +154,6 @@ pub struct LimitUse {
     pub jerk: Option<f64>,
 }
 
-/// A question for a way through the robot's current map.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PlanRequest {
-    /// Whose map to plan on.
-    pub robot: String,
-    /// Footprint and limits.
-    pub model: RobotModel,
-    /// The map must be at least at this revision; a worker with an older one asks for the whole first.
-    pub map: MapRef,
-    /// Start, map frame.
-    pub start: Pose2,
-    /// Goal, map frame.
-    pub goal: Pose2,
-    /// Planner (`astar`, …).
-    pub planner: String,
-    /// Whether unknown cells may be driven through.
-    #[serde(default)]
-    pub unknown_is_free: bool,
-    /// Time the search may take, ms.
-    pub budget_ms: u64,
-    /// Seed of planners that draw samples.
-    #[serde(default)]
-    pub seed: u64,
-}
-
-/// Answer to a [`PlanRequest`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PlanReply {
-    /// The map that was planned on.
-    pub map: MapRef,
-    /// What came out.
-    pub outcome: PlanOutcome,
-    /// Time in the search, ms.
-    pub search_ms: f64,
-    /// Nodes expanded.
-    pub expansions: u64,
-    /// How the answer came about.
-    #[serde(default)]
-    pub origin: PlanOrigin,
-}
-
-/// How an answer to a [`PlanRequest`] came about.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PlanOrigin {
-    /// By a search for it.
-    #[default]
-    Searched,
-    /// An earlier answer, or the rest of it, which is still as good as a search would find.
-    Reused,
-    /// An earlier answer of which a piece was replaced, or which is a few hundredths longer than need be.
-    Repaired,
-}
-
-/// What came out of a search.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "outcome")]
-pub enum PlanOutcome {
-    /// A way, from start to goal, as corner points in the map frame.
-    Found {
-        /// Corner points, start and goal included.
-        path: Vec<Point2<f64>>,
-        /// Its length, m.
-        length: f64,
-    },
-    /// The robot does not fit where it is to go.
-    GoalOccupied {
-        /// The nearest place where it does.
-        nearest_free: Option<Point2<f64>>,
-    },
-    /// The robot does not fit where it stands, by this map.
-    StartOccupied {
-        /// The nearest place where it does.
-        nearest_free: Option<Point2<f64>>,
-    },
-    /// Start and goal are not connected.
-    NoPath,
-    /// Start or goal lie outside the map.
-    OutOfMap,
-    /// The budget ran out.
-    TimedOut,
-    /// The worker has no such map.
-    NoMap,
-}
-
-/// A question for a trajectory along a way.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SmoothRequest {
-    /// Whose map to smooth on.
-    pub robot: String,
-    /// Footprint and limits.
-    pub model: RobotModel,
-    /// The map that the way was found on.
-    pub map: MapRef,
-    /// The way, start and goal included, map frame.
-    pub path: Vec<Point2<f64>>,
-    /// Pose at the start.
-    pub start: Pose2,
-    /// Velocity at the start.
-    pub start_velocity: Twist2,
-    /// Heading wanted at the end, if any.
-    pub goal_yaw: Option<f64>,
-    /// Whether unknown cells may be driven through.
-    #[serde(default)]
-    pub unknown_is_free: bool,
-    /// What the motion is to be good at.
-    #[serde(default)]
-    pub profile: DrivingProfile,
-}
-
-/// What a motion is to be good at.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DrivingProfile {
-    /// As fast as the limits allow.
-    #[default]
-    Fastest,
-    /// With the least energy for the way, by the robot's own model of its motors, in whatever time that takes.
-    Economy,
-}
-
-impl std::str::FromStr for DrivingProfile {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        match name {
-            "fastest" => Ok(Self::Fastest),
-            "economy" => Ok(Self::Economy),
-            _ => Err(format!("`{name}`: expected fastest or economy")),
-        }
-    }
-}
-
-/// Answer to a [`SmoothRequest`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SmoothReply {
-    /// The map that was smoothed on.
-    pub map: MapRef,
-    /// The trajectory; never empty unless the way itself is blocked.
-    pub trajectory: Trajectory,
-    /// Status, times, certificate.
-    pub statistics: PlanStatistics,
-}
-
-/// A search tree or path, to be drawn.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SearchTree {
-    /// When it was made.
-    pub stamp: Stamp,
-    /// Pairs of points, map frame: each an edge of the tree.
-    pub edges: Vec<[Point2<f64>; 2]>,
-    /// The best way so far.
-    pub path: Vec<Point2<f64>>,
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -322,7 +166,7 @@ mod tests {
         assert_eq!(statistics.certificate, Certificate::default());
         statistics.certificate = Certificate {
             corridor: Some(CorridorFigures {
-                rooms: 3,
+                polygons: 3,
                 least_width: 0.7,
             }),
             geometry: Some(SolverFigures {

@@ -12,7 +12,7 @@ use super::rig::{Cable, PATIENCE, client, clock, event, robot, router, router_at
 async fn coming_and_going_is_seen() {
     let (_router, endpoint) = router().await;
     let (worker, watcher) = (client(&endpoint, "worker").await, client(&endpoint, "watcher").await);
-    let key = |name: &str| topics::alive_key(topics::ALIVE_WORKER, &["plan", name]);
+    let key = |name: &str| topics::alive_key(topics::ALIVE_WORKER, &["motion", name]);
     let early = worker.declare_alive(key("w1")).unwrap();
     let mut watch = watcher.watch_alive(key("*")).unwrap();
     assert_eq!(within("w1", watch.next()).await, Some((key("w1"), true)));

@@ -15,10 +15,9 @@ use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
     BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, GuardZone, InfoReply, LeaseReply, Link, MapInfo,
-    MapPatch, MapRef, MapReply, Mode, Plan, PlanOrigin, PlanOutcome, PlanProgress, PlanReply, PlanRequest,
-    PlanStatistics, PoseEstimate, SimClock, SmoothReply, SmoothRequest, TILE, Tile,
+    MapPatch, MapRef, MapReply, Mode, MotionReply, MotionRequest, Plan, PlanOrigin, PlanOutcome, PlanProgress,
+    PlanReply, PlanStatistics, PoseEstimate, Refusal, SimClock, SmoothReply, TILE, Tile, TrajectoryReply,
 };
-use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_smoothing::unsmoothed;
@@ -278,11 +277,10 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     let mut leases = bus.serve(&topics::LEASE, &["*"]).map_err(text)?;
     let mut infos = bus.serve(&topics::EDGE_INFO, &["*"]).map_err(text)?;
     let mut maps = bus.serve(&topics::MAP, &["*"]).map_err(text)?;
-    let plans = bus.serve(&topics::PLAN_SERVICE, &["fake"]).map_err(text)?;
-    let smooths = bus.serve(&topics::SMOOTH_SERVICE, &["fake"]).map_err(text)?;
-    let _workers = [tokio::spawn(plan(plans)), tokio::spawn(smooth(smooths, model.clone()))];
-    let alive = |service: &str| bus.declare_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "fake"]));
-    let _alive = [alive("plan").map_err(text)?, alive("smooth").map_err(text)?];
+    let motions = bus.serve(&topics::MOTION_SERVICE, &["fake"]).map_err(text)?;
+    let _worker = tokio::spawn(motion(motions));
+    let alive = topics::alive_key(topics::ALIVE_WORKER, &["motion", "fake"]);
+    let _alive = bus.declare_alive(alive).map_err(text)?;
     let clock = bus.publisher(&topics::SIM_CLOCK, &[]).map_err(text)?;
     let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
@@ -400,36 +398,37 @@ fn submit(bus: &Bus, fake: &mut FakeRobot, after: Duration) {
     });
 }
 
-/// Plans straight to the goal.
-async fn plan(mut requests: Server<PlanRequest, PlanReply>) {
+/// Plans straight to the goal, and drives along the path as it is.
+async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
     while let Some(request) = requests.next().await {
-        let path = vec![request.body.start.position(), request.body.goal.position()];
+        let MotionRequest::Trajectory(wanted) = &request.body else {
+            request.refuse(&Refusal::bad_request("a puppet plans trajectories only"));
+            continue;
+        };
+        let path = vec![wanted.plan.start.position(), wanted.plan.goal.position()];
         let length = (path[1] - path[0]).norm();
-        let map = request.body.map.clone();
-        request.reply(&PlanReply {
-            map,
-            outcome: PlanOutcome::Found { path, length },
-            search_ms: 0.0,
-            expansions: 0,
-            origin: PlanOrigin::Searched,
-        });
-    }
-}
-
-/// Drives along the path as it is, a corner at a time.
-async fn smooth(mut requests: Server<SmoothRequest, SmoothReply>, model: RobotModel) {
-    while let Some(request) = requests.next().await {
-        let wanted = &request.body;
-        let (start, velocity) = (wanted.start, wanted.start_velocity);
-        let motion = unsmoothed(&wanted.path, start, velocity, wanted.goal_yaw, &model);
-        let reply = SmoothReply {
-            map: wanted.map.clone(),
-            trajectory: motion.trajectory(SAMPLES),
+        let (start, velocity) = (wanted.plan.start, wanted.start_velocity);
+        let safe = unsmoothed(&path, start, velocity, wanted.goal_yaw, &wanted.plan.model);
+        let smooth = SmoothReply {
+            map: wanted.plan.map.clone(),
+            trajectory: safe.sampled(SAMPLES),
             statistics: PlanStatistics {
                 status: "unsmoothed".to_owned(),
                 ..PlanStatistics::default()
             },
         };
-        request.reply(&reply);
+        let plan = PlanReply {
+            map: wanted.plan.map.clone(),
+            outcome: PlanOutcome::Found { path, length },
+            leg: 0,
+            escapes: false,
+            search_ms: 0.0,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        };
+        request.reply(&MotionReply::Trajectory(TrajectoryReply {
+            plan,
+            smooth: Some(smooth),
+        }));
     }
 }

@@ -13,7 +13,7 @@ use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcom
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
 use zenav_smoothing::shortcut::shortcut;
-use zenav_smoothing::{SmoothQuery, SmoothSettings, smooth};
+use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::sim_rig::{SimRig, SimRigError};
@@ -127,11 +127,8 @@ pub fn planned_paths(
         let PlanOutcome::Found { path, .. } = planned.outcome else {
             continue;
         };
-        let settings = SmoothSettings {
-            profile,
-            ..SmoothSettings::default()
-        };
-        let corners = shortcut(&space, &path, settings.rooms.comfort, None);
+        let settings = SmoothingSettings::default();
+        let corners = shortcut(&space, &path, settings.corridor.clearance, None, None);
         let Some(along) = corners
             .iter()
             .map(|point| point - from)
@@ -141,17 +138,18 @@ pub fn planned_paths(
         };
         start.yaw = along.y.atan2(along.x);
         let query = SmoothQuery {
-            way: &path,
+            path: &path,
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: None,
+            profile,
         };
-        let smoothed = smooth(&space, &query, model, &settings, &mut || 0.0);
+        let smoothed = smooth(&space, &query, model, &settings, None, &mut || 0.0);
         if smoothed.is_smooth() {
             found.push(PlannedPath {
                 start,
                 corners,
-                trajectory: smoothed.trajectory(0.02),
+                trajectory: smoothed.sampled(0.02),
                 forecast_j: smoothed.statistics.energy_j,
             });
         }

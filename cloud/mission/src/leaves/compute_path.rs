@@ -36,7 +36,7 @@ fn is_through(io: &LeafIo<'_>) -> bool {
 }
 
 /// What the ports ask for; the code and the reason if that is nothing.
-fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, String)> {
+fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, String)> {
     let unknown = |why: String| (code(io, error_code::UNKNOWN), why);
     let mut stops = if is_through(io) {
         goals_on(io, ctx, "goals").map_err(unknown)?
@@ -73,7 +73,7 @@ fn quest(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, String)> 
 
 /// The way as it will be driven: the motion cuts the corners of what the planner found.
 fn driven(route: &Route) -> Vec<Point2<f64>> {
-    let trajectory = &route.course.trajectory;
+    let trajectory = &route.plan.trajectory;
     if trajectory.is_empty() {
         return route.path.clone();
     }
@@ -83,8 +83,8 @@ fn driven(route: &Route) -> Vec<Point2<f64>> {
 
 impl Leaf<Context> for ComputePath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let quest = match quest(io, ctx) {
-            Ok(quest) => quest,
+        let request = match route_request(io, ctx) {
+            Ok(request) => request,
             Err((code, why)) => return fail(io, ctx, Some(code), why),
         };
         let planner = match Choice::Planner.check(io.get_optional("planner_id").ok().flatten()) {
@@ -97,25 +97,25 @@ impl Leaf<Context> for ComputePath {
         if let Some((old, _)) = self.search.take() {
             old.cancel(ctx);
         }
-        if self.tried.is_none_or(|(to, _)| to != quest.goal) {
-            self.tried = Some((quest.goal, 0));
+        if self.tried.is_none_or(|(to, _)| to != request.goal) {
+            self.tried = Some((request.goal, 0));
         }
-        self.search = Some((Search::new(ctx, quest.clone(), planner, ctx.now), quest));
+        self.search = Some((Search::new(ctx, request.clone(), planner, ctx.now), request));
         self.tick(io, ctx)
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        let Some((search, quest)) = &mut self.search else {
+        let Some((search, request)) = &mut self.search else {
             return self.start(io, ctx);
         };
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Found(route) => {
-                let (via, only_a_way) = (std::mem::take(&mut quest.via), quest.from.is_some());
+                let (via, only_a_path) = (std::mem::take(&mut request.via), request.from.is_some());
                 self.search = None;
                 let (goal, points, length) = (route.goal, driven(&route), route.length);
                 let data = RouteData {
-                    route: if only_a_way { 0 } else { ctx.keep_route(*route) },
+                    route: if only_a_path { 0 } else { ctx.keep_route(*route) },
                     goal,
                     points,
                     length,

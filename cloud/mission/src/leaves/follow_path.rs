@@ -181,7 +181,7 @@ impl Leaf<Context> for FollowPath {
         {
             return self.drive(io, ctx, memory, &route);
         }
-        if let Some(PlanStatus::Refused(why)) = ctx.motion.standing().cloned() {
+        if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
             self.refusals += 1;
             tracing::info!(goal = ctx.goal.id, why, "the robot rejected a plan");
             if self.refusals > MAX_REFUSALS {
@@ -194,7 +194,7 @@ impl Leaf<Context> for FollowPath {
             self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
         }
         if self.search.is_none() {
-            match ctx.motion.standing().cloned() {
+            match ctx.motion.status().cloned() {
                 None => self.begin_search(ctx, memory.goal, 0.0),
                 Some(PlanStatus::Void(why)) => {
                     tracing::info!(goal = ctx.goal.id, why, "replanning");
@@ -261,18 +261,18 @@ impl FollowPath {
     /// Makes a motion of a path that came without one.
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
         self.stop_search(ctx);
-        let quest = RouteRequest {
+        let request = RouteRequest {
             given: data.points.clone(),
             ..RouteRequest::to(data.goal)
         };
-        self.search = Some(Search::new(ctx, quest, None, ctx.now));
+        self.search = Some(Search::new(ctx, request, None, ctx.now));
     }
 
     /// Whether a route begins where the robot will be.
     fn fits(&self, ctx: &Context, route: &Route) -> bool {
-        match route.course.splice {
+        match route.plan.splice {
             Some(splice) => {
-                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.standing() == Some(&PlanStatus::Taken)
+                ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.status() == Some(&PlanStatus::Taken)
             }
             None => {
                 ctx.robot.is_at_rest()
@@ -286,7 +286,7 @@ impl FollowPath {
 
     /// Puts a route into force, if it is free by the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
-        match space_now(ctx).map(|space| recheck(&route.course.trajectory, &space, 0.0)) {
+        match space_now(ctx).map(|space| recheck(&route.plan.trajectory, &space, 0.0)) {
             Ok(Recheck::Free) => {}
             Ok(Recheck::Blocked(_)) => {
                 // The map has changed since.
@@ -300,7 +300,7 @@ impl FollowPath {
         }
         self.stop_search(ctx);
         self.blocked_at = None;
-        ctx.drive(route.course.clone());
+        ctx.drive(route.plan.clone());
         self.gathered = ctx.now.plus_secs(GATHER_SECS);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
@@ -309,8 +309,8 @@ impl FollowPath {
 
     /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
     fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
-        let standing = ctx.motion.standing() == Some(&PlanStatus::Taken);
-        if standing && !ctx.motion.is_held() {
+        let taken = ctx.motion.status() == Some(&PlanStatus::Taken);
+        if taken && !ctx.motion.is_held() {
             self.refusals = 0;
         }
         let (time, left) = self.where_it_is(ctx);
@@ -337,7 +337,7 @@ impl FollowPath {
                 }
             }
         }
-        let what = if standing {
+        let what = if taken {
             "driving"
         } else {
             "waiting for the robot to accept the plan"
@@ -374,7 +374,7 @@ impl FollowPath {
                 }
             }
             Searching::Failed(no_route)
-                if !ctx.robot.is_at_rest() && ctx.motion.standing() == Some(&PlanStatus::Taken) =>
+                if !ctx.robot.is_at_rest() && ctx.motion.status() == Some(&PlanStatus::Taken) =>
             {
                 // Perhaps only not at this speed.
                 ctx.hold();
@@ -406,11 +406,11 @@ impl FollowPath {
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
         self.stop_search(ctx);
         let from = ctx.now.plus_secs(wait);
-        let quest = RouteRequest {
+        let request = RouteRequest {
             via: self.tracking.goals_ahead(),
             ..RouteRequest::to(goal)
         };
-        self.search = Some(Search::new(ctx, quest, None, from));
+        self.search = Some(Search::new(ctx, request, None, from));
     }
 
     fn stop_search(&mut self, ctx: &mut Context) {

@@ -11,7 +11,7 @@ use super::ports::parse_points;
 use super::progress::Progress;
 use super::{fail, no_error, step};
 use crate::context::Context;
-use crate::motion::{ActivePlan, PlanStatus};
+use crate::motion::{PlanDraft, PlanStatus};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Plans in a row that the robot may refuse.
@@ -80,7 +80,7 @@ impl Leaf<Context> for FollowWaypoints {
             let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
             return self.end(io, ctx, FAILED_TO_MAKE_PROGRESS, why);
         }
-        match ctx.motion.standing().cloned() {
+        match ctx.motion.status().cloned() {
             Some(PlanStatus::Sent | PlanStatus::Taken) => {
                 let mine = ctx
                     .robot
@@ -152,11 +152,11 @@ impl FollowWaypoints {
             ..PlanStatistics::default()
         };
         let map = ctx.map.newest().unwrap_or_default();
-        ctx.drive(ActivePlan {
+        ctx.drive(PlanDraft {
             map,
             waypoints: rest,
             statistics,
-            ..ActivePlan::default()
+            ..PlanDraft::default()
         });
         memory.base = memory.passed;
         memory.motion = ctx.motion.id();

@@ -217,7 +217,7 @@ impl SyncLeaf for ValidatePath {
         };
         let route = ctx
             .route(data.route)
-            .filter(|route| !route.course.trajectory.is_empty() && ahead <= 0.0);
+            .filter(|route| !route.plan.trajectory.is_empty() && ahead <= 0.0);
         let radius = model.footprint.inscribed_radius() - 0.5 * space.spec().resolution;
         let mut collisions: Vec<[f64; 2]> = Vec::new();
         for pair in path::spaced(&points, SPACING, MOST).windows(2) {
@@ -231,7 +231,7 @@ impl SyncLeaf for ValidatePath {
             }
         }
         if let Some(route) = route {
-            let trajectory = &route.course.trajectory;
+            let trajectory = &route.plan.trajectory;
             let from = trajectory.nearest_ahead(0.0, pose.position(), f64::INFINITY).t;
             if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from) {
                 let at = trajectory.sample(from + ahead);

@@ -227,7 +227,7 @@ mod tests {
             "a/*",
             "**",
             "a?b",
-            "zenav/svc/plan/w",
+            "zenav/svc/motion/w",
             "zenav/tiago/ask/edge/stop",
         ] {
             assert!(check_key(key).is_err(), "{key}");

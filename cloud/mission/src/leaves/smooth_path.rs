@@ -1,9 +1,9 @@
-//! SmoothPath: a way is made smooth by a smoothing worker, as from rest at its beginning. What comes out is a path of its
-//! corners; FollowPath makes a motion of it from where the robot is.
+//! SmoothPath. A motion worker smooths a path, as from rest at its beginning. What comes out is a path of its corners; FollowPath
+//! drives it from where the robot is.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::SmoothRequest;
+use zenav_protocol::messages::{MotionReply, MotionRequest, SmoothRequest};
 use zenav_protocol::time::Stamp;
 
 use super::ports::{number, path_on};
@@ -23,6 +23,8 @@ mod error_code {
     pub const INVALID_PATH: i64 = 505;
 }
 
+/// A worker answered another request.
+const OFF_TOPIC: &str = "the motion worker answered another request";
 /// What comes out leaves the smooth curve by at most so much, m.
 const EXACT: f64 = 0.01;
 /// Least time that a worker is waited for, s: to hold through a network.
@@ -75,7 +77,7 @@ impl Leaf<Context> for SmoothPath {
             profile: ctx.goal.profile,
         };
         *self = Self {
-            ticket: Some(ctx.asks.ask(Ask::Smooth(Box::new(request)))),
+            ticket: Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))))),
             given: Some(data),
             since: ctx.now,
         };
@@ -90,22 +92,18 @@ impl Leaf<Context> for SmoothPath {
         let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) else {
             if waited > patience {
                 self.halt(io, ctx);
-                let why = format!("no smoothing worker has answered within {patience:.0} s");
+                let why = format!("no motion worker has answered within {patience:.0} s");
                 return fail(io, ctx, Some(error_code::TIMEOUT), why);
             }
             return step(io, ctx, "smooths");
         };
         self.ticket = None;
         let reply = match answer {
-            Ok(Answer::Smooth(reply)) => reply,
-            Ok(_) => {
-                return fail(
-                    io,
-                    ctx,
-                    Some(error_code::UNKNOWN),
-                    "the smoother's answer was about something else",
-                );
-            }
+            Ok(Answer::Motion(reply)) => match *reply {
+                MotionReply::Smooth(reply) => reply,
+                _ => return fail(io, ctx, Some(error_code::UNKNOWN), OFF_TOPIC),
+            },
+            Ok(_) => return fail(io, ctx, Some(error_code::UNKNOWN), OFF_TOPIC),
             Err(NoAnswer::Silent(why)) => return fail(io, ctx, Some(error_code::TIMEOUT), why),
             Err(NoAnswer::Refused(refusal)) => {
                 return fail(io, ctx, Some(error_code::FAILED_TO_SMOOTH_PATH), refusal.to_string());

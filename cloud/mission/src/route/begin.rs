@@ -1,12 +1,12 @@
-//! Where will the robot be when a plan made now comes into force? At rest where it stands, or on the motion that it drives.
+//! Predicted start. Where will the robot be when a plan made now comes into force? At rest where it stands, or on its trajectory.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{Mode, Splice};
 
 use crate::context::Context;
 use crate::motion::PlanStatus;
 
-/// Less than this left of a motion is driven to its end before the next begins, s.
+/// A trajectory with less than this left is driven to its end before the next begins, s.
 const SHORT_REST: f64 = 0.4;
 
 /// The state that a route begins in.
@@ -14,8 +14,19 @@ const SHORT_REST: f64 = 0.4;
 pub(super) struct Begin {
     pub pose: Pose2,
     pub twist: Twist2,
-    /// Where on the motion before it; `None` from rest.
+    /// Where on the trajectory before it; `None` from rest.
     pub splice: Option<Splice>,
+}
+
+impl Begin {
+    /// From rest, at a pose.
+    pub(super) fn at_rest(pose: Pose2) -> Self {
+        Self {
+            pose,
+            twist: Twist2::ZERO,
+            splice: None,
+        }
+    }
 }
 
 /// The state that the robot will be in when a plan made now comes into force.
@@ -23,19 +34,15 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
     let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
         return Err("waits for the robot");
     };
-    // Also in the middle of a motion: something may hold the robot there.
+    // Also in the middle of a trajectory: something may hold the robot there.
     if ctx.robot.is_at_rest() {
-        return Ok(Begin {
-            pose,
-            twist: Twist2::ZERO,
-            splice: None,
-        });
+        return Ok(Begin::at_rest(pose));
     }
     let ahead = ctx
         .motion
         .time(state, ctx.robot.state_age(ctx.now))
-        .filter(|_| ctx.motion.standing() == Some(&PlanStatus::Taken));
-    // A motion that is held runs on to where the new one begins, if slower.
+        .filter(|_| ctx.motion.status() == Some(&PlanStatus::Taken));
+    // A trajectory that is held runs on to where the new one begins, if slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
         let time = (time + ctx.config.latency_budget).max(0.0);

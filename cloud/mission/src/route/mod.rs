@@ -1,29 +1,26 @@
-//! How does a goal become a motion? A way is asked of a planning worker, a trajectory of a smoothing worker.
+//! Route. How does a goal become a plan? A motion worker is asked for a path and its trajectory, in one request.
 //!
-//! A robot that drives is planned for from the state predicted on its motion, one latency budget ahead; one that stands
-//! from where it stands; one that moves otherwise is waited for. Smoothing never fails a plan: without it the way goes
-//! out with a safe time law.
+//! A robot that drives is planned for from the state predicted on its trajectory, one latency budget ahead; one that stands,
+//! from where it stands; one that moves otherwise is waited for.
 
 mod begin;
 mod request;
-mod room;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::*;
-use zenav_protocol::robot::RobotModel;
+use zenav_protocol::messages::{
+    GoalPoint, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, SmoothReply,
+    SmoothRequest, TrajectoryRequest,
+};
 use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::Trajectory;
 
 use super::context::Context;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::leaves::path;
-use super::motion::ActivePlan;
+use super::motion::PlanDraft;
 use begin::{Begin, predicted};
-use request::Legs;
-use room::Room;
-use zenav_smoothing::PERIOD;
-use zenav_smoothing::unsmoothed;
 
 pub use request::RouteRequest;
 
@@ -53,12 +50,12 @@ const RETRY: f64 = 0.5;
 const MAP_PATIENCE: f64 = 20.0;
 /// Time to wait for the robot to stand, s.
 const REST_PATIENCE: f64 = 10.0;
-/// A way shorter than this is none, m.
+/// A path shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
-/// A start that the map has occupied may be left by this much, m.
+/// A robot that by the map stands in an obstacle may leave it by a free position this near, m.
 const ESCAPE: f64 = 0.6;
 
-/// A found way and its trajectory.
+/// A path and its trajectory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
     /// Its name.
@@ -67,12 +64,12 @@ pub struct Route {
     pub goal: GoalPoint,
     /// Corner points, start and goal included.
     pub path: Vec<Point2<f64>>,
-    /// Length of the way, m.
+    /// Length of the path, m.
     pub length: f64,
     /// Where it begins.
     pub begin: Pose2,
     /// What is to be published.
-    pub course: ActivePlan,
+    pub plan: PlanDraft,
 }
 
 /// A route as it stands on the blackboard.
@@ -131,54 +128,35 @@ pub enum Searching {
 enum Stage {
     /// Until this time nothing is asked.
     Idle(Stamp),
-    Plan(Ticket, Begin),
-    Smooth(Ticket, Box<Smoothing>),
-}
-
-/// A way that is being smoothed.
-#[derive(Clone, Debug)]
-struct Smoothing {
-    begin: Begin,
-    /// The question.
-    request: SmoothRequest,
-    /// Length of the way, m.
-    length: f64,
-    /// What the planner said.
-    planned: PlanStatistics,
+    Asked(Ticket, Begin),
+    /// The trajectory along the path that was given, joined.
+    Given(Ticket, Begin, Vec<Point2<f64>>),
 }
 
 /// A search for a route.
 #[derive(Clone, Debug)]
 pub struct Search {
-    legs: Legs,
+    request: RouteRequest,
     planner: String,
-    unknown_is_free: bool,
     stage: Stage,
     begun: Stamp,
-    /// The planner has said that the start is occupied, and where it is not.
-    escape: Option<Point2<f64>>,
     /// Only from where the robot stands.
     from_rest: bool,
-    /// How large a disc stands for the robot.
-    room: Room,
 }
 
 impl Search {
     /// Begins at `from` (now, or later).
     #[must_use]
-    pub fn new(ctx: &Context, quest: RouteRequest, planner: Option<String>, from: Stamp) -> Self {
+    pub fn new(ctx: &Context, request: RouteRequest, planner: Option<String>, from: Stamp) -> Self {
         let planner = planner
             .filter(|name| !name.is_empty())
             .unwrap_or_else(|| ctx.config.planner.clone());
         Self {
-            legs: Legs::of(quest),
-            unknown_is_free: ctx.config.unknown_is_free,
+            request,
+            planner,
             stage: Stage::Idle(from),
             begun: from,
-            escape: None,
             from_rest: false,
-            room: Room::new(&planner),
-            planner,
         }
     }
 
@@ -194,7 +172,7 @@ impl Search {
     /// Gives the search up.
     pub fn cancel(self, ctx: &mut Context) {
         match self.stage {
-            Stage::Plan(ticket, _) | Stage::Smooth(ticket, ..) => ctx.asks.forget(ticket),
+            Stage::Asked(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
             Stage::Idle(_) => {}
         }
     }
@@ -203,248 +181,201 @@ impl Search {
     pub fn step(&mut self, ctx: &mut Context) -> Searching {
         match self.stage.clone() {
             Stage::Idle(from) if ctx.now < from => Searching::Wait("is about to plan"),
-            Stage::Idle(_) => self.ask_plan(ctx),
-            Stage::Plan(ticket, begin) => match ctx.asks.take(ticket) {
+            Stage::Idle(_) => self.ask(ctx),
+            Stage::Asked(ticket, begin) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("plans"),
-                Some(answer) => self.planned(ctx, begin, answer),
+                Some(answer) => self.answered(ctx, begin, answer),
             },
-            Stage::Smooth(ticket, smoothing) => match ctx.asks.take(ticket) {
+            Stage::Given(ticket, begin, path) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("smooths"),
-                Some(answer) => self.smoothed(ctx, *smoothing, answer),
+                Some(answer) => self.smoothed(ctx, begin, path, answer),
             },
         }
     }
 
-    fn ask_plan(&mut self, ctx: &mut Context) -> Searching {
+    fn ask(&mut self, ctx: &mut Context) -> Searching {
         let Some(model) = ctx.robot.model().cloned() else {
             return Searching::Wait("waits for the robot's description");
         };
         let Some(map) = ctx.map.newest() else {
             return Searching::Wait("waits for a map");
         };
-        let begin = self.legs.begin().map_or_else(|| predicted(ctx, self.from_rest), Ok);
+        let begin = match self.request.from {
+            Some(pose) => Ok(Begin::at_rest(pose)),
+            None => predicted(ctx, self.from_rest),
+        };
         let begin = match begin {
             Ok(begin) => begin,
             Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
-            Err(why) => return self.failed(error_code::UNKNOWN, format!("{why}, and it did not")),
+            Err(why) => return failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
-        if let Some(path) = self.legs.join(&begin) {
-            return self.ask_smooth(ctx, model, begin, map, path, PlanStatistics::default());
+        let (robot, unknown_is_free) = (ctx.config.robot.to_string(), ctx.config.unknown_is_free);
+        let goal_yaw = self.request.goal.yaw;
+        if let Some(path) = self.request.join_given(begin.pose.position()) {
+            let request = SmoothRequest {
+                robot,
+                model,
+                map,
+                path: path.clone(),
+                start: begin.pose,
+                start_velocity: begin.twist,
+                goal_yaw,
+                unknown_is_free,
+                profile: ctx.goal.profile,
+            };
+            let ticket = ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))));
+            self.stage = Stage::Given(ticket, begin, path);
+            return Searching::Wait("smooths");
         }
-        let goal = self.legs.goal();
-        let start = self
-            .escape
-            .map_or(begin.pose, |free| Pose2::new(free.x, free.y, begin.pose.yaw));
-        let footprint = self.room.disc(&model.footprint);
-        let request = PlanRequest {
-            robot: ctx.config.robot.to_string(),
-            model: RobotModel { footprint, ..model },
+        let pose = |point: &GoalPoint| Pose2::new(point.x, point.y, point.yaw.unwrap_or(0.0));
+        let plan = PlanRequest {
+            robot,
+            model,
             map,
-            start,
-            goal: Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0)),
+            start: begin.pose,
+            via: self.request.via.iter().map(pose).collect(),
+            goal: pose(&self.request.goal),
             planner: self.planner.clone(),
-            unknown_is_free: self.unknown_is_free,
+            unknown_is_free,
+            escape: ESCAPE,
             budget_ms: ctx.config.search_budget_ms,
             seed: 1,
         };
-        self.stage = Stage::Plan(ctx.asks.ask(Ask::Plan(Box::new(request))), begin);
+        let request = if self.request.from.is_some() {
+            MotionRequest::Plan(plan)
+        } else {
+            MotionRequest::Trajectory(TrajectoryRequest {
+                plan,
+                start_velocity: begin.twist,
+                goal_yaw,
+                profile: ctx.goal.profile,
+            })
+        };
+        self.stage = Stage::Asked(ctx.asks.ask(Ask::Motion(Box::new(request))), begin);
         Searching::Wait("plans")
     }
 
-    fn planned(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
+    fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
         let reply = match answer {
-            Ok(Answer::Plan(reply)) => reply,
-            Ok(_) => {
-                return self.failed(
-                    error_code::UNKNOWN,
-                    "the planner's answer was about something else".to_owned(),
-                );
-            }
+            Ok(Answer::Motion(reply)) => *reply,
             Err(NoAnswer::Refused(refusal)) => {
-                return self.failed(error_code::UNKNOWN, format!("the planner refuses: {refusal}"));
+                return failed(error_code::UNKNOWN, format!("the motion worker refuses: {refusal}"));
             }
             Err(NoAnswer::Silent(_)) => {
                 // The goal's own deadline bounds this.
-                self.again(ctx);
-                return Searching::Wait("waits for a planning worker");
+                return self.again(ctx, "waits for a motion worker");
             }
+            Ok(_) => return off_topic(),
         };
-        let statistics = PlanStatistics {
-            planner: self.planner.clone(),
-            search_ms: reply.search_ms,
-            ..PlanStatistics::default()
+        let (plan, smooth) = match reply {
+            MotionReply::Plan(plan) if self.request.from.is_some() => (plan, None),
+            MotionReply::Trajectory(reply) if self.request.from.is_none() => (reply.plan, reply.smooth),
+            _ => return off_topic(),
         };
-        match reply.outcome {
-            PlanOutcome::Found { mut path, .. } => {
-                if self.escape.is_some() {
-                    path.insert(0, begin.pose.position());
-                }
-                if path.len() == 1 {
-                    // The robot is there.
-                    path.insert(0, begin.pose.position());
-                }
-                if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
-                    return self.failed(error_code::UNKNOWN, "the planner's way is not one".to_owned());
-                }
-                let Some(path) = self.legs.take(path) else {
-                    self.escape = None;
-                    return self.ask_plan(ctx);
-                };
-                if self.legs.is_only_a_way() {
-                    return self.found(begin, path, reply.map, Trajectory::default(), statistics);
-                }
-                let Some(model) = ctx.robot.model().cloned() else {
-                    return Searching::Wait("waits for the robot's description");
-                };
-                self.ask_smooth(ctx, model, begin, reply.map, path, statistics)
+        let path = match plan.outcome {
+            PlanOutcome::Found { ref path, .. } => path.clone(),
+            PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < MAP_PATIENCE => {
+                return self.again(ctx, "waits until the motion worker has the map");
             }
-            PlanOutcome::StartOccupied {
-                nearest_free: Some(free),
-            } if self.escape.is_none() && (free - begin.pose.position()).norm() < ESCAPE => {
-                tracing::info!(
-                    goal = ctx.goal.id,
-                    x = free.x,
-                    y = free.y,
-                    "leaves an obstacle by the nearest free place"
-                );
-                ctx.goal.feedback.recoveries += 1;
-                self.escape = Some(free);
-                self.stage = Stage::Idle(ctx.now);
-                Searching::Wait("plans from the nearest free place")
+            _ => return self.no_path(&plan),
+        };
+        if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
+            return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
+        }
+        if plan.escapes {
+            tracing::info!(
+                goal = ctx.goal.id,
+                x = path[1].x,
+                y = path[1].y,
+                "leaves an obstacle by the nearest free position"
+            );
+            ctx.goal.feedback.recoveries += 1;
+        }
+        let (planner, search_ms) = (self.planner.clone(), plan.search_ms);
+        let statistics = |found: PlanStatistics| PlanStatistics {
+            planner,
+            search_ms,
+            ..found
+        };
+        match smooth {
+            None if self.request.from.is_some() => self.found(
+                begin,
+                path,
+                plan.map,
+                Trajectory::default(),
+                statistics(PlanStatistics::default()),
+            ),
+            None => off_topic(),
+            // Where there is nothing to drive, the goal itself is the one waypoint.
+            Some(smooth) if smooth.trajectory.is_empty() && path::length(&path) >= AT_GOAL => {
+                let goal = named(&self.request.goal);
+                let why = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
+                failed(error_code::UNKNOWN, why)
             }
-            // Where a large disc has no way, a smaller one may; where the body did not fit through, no other way has more room.
-            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
-                if ctx
-                    .robot
-                    .model()
-                    .is_some_and(|model| self.room.narrow(&model.footprint)) =>
-            {
-                self.begin_anew(ctx);
-                Searching::Wait("plans a narrower way")
-            }
-            PlanOutcome::GoalOccupied { .. } | PlanOutcome::StartOccupied { .. } | PlanOutcome::NoPath
-                if self.room.undrivable.is_some() =>
-            {
-                self.undrivable()
-            }
+            Some(SmoothReply {
+                map,
+                trajectory,
+                statistics: found,
+            }) => self.found(begin, path, map, trajectory, statistics(found)),
+        }
+    }
+
+    /// The trajectory along the given path; where there is none, another path is planned.
+    fn smoothed(
+        &mut self,
+        ctx: &mut Context,
+        begin: Begin,
+        path: Vec<Point2<f64>>,
+        answer: Result<Answer, NoAnswer>,
+    ) -> Searching {
+        let why = match answer {
+            Ok(Answer::Motion(reply)) => match *reply {
+                MotionReply::Smooth(reply) if !reply.trajectory.is_empty() || path::length(&path) < AT_GOAL => {
+                    return self.found(begin, path, reply.map, reply.trajectory, reply.statistics);
+                }
+                MotionReply::Smooth(reply) => reply.statistics.status,
+                _ => return off_topic(),
+            },
+            Err(NoAnswer::Refused(refusal)) => refusal.to_string(),
+            Err(NoAnswer::Silent(_)) => return self.again(ctx, "waits for a motion worker"),
+            Ok(_) => return off_topic(),
+        };
+        tracing::info!(goal = ctx.goal.id, why, "the given path cannot be driven");
+        self.request.given.clear();
+        self.stage = Stage::Idle(ctx.now);
+        Searching::Wait("plans another path: the given one cannot be driven")
+    }
+
+    fn no_path(&self, plan: &PlanReply) -> Searching {
+        let goal = named(self.request.via.get(plan.leg).unwrap_or(&self.request.goal));
+        let (code, reason) = match &plan.outcome {
             PlanOutcome::GoalOccupied { nearest_free } => {
                 let near = nearest_free
                     .map(|p| format!("; the nearest free place is ({:.2}, {:.2})", p.x, p.y))
                     .unwrap_or_default();
-                let why = format!("by the map of now the robot does not fit there{near}");
-                self.failed(
-                    error_code::GOAL_OCCUPIED,
-                    format!("the goal {} is occupied: {why}", self.place()),
-                )
+                let reason =
+                    format!("the goal {goal} is occupied: by the map of now the robot does not fit there{near}");
+                (error_code::GOAL_OCCUPIED, reason)
             }
-            PlanOutcome::StartOccupied { .. } => self.failed(
+            PlanOutcome::StartOccupied { .. } => (
                 error_code::START_OCCUPIED,
                 "by the map the robot does not fit where it stands".to_owned(),
             ),
-            PlanOutcome::NoPath => self.failed(
+            PlanOutcome::NoPath => (
                 error_code::NO_VALID_PATH,
-                format!("no path: the goal {} is closed off from the robot", self.place()),
+                format!("no path: the goal {goal} is closed off from the robot"),
             ),
-            PlanOutcome::OutOfMap => self.failed(
+            PlanOutcome::OutOfMap => (
                 error_code::OUTSIDE_MAP,
-                format!("the robot or the goal {} lies outside the map", self.place()),
+                format!("the robot or the goal {goal} lies outside the map"),
             ),
-            PlanOutcome::TimedOut => self.failed(error_code::TIMEOUT, "the search took too long".to_owned()),
-            PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < MAP_PATIENCE => {
-                self.again(ctx);
-                Searching::Wait("waits until the planner has the map")
-            }
-            PlanOutcome::NoMap => self.failed(error_code::UNKNOWN, "the planner has no map of this robot".to_owned()),
-        }
-    }
-
-    fn smoothed(&mut self, ctx: &mut Context, smoothing: Smoothing, answer: Result<Answer, NoAnswer>) -> Searching {
-        let (map, trajectory, statistics) = match answer {
-            // Where there is no way, none can be driven: the goal itself is the one waypoint.
-            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && smoothing.length < AT_GOAL => {
-                (reply.map, Trajectory::default(), smoothing.planned)
-            }
-            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() && self.legs.drop_given() => {
-                tracing::info!(
-                    goal = ctx.goal.id,
-                    why = reply.statistics.status,
-                    "the given way cannot be driven"
-                );
-                self.begin_anew(ctx);
-                return Searching::Wait("plans another way: the given one cannot be driven");
-            }
-            Ok(Answer::Smooth(reply)) if reply.trajectory.is_empty() => {
-                self.room.undrivable = Some(reply.statistics.status);
-                if !self.room.change(&smoothing.request.model.footprint) {
-                    return self.undrivable();
-                }
-                self.begin_anew(ctx);
-                return Searching::Wait("plans another way: the robot does not fit through");
-            }
-            Ok(Answer::Smooth(reply)) => {
-                let statistics = PlanStatistics {
-                    planner: smoothing.planned.planner,
-                    search_ms: smoothing.planned.search_ms,
-                    ..reply.statistics
-                };
-                (reply.map, reply.trajectory, statistics)
-            }
-            other => {
-                let why = match other {
-                    Err(NoAnswer::Refused(_)) => "fallback:smoother_refused",
-                    _ => "fallback:no_smoother",
-                };
-                let (request, begin) = (&smoothing.request, &smoothing.begin);
-                let safe = unsmoothed(
-                    &request.path,
-                    begin.pose,
-                    begin.twist,
-                    self.legs.last().yaw,
-                    &request.model,
-                );
-                let statistics = PlanStatistics {
-                    planner: smoothing.planned.planner,
-                    search_ms: smoothing.planned.search_ms,
-                    length: smoothing.length,
-                    status: why.to_owned(),
-                    ..safe.statistics
-                };
-                (request.map.clone(), safe.motion.trajectory(PERIOD), statistics)
-            }
+            PlanOutcome::TimedOut => (error_code::TIMEOUT, "the search took too long".to_owned()),
+            PlanOutcome::NoMap | PlanOutcome::Found { .. } => (
+                error_code::UNKNOWN,
+                "the motion worker has no map of this robot".to_owned(),
+            ),
         };
-        self.found(smoothing.begin, smoothing.request.path, map, trajectory, statistics)
-    }
-
-    fn ask_smooth(
-        &mut self,
-        ctx: &mut Context,
-        model: RobotModel,
-        begin: Begin,
-        map: MapRef,
-        path: Vec<Point2<f64>>,
-        planned: PlanStatistics,
-    ) -> Searching {
-        let length = path::length(&path);
-        let request = SmoothRequest {
-            robot: ctx.config.robot.to_string(),
-            model,
-            map,
-            path,
-            start: begin.pose,
-            start_velocity: begin.twist,
-            goal_yaw: self.legs.last().yaw,
-            unknown_is_free: self.unknown_is_free,
-            profile: ctx.goal.profile,
-        };
-        let ticket = ctx.asks.ask(Ask::Smooth(Box::new(request.clone())));
-        let smoothing = Smoothing {
-            begin,
-            request,
-            length,
-            planned,
-        };
-        self.stage = Stage::Smooth(ticket, Box::new(smoothing));
-        Searching::Wait("smooths")
+        failed(code, reason)
     }
 
     fn found(
@@ -455,7 +386,7 @@ impl Search {
         trajectory: Trajectory,
         statistics: PlanStatistics,
     ) -> Searching {
-        let course = ActivePlan {
+        let plan = PlanDraft {
             map,
             waypoints: path.iter().skip(1).copied().collect(),
             trajectory,
@@ -464,37 +395,30 @@ impl Search {
         };
         Searching::Found(Box::new(Route {
             id: 0,
-            goal: self.legs.last(),
+            goal: self.request.goal,
             length: path::length(&path),
             path,
             begin: begin.pose,
-            course,
+            plan,
         }))
     }
 
-    fn begin_anew(&mut self, ctx: &Context) {
-        self.escape = None;
-        self.legs.begin_anew();
-        self.stage = Stage::Idle(ctx.now);
-    }
-
-    fn again(&mut self, ctx: &Context) {
+    fn again(&mut self, ctx: &Context, why: &'static str) -> Searching {
         self.stage = Stage::Idle(ctx.now.plus_secs(RETRY));
+        Searching::Wait(why)
     }
+}
 
-    fn undrivable(&mut self) -> Searching {
-        let status = self.room.undrivable.take().unwrap_or_default();
-        let why = format!("the way to {} cannot be driven: {status}", self.place());
-        self.failed(error_code::UNKNOWN, why)
-    }
+/// A goal, in words.
+fn named(goal: &GoalPoint) -> String {
+    format!("({:.2}, {:.2})", goal.x, goal.y)
+}
 
-    /// The goal, in words.
-    fn place(&self) -> String {
-        let goal = self.legs.goal();
-        format!("({:.2}, {:.2})", goal.x, goal.y)
-    }
+fn off_topic() -> Searching {
+    let reason = "the motion worker answered another request".to_owned();
+    failed(error_code::UNKNOWN, reason)
+}
 
-    fn failed(&mut self, code: i64, reason: String) -> Searching {
-        Searching::Failed(NoRoute { code, reason })
-    }
+fn failed(code: i64, reason: String) -> Searching {
+    Searching::Failed(NoRoute { code, reason })
 }

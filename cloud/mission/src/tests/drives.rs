@@ -232,19 +232,9 @@ fn refused_plans_are_not_repeated_for_ever() {
 }
 
 #[test]
-fn without_a_smoother_the_unsmoothed_way_goes_out_and_says_so() {
+fn without_a_motion_worker_the_goal_waits_until_its_deadline() {
     let mut rig = Rig::new();
-    rig.smoother_up = false;
-    rig.submit(to(3.0, 0.0, "a")).unwrap();
-    assert!(rig.run_until(40.0, |rig| rig.state("a").is_end()));
-    assert_eq!(rig.state("a"), GoalPhase::Succeeded);
-    assert_eq!(rig.plans[0].1.statistics.status, "fallback:no_smoother");
-}
-
-#[test]
-fn without_a_planner_the_goal_waits_until_its_deadline() {
-    let mut rig = Rig::new();
-    rig.planner_up = false;
+    rig.worker_up = false;
     rig.submit(GoalRequest {
         deadline_secs: Some(20.0),
         ..to(3.0, 0.0, "a")
@@ -256,7 +246,7 @@ fn without_a_planner_the_goal_waits_until_its_deadline() {
     rig.run(10.0);
     assert_eq!(rig.state("a"), GoalPhase::Aborted);
     assert!(rig.goal("a").reason.as_ref().unwrap().contains("deadline"));
-    rig.planner_up = true;
+    rig.worker_up = true;
     assert!(rig.run_until(30.0, |rig| rig.state("b") == GoalPhase::Succeeded));
 }
 
@@ -347,7 +337,7 @@ fn a_goal_without_a_way_is_given_up_after_some_tries_that_are_counted() {
     rig.plans_none = true;
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     assert!(rig.run_until(60.0, |rig| rig.state("a").is_end()));
-    let asked = rig.asked.iter().filter(|ask| matches!(ask, Ask::Plan(_))).count();
+    let asked = rig.asked.iter().filter(|ask| matches!(ask, Ask::Motion(_))).count();
     assert_eq!((rig.state("a"), asked), (GoalPhase::Aborted, 4));
     let reason = rig.goal("a").reason.clone().unwrap();
     assert!(

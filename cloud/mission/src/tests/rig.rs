@@ -17,7 +17,7 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 use crate::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 use crate::records::{Record, Restored, StoredGoal};
 use crate::{Mission, MissionConfig};
-use zenav_smoothing::PERIOD;
+use zenav_smoothing::SAMPLE_PERIOD;
 use zenav_smoothing::unsmoothed;
 
 pub const DT: f64 = 0.05;
@@ -290,8 +290,7 @@ pub struct Rig {
     pub status: Option<MissionStatus>,
     /// News of the mapper, once.
     pub mapper_alive: Option<bool>,
-    pub planner_up: bool,
-    pub smoother_up: bool,
+    pub worker_up: bool,
     /// The robot's own motions do not end.
     pub behaviours_run: bool,
     /// The planner finds no way.
@@ -357,8 +356,7 @@ impl Rig {
             published: Vec::new(),
             status: None,
             mapper_alive: None,
-            planner_up: true,
-            smoother_up: true,
+            worker_up: true,
             behaviours_run: false,
             plans_none: false,
             start_occupied_within: 0.0,
@@ -601,55 +599,21 @@ impl Rig {
                 };
                 Ok(Answer::Behaviour(BehaviourReply { report: Some(report) }))
             }
-            Ask::Plan(_) if !self.planner_up => silent(),
-            Ask::Plan(request) => {
-                let (start, goal) = (request.start.position(), request.goal.position());
-                // Straight on, or round whatever is in the way.
-                let side = Point2::new(0.5 * (start.x + goal.x), 0.5 * (start.y + goal.y) + 3.0);
-                let ways = [vec![start, goal], vec![start, side, goal]];
-                let free = |way: &&Vec<Point2<f64>>| way.windows(2).all(|pair| self.is_free(pair[0], pair[1]));
-                let outcome = match ways.iter().find(free) {
-                    _ if start.coords.norm() < self.start_occupied_within => PlanOutcome::StartOccupied {
-                        nearest_free: Some(Point2::new(0.0, 0.55)),
-                    },
-                    _ if self.plans_none => PlanOutcome::NoPath,
-                    Some(path) => {
-                        let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-                        PlanOutcome::Found {
-                            path: path.clone(),
-                            length,
+            Ask::Motion(_) if !self.worker_up => silent(),
+            Ask::Motion(request) => Ok(Answer::Motion(Box::new(match &**request {
+                MotionRequest::Plan(plan) => MotionReply::Plan(self.plan(plan)),
+                MotionRequest::Smooth(smooth) => MotionReply::Smooth(smoothed(smooth)),
+                MotionRequest::Trajectory(wanted) => {
+                    let plan = self.plan(&wanted.plan);
+                    let smooth = match &plan.outcome {
+                        PlanOutcome::Found { path, .. } => {
+                            Some(smoothed(&wanted.smooth(plan.map.clone(), path.clone())))
                         }
-                    }
-                    None => PlanOutcome::NoPath,
-                };
-                Ok(Answer::Plan(PlanReply {
-                    map: self.map.map.clone(),
-                    outcome,
-                    search_ms: 1.0,
-                    expansions: 1,
-                    origin: PlanOrigin::Searched,
-                }))
-            }
-            Ask::Smooth(_) if !self.smoother_up => silent(),
-            Ask::Smooth(request) => {
-                let safe = unsmoothed(
-                    &request.path,
-                    request.start,
-                    request.start_velocity,
-                    request.goal_yaw,
-                    &request.model,
-                );
-                let trajectory = safe.trajectory(PERIOD);
-                let statistics = PlanStatistics {
-                    status: "smoothed".into(),
-                    ..PlanStatistics::default()
-                };
-                Ok(Answer::Smooth(Box::new(SmoothReply {
-                    map: request.map.clone(),
-                    trajectory,
-                    statistics,
-                })))
-            }
+                        _ => None,
+                    };
+                    MotionReply::Trajectory(TrajectoryReply { plan, smooth })
+                }
+            }))),
             Ask::Remote(server, request) => match &mut self.remote {
                 Some(done) if server == "kitchen/gripper" => Ok(Answer::Remote(Box::new(done(request)))),
                 _ => silent(),
@@ -677,6 +641,37 @@ impl Rig {
                 })))
             }
         }
+    }
+
+    /// Straight from pose to pose, or round whatever is in the way.
+    fn plan(&self, request: &PlanRequest) -> PlanReply {
+        let mut reply = PlanReply {
+            map: self.map.map.clone(),
+            outcome: PlanOutcome::NoPath,
+            leg: 0,
+            escapes: false,
+            search_ms: 1.0,
+            expansions: 1,
+            origin: PlanOrigin::Searched,
+        };
+        let mut path = vec![request.start.position()];
+        if request.start.position().coords.norm() < self.start_occupied_within && request.escape > 0.55 {
+            path.push(Point2::new(0.0, 0.55));
+            reply.escapes = true;
+        }
+        for (leg, goal) in request.via.iter().chain([&request.goal]).enumerate() {
+            let (start, goal) = (path[path.len() - 1], goal.position());
+            let side = Point2::new(0.5 * (start.x + goal.x), 0.5 * (start.y + goal.y) + 3.0);
+            let ways = [vec![start, goal], vec![start, side, goal]];
+            let free = |way: &&Vec<Point2<f64>>| way.windows(2).all(|pair| self.is_free(pair[0], pair[1]));
+            match ways.iter().find(free).filter(|_| !self.plans_none) {
+                Some(way) => path.extend(&way[1..]),
+                None => return PlanReply { leg, ..reply },
+            }
+        }
+        let length = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        reply.outcome = PlanOutcome::Found { path, length };
+        reply
     }
 
     fn is_free(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
@@ -711,6 +706,24 @@ impl Rig {
             spec: SPEC,
             tiles,
         }
+    }
+}
+
+fn smoothed(request: &SmoothRequest) -> SmoothReply {
+    let safe = unsmoothed(
+        &request.path,
+        request.start,
+        request.start_velocity,
+        request.goal_yaw,
+        &request.model,
+    );
+    SmoothReply {
+        map: request.map.clone(),
+        trajectory: safe.sampled(SAMPLE_PERIOD),
+        statistics: PlanStatistics {
+            status: "smoothed".into(),
+            ..PlanStatistics::default()
+        },
     }
 }
 

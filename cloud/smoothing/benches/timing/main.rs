@@ -1,6 +1,6 @@
 //! How long does a time law take? The exact sweep beside the same law as a linear program, and the law with limited jerk.
 //!
-//! `cargo bench -p zenav-cloud --bench timing`: thread CPU time; durations of all laws are printed beside it. The ways are wavy curves
+//! `cargo bench -p zenav-cloud --bench timing`: thread CPU time; durations of all laws are printed beside it. The paths are wavy curves
 //! with straight pieces between, made from a seed, for a TIAGo.
 #![allow(
     missing_docs,
@@ -24,8 +24,8 @@ use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw, jerk};
 /// Limit of the jerk, m/s³.
 const JERK: f64 = 2.0;
 
-/// A way of `samples` points that lie `step` metres apart.
-fn way(samples: usize, step: f64) -> GeometricPath {
+/// A path of `samples` points that lie `step` metres apart.
+fn path(samples: usize, step: f64) -> GeometricPath {
     let mut random = Pcg64Mcg::seed_from_u64(3);
     let mut links = Vec::new();
     let mut k = 0.0;
@@ -48,7 +48,7 @@ fn way(samples: usize, step: f64) -> GeometricPath {
 fn laws(criterion: &mut Criterion) {
     let limits = Limits::of(&zenav_fixtures::robot("tiago"));
     for (samples, step) in [(200, 0.05), (1000, 0.02)] {
-        let path = way(samples, step);
+        let path = path(samples, step);
         let duration = |squared: &[f64]| TimeLaw::steady(&path, squared).duration();
         let sweep = fastest(&path, &limits, 0.0).unwrap();
         let program = lp::fastest(&path, &limits).unwrap();

@@ -1,8 +1,8 @@
-//! How is a way driven with the least energy? By the same turns and ways in more time.
+//! Economy. How is a path driven with the least energy? By the same turns and paths in more time.
 //!
-//! Slow motion costs what the electronics draw meanwhile, fast motion friction that grows with speed, and hard accelerations heat the motors
+//! Slow trajectory costs what the electronics draw meanwhile, fast trajectory friction that grows with speed, and hard accelerations heat the motors
 //! with the square of the force; braking gives nothing back. Which speed and acceleration balance these depends on the robot and on
-//! how often the way makes it slow down, so that they are found for each motion: the two limits (as shares of the robot's) with the least
+//! how often the path makes it slow down, so that they are found for each trajectory: the two limits (as shares of the robot's) with the least
 //! energy by the robot's own model, by pattern search.
 //!
 //! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004 (the best speed from the motors' power); the
@@ -11,20 +11,20 @@
 use zenav_protocol::robot::RobotModel;
 
 use super::limits::Limits;
-use super::motion::Motion;
+use super::trajectory::PiecewiseTrajectory;
 
 /// First step of the search, as a share of a limit, and the last.
 const STEPS: (f64, f64) = (0.32, 0.02);
 /// Least share of a limit.
 const LEAST: f64 = 0.1;
 
-/// The motion with less energy along the same turns and ways, and the limits that it keeps. Never one with more.
+/// The trajectory with less energy along the same turns and paths, and the limits that it keeps. Never one with more.
 #[must_use]
-pub fn economical(fastest: Motion, model: &RobotModel, limits: &Limits) -> (Motion, Limits) {
+pub fn economical(fastest: PiecewiseTrajectory, model: &RobotModel, limits: &Limits) -> (PiecewiseTrajectory, Limits) {
     let mut best = Found {
         joules: fastest.energy(model),
         shares: [1.0; 2],
-        motion: fastest.clone(),
+        trajectory: fastest.clone(),
         limits: *limits,
     };
     let mut step = STEPS.0;
@@ -46,20 +46,20 @@ pub fn economical(fastest: Motion, model: &RobotModel, limits: &Limits) -> (Moti
             None => step *= 0.5,
         }
     }
-    (best.motion, best.limits)
+    (best.trajectory, best.limits)
 }
 
-/// A motion under a share of the limits of speed and acceleration.
+/// A trajectory under a share of the limits of speed and acceleration.
 struct Found {
     joules: f64,
     shares: [f64; 2],
-    motion: Motion,
+    trajectory: PiecewiseTrajectory,
     limits: Limits,
 }
 
 impl Found {
     /// `None` where these limits do not allow the speed at the start.
-    fn new(fastest: &Motion, model: &RobotModel, limits: &Limits, shares: [f64; 2]) -> Option<Self> {
+    fn new(fastest: &PiecewiseTrajectory, model: &RobotModel, limits: &Limits, shares: [f64; 2]) -> Option<Self> {
         if shares.iter().any(|share| !(LEAST..=1.0).contains(share)) {
             return None;
         }
@@ -70,11 +70,11 @@ impl Found {
             wheel_acceleration: acceleration * limits.wheel_acceleration,
             ..*limits
         };
-        let motion = fastest.retimed(&limits)?;
+        let trajectory = fastest.retimed(&limits)?;
         Some(Self {
-            joules: motion.energy(model),
+            joules: trajectory.energy(model),
             shares,
-            motion,
+            trajectory,
             limits,
         })
     }
@@ -87,25 +87,25 @@ mod tests {
     use zenav_protocol::geometry::{Pose2, Twist2};
 
     use super::super::UNRESTRICTED;
-    use super::super::legs::safe_motion;
+    use super::super::stop_turn_go::stop_turn_go;
     use super::*;
 
     fn robot(name: &str) -> RobotModel {
         zenav_fixtures::robot(name)
     }
 
-    fn drive(model: &RobotModel, speed: f64) -> (Motion, Limits) {
+    fn drive(model: &RobotModel, speed: f64) -> (PiecewiseTrajectory, Limits) {
         let limits = Limits::of(model);
-        let way = [Point2::new(6.0, 0.0), Point2::new(6.0, 4.0), Point2::new(0.0, 4.0)];
-        let motion = safe_motion(
-            &way,
+        let path = [Point2::new(6.0, 0.0), Point2::new(6.0, 4.0), Point2::new(0.0, 4.0)];
+        let trajectory = stop_turn_go(
+            &path,
             Pose2::IDENTITY,
             Twist2::new(speed, 0.0),
             None,
             &limits,
             UNRESTRICTED,
         );
-        (motion, limits)
+        (trajectory, limits)
     }
 
     #[test]
@@ -117,7 +117,7 @@ mod tests {
             assert!(economy.energy(&model) < 0.98 * fastest.energy(&model), "{name}");
             assert!(economy.duration() > fastest.duration() && economy.length() == fastest.length());
             assert!(kept.speed <= limits.speed && kept.wheel_acceleration <= limits.wheel_acceleration);
-            let end = |motion: &Motion| motion.at(motion.duration()).point.pose();
+            let end = |trajectory: &PiecewiseTrajectory| trajectory.at(trajectory.duration()).point.pose();
             assert!(end(&economy).distance(&end(&fastest)) < 1e-9);
         }
     }
@@ -142,16 +142,16 @@ mod tests {
     #[test]
     fn the_forecast_is_the_power_summed_up() {
         let model = robot("tiago");
-        let (motion, _) = drive(&model, 0.0);
+        let (trajectory, _) = drive(&model, 0.0);
         let steps = 200_000;
-        let dt = motion.duration() / f64::from(steps);
+        let dt = trajectory.duration() / f64::from(steps);
         let summed: f64 = (0..steps)
             .map(|i| {
-                let state = motion.at(dt * (f64::from(i) + 0.5));
+                let state = trajectory.at(dt * (f64::from(i) + 0.5));
                 let wheels = |twist| model.drive.wheels(twist);
                 model.power(wheels(state.point.twist()), wheels(Twist2::new(state.a, state.alpha))) * dt
             })
             .sum();
-        assert!((motion.energy(&model) - summed).abs() < 1e-3 * summed);
+        assert!((trajectory.energy(&model) - summed).abs() < 1e-3 * summed);
     }
 }

@@ -1,6 +1,6 @@
-//! What is the fastest law whose jerk is limited? A few quadratic programs, each around the last one's law.
+//! Jerk limit. What is the fastest law whose jerk is limited? A few quadratic programs, each around the last one's law.
 //!
-//! The squared speed `b(s)` is a quadratic spline on the way's samples, its coefficients the unknowns: the acceleration `a = b'/2` is
+//! The squared speed `b(s)` is a quadratic spline on the path's samples, its coefficients the unknowns: the acceleration `a = b'/2` is
 //! continuous and linear between samples, the jerk there `a' √b`. On an interval the wheels' accelerations `a (1 ± k h) ± h k' b` are
 //! quadratic: they are bounded where their three Bernstein coefficients are, which is linear in the unknowns. The jerk's bound
 //! `|a'| <= J / √b` is not, but `1 / √b` is convex and lies above its tangents: with the tangent at the last law's `b` each program's
@@ -48,7 +48,7 @@ pub struct JerkLimited {
 /// Why there is no law.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JerkError {
-    /// The way has too few samples.
+    /// The path has too few samples.
     #[error("too_short")]
     TooShort,
     /// The solver's status.
@@ -56,7 +56,7 @@ pub enum JerkError {
     Solver(String),
 }
 
-/// The fastest law with at most `jerk` (m/s³) along a way, by the sweep's squared speeds (m²/s²) on it; ends at rest.
+/// The fastest law with at most `jerk` (m/s³) along a path, by the sweep's squared speeds (m²/s²) on it; ends at rest.
 ///
 /// # Errors
 /// [`JerkError`].
@@ -393,7 +393,7 @@ impl Spline {
         }
     }
 
-    /// An answer that nowhere stands still on the way.
+    /// An answer that nowhere stands still on the path.
     fn moving(&self, answer: Answer) -> Result<Answer, JerkError> {
         let moves = |j: usize| {
             let (begin, end) = (self.squared[j].at(&answer.x), self.squared[j + 1].at(&answer.x));
@@ -407,7 +407,7 @@ impl Spline {
         }
     }
 
-    /// Squared speed and acceleration at every sample of the way.
+    /// Squared speed and acceleration at every sample of the path.
     fn law(&self, path: &GeometricPath, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut law = (vec![0.0; self.begin], vec![0.0; self.begin]);
         law.0.extend(self.squared.iter().map(|form| form.at(x)));
@@ -418,9 +418,9 @@ impl Spline {
     }
 }
 
-/// What the rows are made of beside the way.
+/// What the rows are made of beside the path.
 struct Bounds<'a> {
-    /// Largest squared speed on each interval of the way, m²/s².
+    /// Largest squared speed on each interval of the path, m²/s².
     ceilings: Vec<f64>,
     /// The sweep's squared speeds at its samples, which no law exceeds, m²/s².
     sweep: &'a [f64],

@@ -1,12 +1,12 @@
-//! How do speed and time run between the samples of a way? The acceleration is linear in the arc length from sample to sample.
+//! Time law. How do speed and time run between the samples of a path? The acceleration is linear in the arc length from sample to sample.
 //!
-//! With `x` the way since the sample, `x'' = a + c x`: constant acceleration (`c = 0`) as the sweep makes it, hyperbolic or circular functions
+//! With `x` the path since the sample, `x'' = a + c x`: constant acceleration (`c = 0`) as the sweep makes it, hyperbolic or circular functions
 //! of the time else. With `τ = tanh(√c t / 2) / √c` (`tan` for a negative `c`) all of it is rational: an interval of length `L` from speed
 //! `v` to `w` ends at `τ = L / (v + w)`. From rest without acceleration the jerk is constant, `x = L (t / T)³`, and so into rest.
 
 use super::path::GeometricPath;
 
-/// Speeds at the samples of a way, accelerations on its intervals, and the times that follow.
+/// Speeds at the samples of a path, accelerations on its intervals, and the times that follow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeLaw {
     intervals: Vec<Interval>,
@@ -20,7 +20,7 @@ pub struct Progress {
     /// The interval.
     pub index: usize,
     /// Path since its first sample, m.
-    pub way: f64,
+    pub distance: f64,
     /// Speed, m/s.
     pub v: f64,
     /// Acceleration, m/s².
@@ -99,8 +99,8 @@ impl TimeLaw {
         let Some(interval) = self.intervals.get(index) else {
             return Progress::default();
         };
-        let (way, v, a) = interval.at(into);
-        Progress { index, way, v, a }
+        let (distance, v, a) = interval.at(into);
+        Progress { index, distance, v, a }
     }
 }
 
@@ -166,9 +166,9 @@ impl Interval {
                 (-z).sqrt().tan() / (-z).sqrt()
             };
         let below = 1.0 - c * tau * tau;
-        let way = 2.0 * tau * (v0 + a0 * tau) / below;
+        let distance = 2.0 * tau * (v0 + a0 * tau) / below;
         let v = (v0 * (2.0 - below) + 2.0 * a0 * tau) / below;
-        (way, v.max(0.0), a0 + c * way)
+        (distance, v.max(0.0), a0 + c * distance)
     }
 }
 
@@ -182,14 +182,14 @@ mod tests {
         let duration = interval.duration();
         let steps = 1000;
         let dt = duration / f64::from(steps);
-        let (mut way, mut v, _) = interval.at(0.0);
-        assert!(way.abs() < 1e-12 && (v - interval.speeds[0]).abs() < 1e-12);
+        let (mut distance, mut v, _) = interval.at(0.0);
+        assert!(distance.abs() < 1e-12 && (v - interval.speeds[0]).abs() < 1e-12);
         for i in 0..steps {
             let t = duration * f64::from(i) / f64::from(steps);
             let (_, middle_v, middle_a) = interval.at(t + 0.5 * dt);
-            (way, v) = (way + middle_v * dt, v + middle_a * dt);
+            (distance, v) = (distance + middle_v * dt, v + middle_a * dt);
             let (x, speed, _) = interval.at(t + dt);
-            assert!((x - way).abs() < 1e-5 * interval.length && (speed - v).abs() < 1e-4 * v.max(0.01));
+            assert!((x - distance).abs() < 1e-5 * interval.length && (speed - v).abs() < 1e-4 * v.max(0.01));
         }
         let (x, speed, a) = interval.at(duration);
         assert!(
@@ -221,7 +221,7 @@ mod tests {
         #[test]
         fn speed_and_way_are_integrals_of_the_acceleration(length in 0.005..0.5_f64, v in 0.0..1.0_f64, a0 in -2.0..2.0_f64, a1 in -2.0..2.0_f64) {
             let squared = v * v + (a0 + a1) * length;
-            // Speed stays positive on the way.
+            // Speed stays positive on the path.
             let least = (0..=50).map(|i| {
                 let x = length * f64::from(i) / 50.0;
                 v * v + 2.0 * a0 * x + (a1 - a0) / length * x * x

@@ -1,4 +1,4 @@
-//! How fast may a differential drive be, at which curvature? Wheel speed, wheel acceleration, lateral acceleration, yaw rate.
+//! Limits. How fast may a differential drive be, at which curvature? Wheel speed, wheel acceleration, lateral acceleration, yaw rate.
 //!
 //! With curvature `k` the wheels run at `v (1 ± k b/2)`: a limit of the wheels is a limit of `v`.
 
@@ -28,7 +28,7 @@ pub struct Limits {
     pub lateral_acceleration: f64,
     /// Yaw rate, rad/s.
     pub yaw_rate: f64,
-    /// Jerk of the base along its way, and of a wheel on the floor when it turns on the spot, m/s³; unlimited without.
+    /// Jerk of the base along its path, and of a wheel on the floor when it turns on the spot, m/s³; unlimited without.
     pub jerk: Option<f64>,
 }
 
@@ -84,7 +84,7 @@ impl Limits {
         }
     }
 
-    /// The faster wheel's way to rest, m, with both slowed in proportion, so that the arc is kept.
+    /// The faster wheel's path to rest, m, with both slowed in proportion, so that the arc is kept.
     #[must_use]
     pub fn braking(&self, twist: Twist2) -> Profile {
         let limits = ProfileLimits {

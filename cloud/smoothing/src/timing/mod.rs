@@ -1,31 +1,31 @@
-//! When is the robot where? Time laws along a given way, for a differential drive.
+//! Timing. When is the robot where? Time laws along a given path, for a differential drive.
 //!
 //! | file | answers |
 //! |---|---|
 //! | [`limits`] | how fast may it be, at which curvature? |
-//! | [`path`] | where does the way run, by arc length? |
+//! | [`path`] | where does the path run, by arc length? |
 //! | [`sweep`] | what is the fastest law along it? |
 //! | [`jerk`] | what is the fastest law whose jerk is limited? |
 //! | [`economy`] | which law costs the least energy? |
 //! | [`law`] | how do speed and time run between samples? |
 //! | [`profile`] | how does a robot turn, or come to rest? |
-//! | [`motion`] | where is the robot at a time? |
-//! | [`legs`] | what is always safe: stop, turn, go straight |
+//! | [`trajectory`] | where is the robot at a time? |
+//! | [`stop_turn_go`] | what is always safe: stop, turn, go straight |
 
 pub mod economy;
 pub mod jerk;
 pub mod law;
-pub mod legs;
 pub mod limits;
-pub mod motion;
 pub mod path;
 pub mod profile;
+pub mod stop_turn_go;
 pub mod sweep;
+pub mod trajectory;
 
 #[cfg(test)]
 mod tests;
 
 pub use law::TimeLaw;
 pub use limits::Limits;
-pub use motion::{JerkFigures, Motion, Rates, State};
 pub use path::{GeometricPath, PathPoint, SpeedLimit, UNRESTRICTED};
+pub use trajectory::{JerkFigures, PiecewiseTrajectory, Rates, State};

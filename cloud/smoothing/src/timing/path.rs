@@ -1,6 +1,6 @@
-//! Where does a way run, by arc length? A chain of clothoids: curvature continuous, and linear in the arc length between samples.
+//! Geometric path. Where does a path run, by arc length? A chain of clothoids: curvature continuous, and linear in the arc length between samples.
 //!
-//! Heading and place are the integrals of the curvature, so that a robot that follows the way at `v` turns at `k v` exactly, at every time
+//! Heading and place are the integrals of the curvature, so that a robot that follows the path at `v` turns at `k v` exactly, at every time
 //! and not only at the samples; and the limits of a drive, linear between samples as well, hold there too. A curve becomes a chain by the
 //! projection of its curvature onto the piecewise linear functions: what is left over is orthogonal to them, so that neither heading nor
 //! place drifts. The last of it is taken out by the least change of curvature that leads to the curve's end.
@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// A sample of a way.
+/// A sample of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathPoint {
     /// Arc length from the beginning, m.
@@ -31,10 +31,10 @@ pub type SpeedLimit<'a> = &'a dyn Fn(Point2<f64>) -> Option<f64>;
 /// No place has a speed limit.
 pub const UNRESTRICTED: SpeedLimit<'static> = &|_| None;
 
-/// Slowest speed limit that counts, m/s: a way through a zone that may not be driven at all has no time law.
+/// Slowest speed limit that counts, m/s: a path through a zone that may not be driven at all has no time law.
 const SLOWEST: f64 = 0.01;
 
-/// A way with a continuous heading: at least two samples, arc length strictly rising.
+/// A path with a continuous heading: at least two samples, arc length strictly rising.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeometricPath {
     points: Vec<PathPoint>,
@@ -45,7 +45,7 @@ pub struct GeometricPath {
 impl GeometricPath {
     /// The chain through samples of a smooth curve; the first and the last pose are the curve's, the others to within the square of the
     /// distance between samples. `None` for fewer than two, for numbers that are not finite, where the arc length does not rise, and
-    /// where the way turns by more than a radian from one sample to the next.
+    /// where the path turns by more than a radian from one sample to the next.
     #[must_use]
     pub fn new(mut points: Vec<PathPoint>) -> Option<Self> {
         let finite = points
@@ -113,17 +113,17 @@ impl GeometricPath {
     /// A straight line, sampled about every `step` metres; `None` when it has no length.
     #[must_use]
     pub fn straight(from: Point2<f64>, to: Point2<f64>, step: f64) -> Option<Self> {
-        let way = to - from;
-        let length = way.norm();
+        let along = to - from;
+        let length = along.norm();
         if !length.is_finite() || length <= 1e-9 {
             return None;
         }
         // Few samples blunt the speed's peak, many cost memory: both ends are bounded.
         let pieces = (length / step).ceil().clamp(8.0, 4096.0) as usize;
-        let yaw = way.y.atan2(way.x);
+        let yaw = along.y.atan2(along.x);
         let at = |i: usize| {
             let share = i as f64 / pieces as f64;
-            let p = from + way * share;
+            let p = from + along * share;
             PathPoint {
                 s: length * share,
                 x: p.x,
@@ -135,7 +135,7 @@ impl GeometricPath {
         Self::new((0..=pieces).map(at).collect())
     }
 
-    /// The same way, slower where the map's zones ask for it. A limit holds on both intervals beside its sample.
+    /// The same path, slower where the map's zones ask for it. A limit holds on both intervals beside its sample.
     #[must_use]
     pub fn limited(mut self, speed_limit: SpeedLimit<'_>) -> Self {
         let limits = self

@@ -1,4 +1,4 @@
-//! How does a robot turn from rest to rest, or come to rest, with limited acceleration and jerk? Up to seven pieces of constant jerk.
+//! Velocity profile. How does a robot turn from rest to rest, or come to rest, with limited acceleration and jerk? Up to seven pieces of constant jerk.
 //!
 //! Without a limit of the jerk the acceleration jumps: a trapezoid in the speed.
 //!
@@ -15,7 +15,7 @@ pub struct ProfileLimits {
     pub jerk: Option<f64>,
 }
 
-/// A way along one axis in time.
+/// A path along one axis in time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
     pieces: Vec<Piece>,
@@ -26,7 +26,7 @@ pub struct Profile {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Piece {
     begin: f64,
-    way: f64,
+    distance: f64,
     v: f64,
     a: f64,
     jerk: f64,
@@ -44,7 +44,7 @@ impl Profile {
             acceleration,
             jerk,
         } = *limits;
-        // The speed that is reached where there is no time to keep it: half the way to gain it, half to lose it.
+        // The speed that is reached where there is no time to keep it: half the path to gain it, half to lose it.
         let ramps = jerk.map_or(0.0, |jerk| acceleration * acceleration / jerk);
         let full = 0.5 * ((ramps * ramps + 4.0 * acceleration * distance).sqrt() - ramps);
         let reached = match jerk {
@@ -66,14 +66,20 @@ impl Profile {
 
     fn of(speed: f64, phases: &[Phase]) -> Self {
         let mut profile = Self::default();
-        let (mut way, mut v) = (0.0, speed);
+        let (mut distance, mut v) = (0.0, speed);
         for &(duration, a, jerk) in phases {
             if duration.is_nan() || duration <= 1e-12 {
                 continue;
             }
             let begin = profile.duration;
-            let piece = Piece { begin, way, v, a, jerk };
-            (way, v, _) = piece.at(duration);
+            let piece = Piece {
+                begin,
+                distance,
+                v,
+                a,
+                jerk,
+            };
+            (distance, v, _) = piece.at(duration);
             profile.pieces.push(piece);
             profile.duration += duration;
         }
@@ -86,7 +92,7 @@ impl Profile {
         self.duration
     }
 
-    /// The whole way.
+    /// The whole path.
     #[must_use]
     pub fn distance(&self) -> f64 {
         self.at(self.duration).0
@@ -124,7 +130,7 @@ fn change(speed: f64, sign: f64, limits: &ProfileLimits) -> [Phase; 3] {
 impl Piece {
     fn at(&self, t: f64) -> (f64, f64, f64) {
         (
-            self.way + t * (self.v + t * (0.5 * self.a + t * self.jerk / 6.0)),
+            self.distance + t * (self.v + t * (0.5 * self.a + t * self.jerk / 6.0)),
             self.v + t * (self.a + 0.5 * t * self.jerk),
             self.a + t * self.jerk,
         )
@@ -143,17 +149,17 @@ mod tests {
             let profile = if stop { Profile::to_rest(speed, &limits) } else { Profile::rest_to_rest(distance, &limits) };
             let steps = 2000;
             let dt = profile.duration() / f64::from(steps);
-            let (mut way, mut before) = (0.0, None);
+            let (mut distance, mut before) = (0.0, None);
             for i in 0..=steps {
                 let (x, v, a) = profile.at(dt * f64::from(i));
                 prop_assert!((-1e-9..=speed + 1e-9).contains(&v) && a.abs() <= acceleration + 1e-9);
-                prop_assert!((x - way).abs() < 1e-9 + 0.5 * acceleration * dt * dt, "{} {}", x, way);
+                prop_assert!((x - distance).abs() < 1e-9 + 0.5 * acceleration * dt * dt, "{} {}", x, distance);
                 if let (Some(before), Some(jerk)) = (before, jerk) {
                     let change: f64 = a - before;
                     prop_assert!(change.abs() <= jerk * dt + 1e-6 || (stop && i == 0));
                 }
                 before = Some(a);
-                way = x + profile.at(dt * (f64::from(i) + 0.5)).1 * dt;
+                distance = x + profile.at(dt * (f64::from(i) + 0.5)).1 * dt;
             }
             let (_, v, _) = profile.at(profile.duration());
             prop_assert!(v.abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! What is the fastest law along a way? Two passes over the squared speed `b = v²`, exact for its samples.
+//! Time-optimal sweep. What is the fastest law along a path? Two passes over the squared speed `b = v²`, exact for its samples.
 //!
 //! Between two samples the acceleration `a` is constant, `b` is linear in the arc length and the curvature too, so that both wheels'
 //! accelerations `a (1 ± k h) ± h k' b` are linear there: they are bounded where they are bounded at both ends. The backward pass finds
@@ -12,12 +12,12 @@ use super::path::{GeometricPath, PathPoint};
 /// Why there is no law.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SweepError {
-    /// The way is too tight, or too short, for the speed at its start.
-    #[error("start speed {speed:.3} m/s: the way allows {limit:.3} m/s")]
+    /// The path is too tight, or too short, for the speed at its start.
+    #[error("start speed {speed:.3} m/s: the path allows {limit:.3} m/s")]
     StartTooFast {
         /// Speed at the start, m/s.
         speed: f64,
-        /// What the way allows there, m/s.
+        /// What the path allows there, m/s.
         limit: f64,
     },
 }
@@ -27,7 +27,7 @@ const SLOWING: f64 = 1.0;
 
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
-/// A start speed up to a tenth over what the way allows is taken as an error of control, and cut. Linear in the samples.
+/// A start speed up to a tenth over what the path allows is taken as an error of control, and cut. Linear in the samples.
 ///
 /// # Errors
 /// [`SweepError::StartTooFast`].

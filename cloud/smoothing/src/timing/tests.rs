@@ -1,12 +1,12 @@
-//! Claims about motions in time, by sampling them at a millisecond and by integrating them.
+//! Claims about trajectories in time, by sampling them at a millisecond and by integrating them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
 use proptest::prelude::*;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 
-use super::legs::safe_motion;
-use super::{GeometricPath, Limits, Motion, PathPoint, UNRESTRICTED};
+use super::stop_turn_go::stop_turn_go;
+use super::{GeometricPath, Limits, PathPoint, PiecewiseTrajectory, UNRESTRICTED};
 
 const LIMITS: Limits = Limits {
     wheel_speed: 0.6,
@@ -53,9 +53,9 @@ fn turns() -> impl Strategy<Value = Vec<(f64, f64)>> {
     prop::collection::vec(prop_oneof![4 => gentle, 2 => straight, 1 => sharp], 1..9)
 }
 
-fn assert_within_limits(motion: &Motion, limits: &Limits) {
+fn assert_within_limits(trajectory: &PiecewiseTrajectory, limits: &Limits) {
     let h = limits.half_separation;
-    let states = motion.states(0.001);
+    let states = trajectory.states(0.001);
     for state in &states {
         let (v, w) = (state.point.v, state.point.w);
         assert!(v <= limits.speed + SLACK, "speed {v} at {}", state.point.t);
@@ -96,13 +96,13 @@ fn assert_within_limits(motion: &Motion, limits: &Limits) {
     }
 }
 
-/// Integrates velocities and accelerations from the first state on: everything stays where the motion says.
-fn assert_consistent(motion: &Motion) {
-    let steps = (motion.duration() / 2e-4).ceil();
-    let dt = motion.duration() / steps;
-    let mut at = motion.at(0.0).point;
+/// Integrates velocities and accelerations from the first state on: everything stays where the trajectory says.
+fn assert_consistent(trajectory: &PiecewiseTrajectory) {
+    let steps = (trajectory.duration() / 2e-4).ceil();
+    let dt = trajectory.duration() / steps;
+    let mut at = trajectory.at(0.0).point;
     for i in 0..steps as usize {
-        let middle = motion.at(dt * (i as f64 + 0.5));
+        let middle = trajectory.at(dt * (i as f64 + 0.5));
         let yaw = at.yaw + 0.5 * dt * middle.point.w;
         (at.x, at.y) = (
             at.x + dt * middle.point.v * yaw.cos(),
@@ -111,7 +111,7 @@ fn assert_consistent(motion: &Motion) {
         at.yaw += dt * middle.point.w;
         at.v += dt * middle.a;
         at.w += dt * middle.alpha;
-        let there = motion.at(dt * (i as f64 + 1.0)).point;
+        let there = trajectory.at(dt * (i as f64 + 1.0)).point;
         assert!(
             (there.x - at.x).hypot(there.y - at.y) < 1e-6,
             "{} m off at {}",
@@ -133,10 +133,10 @@ fn assert_consistent(motion: &Motion) {
     }
 }
 
-fn followed(turns: &[(f64, f64)], start_speed: f64, limits: &Limits) -> Option<Motion> {
-    let mut motion = Motion::new();
-    motion.follow(curve(turns), start_speed, limits).ok()?;
-    Some(motion)
+fn followed(turns: &[(f64, f64)], start_speed: f64, limits: &Limits) -> Option<PiecewiseTrajectory> {
+    let mut trajectory = PiecewiseTrajectory::new();
+    trajectory.follow(curve(turns), start_speed, limits).ok()?;
+    Some(trajectory)
 }
 
 #[test]
@@ -145,15 +145,15 @@ fn a_straight_line_with_limited_jerk_is_nearly_the_double_s() {
         jerk: Some(1.0),
         ..LIMITS
     };
-    let mut motion = Motion::new();
-    motion
+    let mut trajectory = PiecewiseTrajectory::new();
+    trajectory
         .follow(
             GeometricPath::straight(Point2::origin(), Point2::new(6.0, 0.0), 0.02).unwrap(),
             0.0,
             &limits,
         )
         .unwrap();
-    let (limited, figures) = motion.with_limited_jerk(&limits);
+    let (limited, figures) = trajectory.with_limited_jerk(&limits);
     assert_eq!(figures.unwrap().failed, None);
     // 6 m at 0.55 m/s, gained and lost with 0.74 m/s² at most (0.75 is not reached).
     let double_s = 6.0 / 0.55 + 2.0 * (0.55_f64 / 1.0).sqrt();
@@ -175,10 +175,10 @@ fn a_way_too_short_for_a_program_keeps_the_sweep_and_says_so() {
         ..LIMITS
     };
     let path = GeometricPath::chain(PathPoint::default(), &[(0.01, 0.0), (0.01, 0.0)]).unwrap();
-    let mut motion = Motion::new();
-    motion.follow(path, 0.0, &limits).unwrap();
-    let duration = motion.duration();
-    let (kept, figures) = motion.with_limited_jerk(&limits);
+    let mut trajectory = PiecewiseTrajectory::new();
+    trajectory.follow(path, 0.0, &limits).unwrap();
+    let duration = trajectory.duration();
+    let (kept, figures) = trajectory.with_limited_jerk(&limits);
     assert_eq!(
         (kept.duration(), figures.unwrap().solver.status.as_str()),
         (duration, "too_short")
@@ -190,9 +190,9 @@ proptest! {
 
     #[test]
     fn a_followed_curve_keeps_every_limit_and_is_where_its_velocity_leads(turns in turns(), start in prop_oneof![Just(0.0), 0.0..0.5_f64]) {
-        let Some(motion) = followed(&turns, start, &LIMITS) else { return Ok(()) };
-        assert_within_limits(&motion, &LIMITS);
-        assert_consistent(&motion);
+        let Some(trajectory) = followed(&turns, start, &LIMITS) else { return Ok(()) };
+        assert_within_limits(&trajectory, &LIMITS);
+        assert_consistent(&trajectory);
     }
 
     #[test]
@@ -200,14 +200,14 @@ proptest! {
         let limits = Limits { jerk: Some(jerk), ..LIMITS };
         let Some(sweep) = followed(&turns, start, &limits) else { return Ok(()) };
         let bound = sweep.duration();
-        let (motion, figures) = sweep.with_limited_jerk(&limits);
-        prop_assert!(motion.duration() >= bound * (1.0 - 1e-9) && motion.lower_bound() == bound);
-        assert_consistent(&motion);
+        let (trajectory, figures) = sweep.with_limited_jerk(&limits);
+        prop_assert!(trajectory.duration() >= bound * (1.0 - 1e-9) && trajectory.lower_bound() == bound);
+        assert_consistent(&trajectory);
         match figures.unwrap().failed {
-            None => assert_within_limits(&motion, &limits),
+            None => assert_within_limits(&trajectory, &limits),
             Some(error) => {
                 prop_assert!(start > 0.0 || sweep_is_short(&turns), "{} from rest on {:?}", error, turns);
-                assert_within_limits(&motion, &limits.without_jerk());
+                assert_within_limits(&trajectory, &limits.without_jerk());
             }
         }
     }
@@ -221,12 +221,12 @@ proptest! {
         prop_assume!(limits.surface_speed(Twist2::new(v, w)) <= limits.wheel_speed && (v * w).abs() <= limits.lateral_acceleration);
         let path: Vec<_> = raw.into_iter().map(|(x, y)| Point2::new(x, y)).collect();
         let start = Pose2::new(0.1, 0.2, yaw);
-        let (motion, figures) = safe_motion(&path, start, Twist2::new(v, w), goal_yaw, &limits, UNRESTRICTED).with_limited_jerk(&limits);
+        let (trajectory, figures) = stop_turn_go(&path, start, Twist2::new(v, w), goal_yaw, &limits, UNRESTRICTED).with_limited_jerk(&limits);
         let kept = if figures.is_some_and(|figures| figures.failed.is_some()) { limits.without_jerk() } else { limits };
-        assert_within_limits(&motion, &kept);
-        assert_consistent(&motion);
-        if let (Some(end), false) = (path.last(), motion.is_empty()) {
-            let last = motion.at(motion.duration()).point;
+        assert_within_limits(&trajectory, &kept);
+        assert_consistent(&trajectory);
+        if let (Some(end), false) = (path.last(), trajectory.is_empty()) {
+            let last = trajectory.at(trajectory.duration()).point;
             prop_assert!((last.x - end.x).hypot(last.y - end.y) < 2e-3 && last.v == 0.0 && last.w == 0.0);
             prop_assert!(goal_yaw.is_none_or(|yaw| wrap_angle(last.yaw - yaw).abs() < 1e-9));
         }

@@ -1,38 +1,38 @@
-//! What is always safe? Stop, turn towards the next corner, go straight, stop: the unsmoothed way with a time law of its own.
+//! Stop, turn, go. What is always safe? Stop, turn towards the next corner, go straight, stop: the unsmoothed path with a time law of its own.
 //!
-//! It needs no map and no solver, and leaves the way's straight lines nowhere: what was free for the search stays free. A robot that is
-//! moving brakes first, along the arc that it is on, and then goes back to the nearest point of the way.
+//! It needs no map and no solver, and leaves the path's straight lines nowhere: what was free for the search stays free. A robot that is
+//! moving brakes first, along the arc that it is on, and then goes back to the nearest point of the path.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 
 use super::limits::Limits;
-use super::motion::Motion;
 use super::path::{GeometricPath, SpeedLimit};
+use super::trajectory::PiecewiseTrajectory;
 
-/// Points of a way nearer than this are one, m.
+/// Points of a path nearer than this are one, m.
 const SAME_PLACE: f64 = 1e-3;
 /// Distance between samples on a straight line, m.
 const STEP: f64 = 0.02;
 /// A leg whose direction differs by less from the heading is begun at speed, rad.
 const ALIGNED: f64 = 0.02;
 
-/// The unsmoothed way (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end, within the speed
+/// The unsmoothed path (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end, within the speed
 /// limits of the map's zones.
 ///
 /// Points that are not finite are left out. Empty only when there is nothing to drive or to turn.
 #[must_use]
-pub fn safe_motion(
+pub fn stop_turn_go(
     path: &[Point2<f64>],
     start: Pose2,
     velocity: Twist2,
     goal_yaw: Option<f64>,
     limits: &Limits,
     speed_limit: SpeedLimit<'_>,
-) -> Motion {
-    let mut motion = Motion::new();
+) -> PiecewiseTrajectory {
+    let mut trajectory = PiecewiseTrajectory::new();
     if !start.is_finite() {
-        return motion;
+        return trajectory;
     }
     let velocity = if velocity.is_finite() { velocity } else { Twist2::ZERO };
     let mut corners = corners_from(start.position(), path);
@@ -42,7 +42,7 @@ pub fn safe_motion(
         if begins_at_speed(start, velocity, &corners, limits) {
             speed = velocity.v;
         } else {
-            at = motion.brake(start, velocity, limits);
+            at = trajectory.brake(start, velocity, limits);
             corners = rejoined(at.position(), &corners);
         }
     }
@@ -52,20 +52,20 @@ pub fn safe_motion(
         };
         let yaw = leg.points()[0].yaw;
         if speed == 0.0 {
-            motion.spin(at, wrap_angle(yaw - at.yaw), limits);
+            trajectory.spin(at, wrap_angle(yaw - at.yaw), limits);
         }
-        let followed = motion.follow(leg.limited(speed_limit), speed, limits);
+        let followed = trajectory.follow(leg.limited(speed_limit), speed, limits);
         debug_assert!(followed.is_ok(), "a straight line from rest can always be followed");
         speed = 0.0;
         at = Pose2::new(to.x, to.y, yaw);
     }
     if let Some(yaw) = goal_yaw.filter(|yaw| yaw.is_finite()) {
-        motion.spin(at, wrap_angle(yaw - at.yaw), limits);
+        trajectory.spin(at, wrap_angle(yaw - at.yaw), limits);
     }
-    motion
+    trajectory
 }
 
-/// The start, and the way's points without repetitions and what is not finite.
+/// The start, and the path's points without repetitions and what is not finite.
 pub(crate) fn corners_from(start: Point2<f64>, path: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut corners = vec![start];
     for &point in path {
@@ -86,7 +86,7 @@ fn begins_at_speed(start: Pose2, velocity: Twist2, corners: &[Point2<f64>], limi
     ahead && velocity.v > 0.0 && velocity.v <= limits.speed && velocity.w.abs() < 2.0 * ALIGNED && stops
 }
 
-/// The way from a place beside it: to its nearest point, and on from there.
+/// The path from a place beside it: to its nearest point, and on from there.
 pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut nearest = (f64::INFINITY, 0, corners[0]);
     for (i, pair) in corners.windows(2).enumerate() {
@@ -123,7 +123,7 @@ mod tests {
         goal_yaw: Option<f64>,
         model: &RobotModel,
     ) -> Trajectory {
-        safe_motion(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).trajectory(PERIOD)
+        stop_turn_go(path, start, velocity, goal_yaw, &Limits::of(model), UNRESTRICTED).sampled(PERIOD)
     }
 
     fn tiago() -> RobotModel {

@@ -1,4 +1,4 @@
-//! Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a way.
+//! Piecewise trajectory. Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a path.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::SolverFigures;
@@ -49,9 +49,9 @@ pub struct Rates {
     pub alpha: f64,
 }
 
-/// A motion in time, from time zero on.
+/// A trajectory in time, from time zero on.
 #[derive(Clone, Debug, Default)]
-pub struct Motion {
+pub struct PiecewiseTrajectory {
     stretches: Vec<(f64, Stretch)>,
     duration: f64,
     length: f64,
@@ -68,11 +68,11 @@ enum Stretch {
     },
     /// Turns on the spot, `sign` times the profile.
     Spin { start: Pose2, sign: f64, profile: Profile },
-    /// Follows a way.
+    /// Follows a path.
     Follow { path: GeometricPath, law: TimeLaw },
 }
 
-impl Motion {
+impl PiecewiseTrajectory {
     /// Nothing yet.
     #[must_use]
     pub fn new() -> Self {
@@ -91,7 +91,7 @@ impl Motion {
         self.length
     }
 
-    /// Shortest duration of the same turns and ways by the exact sweep, without a limit of the jerk, s.
+    /// Shortest duration of the same turns and paths by the exact sweep, without a limit of the jerk, s.
     #[must_use]
     pub fn lower_bound(&self) -> f64 {
         self.lower_bound
@@ -137,7 +137,7 @@ impl Motion {
         self.push(profile.duration(), least, Stretch::Spin { start, sign, profile });
     }
 
-    /// Follows a way as fast as the limits allow but for the jerk, from a speed (m/s) to rest.
+    /// Follows a path as fast as the limits allow but for the jerk, from a speed (m/s) to rest.
     ///
     /// # Errors
     /// As [`fastest`].
@@ -149,7 +149,7 @@ impl Motion {
         Ok(())
     }
 
-    /// The same motion with the limited jerk that `limits` ask for, and how it came about; a way that has no such law keeps
+    /// The same trajectory with the limited jerk that `limits` ask for, and how it came about; a path that has no such law keeps
     /// the sweep's. Nothing changes, and there is nothing to tell, where they ask for none.
     #[must_use]
     pub fn with_limited_jerk(self, limits: &Limits) -> (Self, Option<JerkFigures>) {
@@ -157,8 +157,8 @@ impl Motion {
             return (self, None);
         };
         let mut figures = JerkFigures::default();
-        let mut motion = Self::new();
-        (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
+        let mut trajectory = Self::new();
+        (trajectory.length, trajectory.lower_bound) = (self.length, self.lower_bound);
         for (_, mut stretch) in self.stretches {
             if let Stretch::Follow { path, law } = &mut stretch {
                 match jerk::limited(path, limits, jerk, &law.squared()) {
@@ -172,21 +172,21 @@ impl Motion {
                 }
             }
             let duration = stretch.duration();
-            motion.stretches.push((motion.duration, stretch));
-            motion.duration += duration;
+            trajectory.stretches.push((trajectory.duration, stretch));
+            trajectory.duration += duration;
         }
         if let Some(error) = &figures.failed {
             figures.solver.status = error.to_string();
         }
-        (motion, Some(figures))
+        (trajectory, Some(figures))
     }
 
-    /// The same turns and ways by other limits; braking stays as hard as it is. `None` where they do not allow the speed at a
-    /// way's start.
+    /// The same turns and paths by other limits; braking stays as hard as it is. `None` where they do not allow the speed at a
+    /// path's start.
     #[must_use]
     pub fn retimed(&self, limits: &Limits) -> Option<Self> {
-        let mut motion = Self::new();
-        (motion.length, motion.lower_bound) = (self.length, self.lower_bound);
+        let mut trajectory = Self::new();
+        (trajectory.length, trajectory.lower_bound) = (self.length, self.lower_bound);
         for (_, stretch) in &self.stretches {
             let stretch = match stretch {
                 Stretch::Brake { .. } => stretch.clone(),
@@ -209,10 +209,10 @@ impl Motion {
                 }
             };
             let duration = stretch.duration();
-            motion.stretches.push((motion.duration, stretch));
-            motion.duration += duration;
+            trajectory.stretches.push((trajectory.duration, stretch));
+            trajectory.duration += duration;
         }
-        Some(motion)
+        Some(trajectory)
     }
 
     /// Energy that it draws from a robot's battery, J: Simpson's rule on every piece.
@@ -236,7 +236,7 @@ impl Motion {
         self.duration += duration;
     }
 
-    /// The state at a time (s), held to the motion's ends. Logarithmic in the samples.
+    /// The state at a time (s), held to the trajectory's ends. Logarithmic in the samples.
     #[must_use]
     pub fn at(&self, t: f64) -> State {
         let t = t.clamp(0.0, self.duration);
@@ -251,7 +251,7 @@ impl Motion {
         state.point.t = t;
         state.point.yaw = wrap_angle(state.point.yaw);
         if t >= self.duration {
-            // Every motion ends at rest, to the last bit.
+            // Every trajectory ends at rest, to the last bit.
             (state.point.v, state.point.w) = (0.0, 0.0);
         }
         state
@@ -281,7 +281,7 @@ impl Motion {
 
     /// As [`Self::states`], as it goes over the wire.
     #[must_use]
-    pub fn trajectory(&self, period: f64) -> Trajectory {
+    pub fn sampled(&self, period: f64) -> Trajectory {
         self.states(period).into_iter().map(|state| state.point).collect()
     }
 }
@@ -291,7 +291,7 @@ impl Motion {
 pub struct JerkFigures {
     /// What the solver said.
     pub solver: SolverFigures,
-    /// Why a way kept the sweep's law, if one did.
+    /// Why a path kept the sweep's law, if one did.
     pub failed: Option<JerkError>,
 }
 
@@ -318,9 +318,9 @@ impl Stretch {
                 let t = begin + pair[0] + into;
                 rates.push(match piece {
                     Some((path, law)) => {
-                        let Progress { way, v, a, .. } = law.on(index, into);
+                        let Progress { distance, v, a, .. } = law.on(index, into);
                         let slope = path.slope(index);
-                        let k = path.points()[index].k + slope * way;
+                        let k = path.points()[index].k + slope * distance;
                         Rates {
                             t,
                             twist: Twist2::new(v, k * v),
@@ -345,8 +345,8 @@ impl Stretch {
     fn at(&self, t: f64) -> State {
         match self {
             Self::Brake { start, twist, profile } => {
-                let (way, speed, a) = profile.at(t);
-                let pose = start.advance(*twist, way);
+                let (distance, speed, a) = profile.at(t);
+                let pose = start.advance(*twist, distance);
                 State::new(
                     t,
                     pose,
@@ -364,8 +364,8 @@ impl Stretch {
                 State::new(t, pose, Twist2::new(0.0, sign * w), 0.0, sign * alpha)
             }
             Self::Follow { path, law } => {
-                let Progress { index, way, v, a } = law.at(t);
-                let point = path.between(index, way);
+                let Progress { index, distance, v, a } = law.at(t);
+                let point = path.between(index, distance);
                 let pose = Pose2 {
                     x: point.x,
                     y: point.y,

@@ -1,0 +1,54 @@
+//! Outcome. Which trajectory came out of smoothing, and why was it not the smooth one?
+
+use std::fmt;
+
+use super::curve::CurveError;
+
+/// What came out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Outcome {
+    /// A trajectory along a smooth curve.
+    #[default]
+    Smoothed,
+    /// The path itself as stop, turn and go; nothing at all where even that is not free.
+    Unsmoothed(Fallback),
+}
+
+impl fmt::Display for Outcome {
+    /// `smoothed`, or `fallback:REASON`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Smoothed => f.write_str("smoothed"),
+            Self::Unsmoothed(reason) => write!(f, "fallback:{reason}"),
+        }
+    }
+}
+
+/// Why the smooth curve is not driven.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Fallback {
+    /// Nobody tried: the caller asked for the path itself.
+    #[error("not_tried")]
+    NotTried,
+    /// The start has numbers that are not finite.
+    #[error("start_not_finite")]
+    StartNotFinite,
+    /// The path itself is not free; nothing is driven.
+    #[error("path_blocked")]
+    PathBlocked,
+    /// The footprint touches something along every curve found.
+    #[error("collision")]
+    Collision,
+    /// No curve was found.
+    #[error("{0}")]
+    Curve(CurveError),
+    /// No time law keeps the limits from the speed at the start on.
+    #[error("too_fast")]
+    TooFast,
+    /// Stop, turn and go is done sooner.
+    #[error("slower")]
+    Slower,
+    /// Time was up.
+    #[error("timed_out")]
+    TimedOut,
+}

@@ -1,0 +1,335 @@
+//! Motion service. How does a motion worker live on the network? Requests in; paths, trajectories and search trees out.
+//!
+//! | file | answers |
+//! |---|---|
+//! | [`worker`] | which path can the robot drive, and what is its trajectory? Pure |
+//! | `host` | how is one request worked on, away from the async threads and within its budget? |
+
+mod host;
+pub mod worker;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Shutdown};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{
+    MotionReply, MotionRequest, PlanOutcome, PlanReply, SearchTree, TrajectoryReply, TrajectoryRequest,
+};
+use zenav_protocol::padding::Extent;
+use zenav_protocol::topics::{ALIVE_WORKER, MOTION_SERVICE, TREE, alive_key};
+use zenav_space::Zones;
+
+use self::worker::MotionWorker;
+
+pub use self::worker::MotionSettings;
+use crate::map_subscriber::MapSubscriber;
+
+/// Name of the service, as in its workers' alive tokens.
+pub const SERVICE: &str = "motion";
+/// How long the whole map may take to come.
+const MAP_DEADLINE: Duration = Duration::from_millis(1500);
+/// Robots whose searches are shown at once; beyond it the first by name goes.
+const MAX_SHOWN: usize = 64;
+/// Most edges of a tree that are shown: the first ones, which reach out farthest.
+const MAX_EDGES: usize = 20_000;
+
+/// How far beyond the map its copy must reach for a request; `None` where no unknown cell may be driven through.
+#[must_use]
+pub fn padding(request: &MotionRequest) -> Option<Extent> {
+    match request {
+        MotionRequest::Trajectory(TrajectoryRequest { plan, .. }) | MotionRequest::Plan(plan) => {
+            let ends = [plan.start, plan.goal];
+            let positions = ends.iter().chain(&plan.via).map(|pose| pose.position()).collect();
+            plan.unknown_is_free
+                .then(|| Extent::of(&plan.model.footprint, positions))
+        }
+        MotionRequest::Smooth(smooth) => smooth
+            .unknown_is_free
+            .then(|| Extent::of(&smooth.model.footprint, smooth.path.clone())),
+    }
+}
+
+/// Answers motion requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
+///
+/// # Errors
+/// [`BusError`] when a key cannot be declared.
+pub async fn run(
+    bus: Bus,
+    clock: Clock,
+    name: Id,
+    zones: Arc<Zones>,
+    settings: MotionSettings,
+    shutdown: Shutdown,
+) -> Result<(), BusError> {
+    let mut maps = MapSubscriber::new(&bus)?;
+    let mut server = bus.serve(&MOTION_SERVICE, &[name.as_str()])?;
+    let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &[SERVICE, name.as_str()]))?;
+    let mut viewers = TreePublishers {
+        bus,
+        clock,
+        publishers: BTreeMap::new(),
+    };
+    let mut worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
+    loop {
+        let request = tokio::select! {
+            () = shutdown.wait() => return Ok(()),
+            open = maps.follow() => { debug_assert!(!open); return Ok(()) }
+            request = server.next() => match request {
+                Some(request) => request,
+                None => return Ok(()),
+            },
+        };
+        let (robot, wanted) = request.body.map();
+        let map = maps.map(robot, wanted, MAP_DEADLINE).await.map(|replica| {
+            if let Some(extent) = padding(&request.body) {
+                replica.reach(&extent);
+            }
+            replica.clone()
+        });
+        let (robot, asked) = (robot.to_owned(), request.body.clone());
+        let budgets = [asked.search_budget(), asked.budget()];
+        let done = host::within(budgets, &shutdown, move |clock, cancel| {
+            let answer = worker.answer(map.as_ref(), &asked, clock, cancel);
+            (worker, answer)
+        });
+        match done.await {
+            Ok((back, Ok(answer))) => {
+                worker = back;
+                request.reply(&answer);
+                viewers.show(&worker, &robot, &answer);
+            }
+            Ok((back, Err(refusal))) => {
+                worker = back;
+                request.refuse(&refusal);
+            }
+            Err(refusal) => {
+                worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
+                request.refuse(&refusal);
+            }
+        }
+    }
+}
+
+/// Publishes what was searched, to whoever looks.
+struct TreePublishers {
+    bus: Bus,
+    clock: Clock,
+    publishers: BTreeMap<String, Publisher<SearchTree>>,
+}
+
+impl TreePublishers {
+    fn show(&mut self, worker: &MotionWorker, robot: &str, answer: &MotionReply) {
+        let (MotionReply::Plan(PlanReply { outcome, .. })
+        | MotionReply::Trajectory(TrajectoryReply {
+            plan: PlanReply { outcome, .. },
+            ..
+        })) = answer
+        else {
+            return;
+        };
+        if !self.is_watched(robot) {
+            return;
+        }
+        let path = match outcome {
+            PlanOutcome::Found { path, .. } => path.clone(),
+            _ => Vec::new(),
+        };
+        let tree = SearchTree {
+            stamp: self.clock.now(),
+            edges: worker.tree(MAX_EDGES),
+            path,
+        };
+        if let Some(publisher) = self.publishers.get(robot) {
+            publisher.put(&tree);
+        }
+    }
+
+    /// Whether somebody may look at this robot's searches. A publisher that is new cannot know yet.
+    fn is_watched(&mut self, robot: &str) -> bool {
+        if let Some(publisher) = self.publishers.get(robot) {
+            return publisher.may_be_heard();
+        }
+        if self.publishers.len() >= MAX_SHOWN {
+            self.publishers.pop_first();
+        }
+        match self.bus.publisher(&TREE, &[robot]) {
+            Ok(publisher) => {
+                self.publishers.insert(robot.to_owned(), publisher);
+                true
+            }
+            Err(error) => {
+                tracing::warn!(robot, %error, "the robot's searches cannot be shown");
+                false
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::bus::{AskError, BusConfig, Router, RouterConfig};
+    use zenav_protocol::geometry::{Pose2, Twist2};
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply, PlanRequest, Refusal, SmoothRequest};
+    use zenav_protocol::time::Stamp;
+    use zenav_protocol::topics::MAP;
+
+    use super::*;
+
+    const DEADLINE: Duration = Duration::from_secs(20);
+
+    /// A hall of 6 m by 4 m with a wall across that leaves a door.
+    fn map() -> MapReply {
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 120,
+            height: 80,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        for y in (0..80).filter(|y| !(50..75).contains(y)) {
+            grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+        }
+        let map = MapRef {
+            id: "hall".to_owned(),
+            revision: 3,
+        };
+        let info = MapInfo {
+            stamp: Stamp::ZERO,
+            map,
+            spec,
+            free: 0,
+            occupied: 0,
+            unknown: 0,
+            scans: 0,
+            stored: true,
+        };
+        MapReply {
+            info,
+            values: grid.values().to_vec(),
+            trajectory: Vec::new(),
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_worker_answers_every_kind_of_request_and_shows_its_searches() {
+        let router = Router::open(&RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".into()],
+            ..RouterConfig::default()
+        })
+        .await
+        .unwrap();
+        let endpoint = router.endpoints().await.remove(0);
+        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+        let mapping = open("mapping").await.unwrap();
+        let mut maps = mapping.serve(&MAP, &["tiago"]).unwrap();
+        tokio::spawn(async move {
+            while let Some(request) = maps.next().await {
+                request.reply(&map());
+            }
+        });
+        let (shutdown, worker) = (Shutdown::new(), Id::new("w1").unwrap());
+        let service = tokio::spawn(run(
+            open("motion").await.unwrap(),
+            Clock::wall(),
+            worker,
+            Arc::default(),
+            MotionSettings::default(),
+            shutdown.clone(),
+        ));
+        let client = open("client").await.unwrap();
+        let model = zenav_fixtures::robot("tiago");
+        let question = PlanRequest {
+            robot: "tiago".to_owned(),
+            model: model.clone(),
+            map: map().info.map,
+            start: Pose2::new(1.0, 1.0, 0.0),
+            via: Vec::new(),
+            goal: Pose2::new(5.0, 1.0, 0.0),
+            planner: "astar".to_owned(),
+            unknown_is_free: false,
+            escape: 0.0,
+            budget_ms: 5000,
+            seed: 1,
+        };
+        let mut trees = client.subscribe(&TREE, &["tiago"], 8).unwrap();
+        let ask = |request: MotionRequest| {
+            let client = &client;
+            async move { client.ask(&MOTION_SERVICE, &["*"], &request, DEADLINE).await }
+        };
+        let plan = |plan: &PlanRequest| ask(MotionRequest::Plan(plan.clone()));
+        let Ok(MotionReply::Plan(found)) = plan(&question).await else {
+            panic!("no path")
+        };
+        assert_eq!(found.map, map().info.map);
+        let PlanOutcome::Found { path, .. } = found.outcome else {
+            panic!("no path")
+        };
+        // What is shown first may come before anybody listens; whoever listens sees the next one.
+        let shown = tokio::time::timeout(DEADLINE, async {
+            loop {
+                tokio::select! {
+                    tree = trees.next() => return tree.unwrap().message,
+                    again = plan(&question) => { again.unwrap(); }
+                }
+            }
+        });
+        assert_eq!(shown.await.unwrap().path, path);
+
+        let wanted = SmoothRequest {
+            robot: "tiago".to_owned(),
+            model,
+            map: found.map,
+            path: path.clone(),
+            start: question.start,
+            start_velocity: Twist2::ZERO,
+            goal_yaw: Some(0.0),
+            unknown_is_free: false,
+            profile: DrivingProfile::default(),
+        };
+        let Ok(MotionReply::Smooth(smoothed)) = ask(MotionRequest::Smooth(wanted)).await else {
+            panic!("no trajectory")
+        };
+        assert_eq!(smoothed.statistics.status, "smoothed");
+        assert!(smoothed.statistics.min_clearance.unwrap() > 0.05);
+        let last = smoothed.trajectory.last().unwrap();
+        assert!(last.pose().distance(&question.goal) < 1e-6 && last.v == 0.0);
+
+        let both = TrajectoryRequest {
+            plan: question.clone(),
+            start_velocity: Twist2::ZERO,
+            goal_yaw: Some(0.0),
+            profile: DrivingProfile::default(),
+        };
+        let Ok(MotionReply::Trajectory(both)) = ask(MotionRequest::Trajectory(both)).await else {
+            panic!("no path and trajectory")
+        };
+        assert!(matches!(both.plan.outcome, PlanOutcome::Found { path: again, .. } if again == path));
+        assert_eq!(both.smooth.unwrap().trajectory, smoothed.trajectory);
+
+        let strange = PlanRequest {
+            planner: "crystal ball".to_owned(),
+            ..question.clone()
+        };
+        let refused = plan(&strange).await;
+        assert!(
+            matches!(refused, Err(AskError::Refused(Refusal::BadRequest { .. }))),
+            "{refused:?}"
+        );
+        let elsewhere = PlanRequest {
+            goal: Pose2::new(50.0, 1.0, 0.0),
+            ..question
+        };
+        assert!(matches!(
+            plan(&elsewhere).await,
+            Ok(MotionReply::Plan(reply)) if reply.outcome == PlanOutcome::OutOfMap
+        ));
+
+        shutdown.trigger();
+        service.await.unwrap().unwrap();
+    }
+}

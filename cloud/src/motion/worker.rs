@@ -1,0 +1,445 @@
+//! Motion worker. Which path can the robot drive, and what is its trajectory?
+//!
+//! Pure: a request, a copy of the map, a clock for the statistics, and flags that end a phase early, in; a reply out.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nalgebra::Point2;
+use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, UnknownPlanner};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::map_replica::MapReplica;
+use zenav_protocol::messages::{
+    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal, SmoothReply, SmoothRequest,
+    TrajectoryReply, TrajectoryRequest,
+};
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
+use zenav_space::{SpaceCache, UnknownPolicy, Zones};
+
+/// Robots and maps that searches are kept for.
+const MAX_REPLANNERS: usize = 4;
+/// Most corner points of a given path, and most poses to pass.
+const MAX_POINTS: usize = 100_000;
+const MAX_VIA: usize = 1000;
+
+/// Settings of a motion worker's libraries.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MotionSettings {
+    /// How paths are planned.
+    pub planning: PlanningSettings,
+    /// How they become trajectories.
+    pub smoothing: SmoothingSettings,
+}
+
+/// Ends the phases of an answer early. The worker knows no time: whoever runs it sets these.
+#[derive(Debug, Default)]
+pub struct Cancel {
+    /// Ends searches: there is no path then.
+    pub search: AtomicBool,
+    /// Ends smoothing: the path goes out unsmoothed then.
+    pub smoothing: AtomicBool,
+}
+
+impl Cancel {
+    /// Ends both.
+    pub fn all(&self) {
+        self.search.store(true, Ordering::Relaxed);
+        self.smoothing.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Answers motion requests one after the other; keeps the configuration spaces and searches that it prepared.
+#[derive(Debug, Default)]
+pub struct MotionWorker {
+    spaces: SpaceCache,
+    settings: MotionSettings,
+    /// The one used last comes first.
+    replanners: VecDeque<Kept>,
+    /// Whether the last answer was searched for.
+    searched: bool,
+}
+
+/// What is kept of a map for a footprint.
+#[derive(Debug)]
+struct Kept {
+    map: String,
+    footprint: Footprint,
+    policy: UnknownPolicy,
+    replanner: Replanner,
+}
+
+impl MotionWorker {
+    /// A worker for maps with these zones.
+    #[must_use]
+    pub fn new(zones: Arc<Zones>, settings: MotionSettings) -> Self {
+        Self {
+            spaces: SpaceCache::new(zones),
+            settings,
+            ..Self::default()
+        }
+    }
+
+    /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
+    #[must_use]
+    pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
+        let last = self.replanners.front().filter(|_| self.searched);
+        last.map(|kept| kept.replanner.tree(limit)).unwrap_or_default()
+    }
+
+    /// Answers a request on a copy of the robot's map. `clock` (s) tells times for the statistics only.
+    ///
+    /// # Errors
+    /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, a robot that cannot be, and a planner that there is
+    /// not; [`Refusal::NotFound`] where a path is to be smoothed without a map.
+    pub fn answer(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &MotionRequest,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &Cancel,
+    ) -> Result<MotionReply, Refusal> {
+        let map = map.filter(|map| !map.grid().spec().is_empty());
+        Ok(match request {
+            MotionRequest::Plan(request) => MotionReply::Plan(self.plan(map, request, clock, cancel)?),
+            MotionRequest::Smooth(request) => MotionReply::Smooth(self.smooth(map, request, clock, cancel)?),
+            MotionRequest::Trajectory(request) => {
+                MotionReply::Trajectory(self.trajectory(map, request, clock, cancel)?)
+            }
+        })
+    }
+
+    /// A path, and its trajectory.
+    fn trajectory(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &TrajectoryRequest,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &Cancel,
+    ) -> Result<TrajectoryReply, Refusal> {
+        let plan = self.plan(map, &request.plan, clock, cancel)?;
+        let smooth = match &plan.outcome {
+            PlanOutcome::Found { path, .. } => {
+                Some(self.smooth(map, &request.smooth(plan.map.clone(), path.clone()), clock, cancel)?)
+            }
+            _ => None,
+        };
+        Ok(TrajectoryReply { plan, smooth })
+    }
+
+    /// A path through all poses that are to be passed.
+    fn plan(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &PlanRequest,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &Cancel,
+    ) -> Result<PlanReply, Refusal> {
+        let planner: Planner = request
+            .planner
+            .parse()
+            .map_err(|error: UnknownPlanner| Refusal::bad_request(error.to_string()))?;
+        let poses: Vec<Pose2> = [request.start]
+            .into_iter()
+            .chain(request.via.iter().copied())
+            .chain([request.goal])
+            .collect();
+        if request.via.len() > MAX_VIA || !request.escape.is_finite() || !poses.iter().all(Pose2::is_finite) {
+            return Err(Refusal::bad_request(format!(
+                "start, goal and at most {MAX_VIA} poses between: expected finite numbers"
+            )));
+        }
+        let model = checked(&request.model)?;
+        let mut reply = PlanReply {
+            map: map.map_or_else(|| request.map.clone(), |map| map.map().clone()),
+            outcome: PlanOutcome::NoMap,
+            leg: 0,
+            escapes: false,
+            search_ms: 0.0,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        };
+        let Some(map) = map else { return Ok(reply) };
+        let began = clock();
+        let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);
+        for (leg, ends) in poses.windows(2).enumerate() {
+            let [start, goal] = [ends[0], ends[1]];
+            let options = PlanOptions {
+                seed: request.seed,
+                settings: self.settings.planning.clone(),
+                escape: if leg == 0 { request.escape } else { 0.0 },
+                ..PlanOptions::new(planner)
+            };
+            let policy = policy(request.unknown_is_free);
+            let planned = self.leg(map, &model, policy, (start, goal), &options, cancel)?;
+            reply.expansions += planned.expansions;
+            reply.escapes |= planned.escapes;
+            reply.origin = planned.origin;
+            let PlanOutcome::Found { path, length } = planned.outcome else {
+                (reply.outcome, reply.leg) = (planned.outcome, leg);
+                reply.search_ms = (clock() - began) * 1e3;
+                return Ok(reply);
+            };
+            // One leg ends where the next begins.
+            whole.extend(path.into_iter().skip(usize::from(leg > 0)));
+            total += length;
+        }
+        reply.outcome = PlanOutcome::Found {
+            path: whole,
+            length: total,
+        };
+        reply.search_ms = (clock() - began) * 1e3;
+        Ok(reply)
+    }
+
+    /// A path between two poses.
+    fn leg(
+        &mut self,
+        map: &MapReplica,
+        model: &RobotModel,
+        policy: UnknownPolicy,
+        (start, goal): (Pose2, Pose2),
+        options: &PlanOptions,
+        cancel: &Cancel,
+    ) -> Result<Planned, Refusal> {
+        let space = self.spaces.get(map, &model.footprint, policy);
+        let internal = |error: &dyn std::fmt::Display| Refusal::Internal {
+            reason: error.to_string(),
+        };
+        let same = |kept: &Kept| kept.map == map.map().id && kept.policy == policy && kept.footprint == model.footprint;
+        let at = self.replanners.iter().position(same);
+        let mut kept = match at.and_then(|at| self.replanners.remove(at)) {
+            Some(kept) => kept,
+            None => Kept {
+                map: map.map().id.clone(),
+                footprint: model.footprint.clone(),
+                policy,
+                replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
+            },
+        };
+        let budget = Budget {
+            max_expansions: options.settings.max_expansions,
+            max_samples: options.settings.max_samples,
+            cancel: Some(&cancel.search),
+        };
+        let planned = kept.replanner.plan(&space, start, goal, options, budget);
+        self.replanners.push_front(kept);
+        self.replanners.truncate(MAX_REPLANNERS);
+        let planned = planned.map_err(|error| internal(&error))?;
+        self.searched = planned.origin == PlanOrigin::Searched;
+        Ok(planned)
+    }
+
+    /// The trajectory along a path; a path that cannot be smoothed still gets a safe one.
+    fn smooth(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &SmoothRequest,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &Cancel,
+    ) -> Result<SmoothReply, Refusal> {
+        let finite = request.start.is_finite()
+            && request.start_velocity.is_finite()
+            && request.goal_yaw.is_none_or(f64::is_finite)
+            && request
+                .path
+                .iter()
+                .all(|point| point.x.is_finite() && point.y.is_finite());
+        if !finite || request.path.len() > MAX_POINTS {
+            return Err(Refusal::bad_request(format!(
+                "expected finite numbers and at most {MAX_POINTS} points"
+            )));
+        }
+        let model = checked(&request.model)?;
+        let Some(map) = map else {
+            return Err(Refusal::NotFound {
+                what: format!("a map of {}", request.robot),
+            });
+        };
+        let space = self.spaces.get(map, &model.footprint, policy(request.unknown_is_free));
+        let query = SmoothQuery {
+            path: &request.path,
+            start: request.start,
+            start_velocity: request.start_velocity,
+            goal_yaw: request.goal_yaw,
+            profile: request.profile,
+        };
+        let smoothed = smooth(
+            &space,
+            &query,
+            &model,
+            &self.settings.smoothing,
+            Some(&cancel.smoothing),
+            clock,
+        );
+        Ok(SmoothReply {
+            map: map.map().clone(),
+            trajectory: smoothed.sampled(SAMPLE_PERIOD),
+            statistics: smoothed.statistics,
+        })
+    }
+}
+
+fn policy(unknown_is_free: bool) -> UnknownPolicy {
+    if unknown_is_free {
+        UnknownPolicy::Free
+    } else {
+        UnknownPolicy::Blocked
+    }
+}
+
+fn checked(model: &RobotModel) -> Result<RobotModel, Refusal> {
+    model
+        .clone()
+        .checked("model")
+        .map_err(|error| Refusal::bad_request(error.to_string()))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+mod tests {
+    use zenav_protocol::geometry::Twist2;
+    use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply};
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+
+    /// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
+    fn hall(door: f64) -> MapReplica {
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 120,
+            height: 80,
+        };
+        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        for y in (0..80).filter(|y| !(2.0..2.0 + door).contains(&(0.05 * f64::from(*y) + 0.025))) {
+            grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+        }
+        let info = MapInfo {
+            stamp: Stamp::ZERO,
+            map: MapRef {
+                id: "hall".to_owned(),
+                revision: 1,
+            },
+            spec,
+            free: 0,
+            occupied: 0,
+            unknown: 0,
+            scans: 0,
+            stored: true,
+        };
+        let mut replica = MapReplica::new();
+        replica.replace(&MapReply {
+            info,
+            values: grid.values().to_vec(),
+            trajectory: Vec::new(),
+        });
+        replica
+    }
+
+    fn request(robot: &str, planner: &str) -> TrajectoryRequest {
+        TrajectoryRequest {
+            plan: PlanRequest {
+                robot: "r".to_owned(),
+                model: zenav_fixtures::robot(robot),
+                map: MapRef::default(),
+                start: Pose2::new(1.0, 1.0, 0.0),
+                via: Vec::new(),
+                goal: Pose2::new(5.0, 1.0, 0.0),
+                planner: planner.to_owned(),
+                unknown_is_free: false,
+                escape: 0.6,
+                budget_ms: 5000,
+                seed: 1,
+            },
+            start_velocity: Twist2::ZERO,
+            goal_yaw: Some(0.0),
+            profile: DrivingProfile::default(),
+        }
+    }
+
+    fn ask(map: &MapReplica, request: &TrajectoryRequest, cancel: &Cancel) -> TrajectoryReply {
+        let request = MotionRequest::Trajectory(request.clone());
+        match MotionWorker::default().answer(Some(map), &request, &mut || 0.0, cancel) {
+            Ok(MotionReply::Trajectory(reply)) => reply,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn one_answer_holds_the_path_and_its_trajectory_to_rest_at_the_goal() {
+        let (map, request) = (hall(1.25), request("tiago", "astar"));
+        let reply = ask(&map, &request, &Cancel::default());
+        let PlanOutcome::Found { path, .. } = &reply.plan.outcome else {
+            panic!("{:?}", reply.plan.outcome)
+        };
+        assert_eq!(path.first(), Some(&request.plan.start.position()));
+        let smooth = reply.smooth.unwrap();
+        assert_eq!(smooth.statistics.status, "smoothed");
+        let last = smooth.trajectory.last().unwrap();
+        assert!(last.pose().distance(&request.plan.goal) < 1e-6 && last.v == 0.0);
+    }
+
+    #[test]
+    fn a_path_passes_the_poses_asked_for_and_a_leg_without_one_is_named() {
+        let map = hall(1.25);
+        let mut request = request("tiago", "astar");
+        request.plan.via = vec![Pose2::new(1.0, 3.0, 0.0), Pose2::new(5.0, 3.0, 0.0)];
+        let reply = ask(&map, &request, &Cancel::default());
+        let PlanOutcome::Found { path, length } = &reply.plan.outcome else {
+            panic!("{:?}", reply.plan.outcome)
+        };
+        for pose in &request.plan.via {
+            assert!(path.contains(&pose.position()), "{path:?}");
+        }
+        assert!(*length > 8.0 && !reply.smooth.unwrap().trajectory.is_empty());
+        request.plan.via[1] = Pose2::new(3.025, 1.0, 0.0);
+        let reply = ask(&map, &request, &Cancel::default());
+        assert!(matches!(reply.plan.outcome, PlanOutcome::GoalOccupied { .. }) && reply.plan.leg == 1);
+        assert_eq!(reply.smooth, None);
+    }
+
+    #[test]
+    fn a_robot_that_by_the_map_stands_in_something_leaves_it_if_it_may() {
+        let map = hall(1.25);
+        let mut request = request("tiago", "astar");
+        request.plan.start = Pose2::new(2.95, 1.0, 0.0);
+        let reply = ask(&map, &request, &Cancel::default());
+        assert!(reply.plan.escapes && !reply.smooth.unwrap().trajectory.is_empty());
+        request.plan.escape = 0.0;
+        let reply = ask(&map, &request, &Cancel::default());
+        assert!(matches!(reply.plan.outcome, PlanOutcome::StartOccupied { .. }));
+    }
+
+    #[test]
+    fn a_body_that_no_disc_stands_for_gets_a_path_that_it_can_drive_by_every_planner() {
+        for planner in ["astar", "theta", "jps", "rrt_connect"] {
+            let reply = ask(&hall(0.8), &request("jackal", planner), &Cancel::default());
+            let smooth = reply
+                .smooth
+                .unwrap_or_else(|| panic!("{planner}: {:?}", reply.plan.outcome));
+            assert!(!smooth.trajectory.is_empty(), "{planner}: {}", smooth.statistics.status);
+        }
+    }
+
+    #[test]
+    fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory() {
+        let (map, request) = (hall(1.25), request("tiago", "astar"));
+        let over = || AtomicBool::new(true);
+        let no_search = Cancel {
+            search: over(),
+            ..Cancel::default()
+        };
+        assert_eq!(ask(&map, &request, &no_search).plan.outcome, PlanOutcome::TimedOut);
+        let no_smoothing = Cancel {
+            smoothing: over(),
+            ..Cancel::default()
+        };
+        let smooth = ask(&map, &request, &no_smoothing).smooth.unwrap();
+        assert_eq!(smooth.statistics.status, "fallback:timed_out");
+        assert!(smooth.trajectory.last().unwrap().pose().distance(&request.plan.goal) < 0.01);
+    }
+}
