@@ -86,16 +86,20 @@ fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
         if row.key == "robots" {
             for (name, robot) in values.get("robots").and_then(Value::as_object).into_iter().flatten() {
                 for row in RobotSection::rows() {
-                    let value = robot.get(&row.key);
+                    let value = robot.pointer(&pointer(&row.key));
                     push(row.within(name).within("robots"), value);
                 }
             }
         } else {
-            let value = values.pointer(&format!("/{}", row.key.replace('.', "/")));
+            let value = values.pointer(&pointer(&row.key));
             push(row, value);
         }
     }
     Ok(origins)
+}
+
+fn pointer(key: &str) -> String {
+    format!("/{}", key.replace('.', "/"))
 }
 
 impl Origin {
@@ -128,6 +132,8 @@ mod tests {
         for key in ["robots.tiago.listen", "mission.latency_budget_secs", "data.dir"] {
             assert!(origins.iter().any(|row| row.key == key), "{key}");
         }
+        let unset = |row: &&Origin| row.value.is_null() && !row.default.is_null();
+        assert_eq!(origins.iter().find(unset).map(|row| &row.key), None);
         let text = toml::to_string(&layers.deployment).unwrap();
         assert_eq!(toml::from_str::<Deployment>(&text).unwrap(), layers.deployment);
     }

@@ -320,13 +320,13 @@ async fn play(
         Some(album) => album.finish().await?,
         None => Vec::new(),
     };
+    let refusals = if end.is_some() { Some(asking.await) } else { None };
+    bus.close().await;
+    let mut report = watch.report(script, args, end);
     if let Some(film) = film {
         watch.narrate("developing the film");
         files.push(film.finish().await?);
     }
-    let refusals = if end.is_some() { Some(asking.await) } else { None };
-    bus.close().await;
-    let mut report = watch.report(script, args, end);
     report.files = files;
     match refusals {
         Some(Ok(Ok(refused))) => report.refused = refused,

@@ -218,7 +218,7 @@ mod tests {
         assert!(told(false, Some(FinishHorizon)).contains("its present commander"));
         for (alone, does) in [
             (Some(WallFollow), "follows walls"),
-            (Some(ReturnHome), "drives back"),
+            (Some(ReturnHome), "returns to its start"),
             (None, "not known"),
         ] {
             assert!(told(true, alone).contains(does), "{alone:?}");
