@@ -198,14 +198,14 @@ impl Parts {
     /// A name that no worker may have, bad zones.
     pub fn motion(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
-        for number in 1..=deployment.planning.workers {
+        for number in 1..=deployment.planning.run.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
             let name = format!("motion-{worker}");
             let bus = BusConfig::service(&name, &deployment.bus.connect);
             let zones = Arc::clone(&zones);
             let settings = motion::MotionSettings {
+                planning: deployment.planning.settings.clone(),
                 smoothing: deployment.smoothing.clone(),
-                ..motion::MotionSettings::default()
             };
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
                 let clock = Clock::follow(&bus)?;
@@ -230,7 +230,7 @@ impl Parts {
                 deployment.robot_dir(id).join("mission.redb"),
             );
             config.places = places.clone();
-            config.planner.clone_from(&deployment.planning.planner);
+            config.planner.clone_from(&deployment.planning.run.planner);
             config.latency_budget = deployment.mission.latency_budget_secs;
             config.plan_valid = deployment.mission.plan_valid_secs;
             config.profile = deployment.mission.profile;
@@ -284,7 +284,7 @@ impl Parts {
     ) -> Result<(), Failure> {
         let wanted = |part| which == CloudPart::All || which == part;
         let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
-        if wanted(CloudPart::Mapping) && deployment.mapping.enabled {
+        if wanted(CloudPart::Mapping) && deployment.mapping.run.enabled {
             for id in &robots {
                 self.mapping(deployment, id);
             }
@@ -333,6 +333,7 @@ impl Parts {
 fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
+    edge.settings = section.edge.clone();
     edge
 }
 

@@ -9,7 +9,7 @@ use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::exit_code;
-use zenav_protocol::robot::{self, Footprint, RobotModel};
+use zenav_protocol::robot::{self, Footprint, RobotError, RobotModel};
 use zenav_sim::{World, world};
 use zenav_space::Zones;
 
@@ -122,20 +122,23 @@ fn read_world(name: &str) -> Result<World, Failure> {
     World::from_toml(&text(path)?, name, &load).map_err(|error| Failure::usage(error.to_string()))
 }
 
-/// A robot by file or shipped name.
+/// A robot by file or shipped name, with its options: `jackal+rear_lidar`.
 ///
 /// # Errors
 /// Exit code 3 when there is none, 2 when it is bad, with line and key.
 pub fn robot(name: &str) -> Result<RobotModel, Failure> {
-    let path = Path::new(name);
-    let model = if path.is_file() {
-        RobotModel::from_toml(&text(path)?, name).map_err(|error| Failure::usage(error.to_string()))?
-    } else {
-        match robot::shipped(name) {
-            Some(text) => RobotModel::from_toml(text, name).map_err(|error| Failure::failed(error.to_string()))?,
-            None => return Err(unknown("robot", name, robot::SHIPPED.iter().map(|(known, _)| *known))),
+    let read = |part: &str| {
+        let path = Path::new(part);
+        if path.is_file() {
+            return text(path).map_err(|failure| failure.to_string());
         }
+        let shipped = [robot::SHIPPED, robot::OPTIONS].concat();
+        Err(unknown("robot", part, shipped.iter().map(|(known, _)| *known)).to_string())
     };
+    let model = RobotModel::with_options(name, read).map_err(|error| match error {
+        RobotError::Unknown { reason, .. } => Failure::not_found(reason),
+        error => Failure::usage(error.to_string()),
+    })?;
     Law::named(&model.controller.tracker).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
     Ok(model)
 }

@@ -34,7 +34,7 @@ const FURNITURE: [(f64, f64, f64); 6] = [
 
 fn model(name: &str) -> RobotModel {
     let mut model = zenav_fixtures::robot(name);
-    model.lidar.beams = BEAMS;
+    model.lidar.as_mut().unwrap().beams = BEAMS;
     model
 }
 
@@ -48,7 +48,8 @@ fn to_disc(from: Point2<f64>, along: Vector2<f64>, (x, y, radius): (f64, f64, f6
 }
 
 fn sweep(model: &RobotModel, secs: f64, base: Pose2, people: &[(f64, f64, f64)]) -> Sweep {
-    let (lidar, laser) = (&model.lidar, base * model.lidar.mount);
+    let lidar = model.first_lidar().unwrap();
+    let laser = base * lidar.mount;
     let range = |beam: usize| {
         let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
         let along = Vector2::new(angle.cos(), angle.sin());
@@ -59,10 +60,7 @@ fn sweep(model: &RobotModel, secs: f64, base: Pose2, people: &[(f64, f64, f64)])
             .map(|disc| to_disc(laser.position(), along, *disc))
             .fold(x.min(y), f64::min) as f32
     };
-    Sweep {
-        stamp: Stamp::from_secs(secs),
-        ranges: (0..lidar.beams).map(range).collect(),
-    }
+    Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
 }
 
 /// Three seconds of a robot that turns about and comes to look along x.
@@ -89,7 +87,7 @@ fn decision(criterion: &mut Criterion) {
         let model = model(name);
         let (v, w) = (model.drive.top_speed(), model.drive.top_yaw_rate());
         for people in [false, true] {
-            let mut obstacles = LocalObstacles::new(&model.lidar, &model.footprint, v);
+            let mut obstacles = LocalObstacles::new(&model);
             let history = history(&model, people);
             for (sweep, base) in &history {
                 assert!(obstacles.insert(sweep, *base));
@@ -117,16 +115,13 @@ fn decision(criterion: &mut Criterion) {
             }
             let mut step = 0;
             criterion.bench_function(&format!("monitor/sweep/{name}/{with}"), |bencher| {
-                let mut obstacles = LocalObstacles::new(&model.lidar, &model.footprint, v);
+                let mut obstacles = LocalObstacles::new(&model);
                 bencher.iter_batched_ref(
                     || {
                         // Round after round of the same seconds, on a clock that goes on.
                         let (sweep, base) = &history[step % history.len()];
                         step += 1;
-                        let sweep = Sweep {
-                            stamp: Stamp::from_secs(0.05 * step as f64),
-                            ranges: sweep.ranges.clone(),
-                        };
+                        let sweep = Sweep::new(Stamp::from_secs(0.05 * step as f64), sweep.ranges.clone());
                         (sweep, *base)
                     },
                     |(sweep, base)| assert!(obstacles.insert(sweep, *base)),

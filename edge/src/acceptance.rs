@@ -238,7 +238,7 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
         }
     }
     if let Some(last) = plan.trajectory.last() {
-        let speed = crate::limiter::wheel_surface_speed(drive, last.twist());
+        let speed = drive.surface_speed(last.twist());
         if speed > END_SPEED {
             return Err(Rejection::EndsMoving(speed));
         }
@@ -303,7 +303,7 @@ pub fn judge_start(
 ) -> Result<(), Rejection> {
     let distance = predicted.distance(&start.pose());
     let yaw = wrap_angle(start.yaw - predicted.yaw).abs();
-    let speed = crate::limiter::wheel_surface_speed(drive, Twist2::new(start.v - velocity.v, start.w - velocity.w));
+    let speed = drive.surface_speed(Twist2::new(start.v - velocity.v, start.w - velocity.w));
     if distance > settings.start_distance || yaw > settings.start_yaw || speed > settings.start_speed {
         Err(Rejection::Start { distance, yaw, speed })
     } else {

@@ -1,13 +1,13 @@
-//! Blind-spot grid. Which floor in the lidar's blind spot is known to be free? A rolling free-space grid: floor that was seen free before it
+//! Blind-spot grid. Which floor in the blind spot is known to be free? A rolling free-space grid: floor that was seen free before it
 //! left the field of view.
 //!
 //! A ring buffer of cells around the robot in the odometry frame. Floor that was never seen counts as occupied: a robot does not drive
 //! backwards into the unknown. At the start, the disc that the robot needs to turn is taken to be free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::Footprint;
 
-use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
+use crate::field_of_view::{FieldOfView, ProjectedScan};
 use crate::local_obstacles::MEMORY_RANGE;
 
 /// A cell with a return is free again when beams of this many scans have passed through it: thin legs are hit only now and then.
@@ -26,9 +26,7 @@ const AT_START: f64 = 0.16;
 /// Floor that is known to be free, in a ring buffer around the robot.
 #[derive(Clone, Debug)]
 pub struct BlindSpotGrid {
-    lidar: LidarModel,
     view: FieldOfView,
-    laser_from_base: Isometry2<f64>,
     /// Radius of the disc that is taken to be free at the start, m.
     reach: f64,
     /// `None` before the first scan.
@@ -71,23 +69,21 @@ const NOWHERE: Cell = Cell {
 impl BlindSpotGrid {
     /// Nothing is known but the disc that the robot needs to turn at its start.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint) -> Self {
+    pub(crate) fn new(view: FieldOfView, footprint: &Footprint) -> Self {
         let reach = match footprint {
             // A disc turns where it stands.
             Footprint::Radius(_) => 0.0,
             Footprint::Polygon(_) => footprint.circumscribed_radius() + AT_START,
         };
         Self {
-            lidar: lidar.clone(),
-            view: FieldOfView::new(lidar),
-            laser_from_base: rigid(lidar.mount.inverse()),
+            view,
             reach,
             cells: None,
             sweep: 0,
         }
     }
 
-    /// Whether the lidar has a blind spot: less than a full circle of view.
+    /// Whether there is a blind spot: places around the robot that no lidar sees.
     #[must_use]
     pub fn has_blind_spot(&self) -> bool {
         self.view.has_blind_spot()
@@ -100,9 +96,9 @@ impl BlindSpotGrid {
         }
         self.sweep = self.sweep.wrapping_add(1);
         let (laser, sweep) = (scan.laser(), self.sweep);
-        let base = scan.odom_from_laser * self.laser_from_base * Point2::origin();
+        let base = scan.odom_from_base * Point2::origin();
         let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach));
-        let stride = ((CELL / MEMORY_RANGE / self.lidar.angle_increment()) as usize).max(1);
+        let stride = ((CELL / MEMORY_RANGE / scan.lidar.angle_increment()) as usize).max(1);
         let at = |beam: usize| scan.ranges.get(beam).copied().unwrap_or(0.0);
         let walked = scan.rays.iter().enumerate().step_by(stride);
         for (nth, (beam, ray)) in walked.enumerate() {
@@ -112,7 +108,7 @@ impl BlindSpotGrid {
                 range = f64::from(at(beam.saturating_sub(1)).min(at(beam + 1)).max(0.0));
             }
             // NaN carries no information.
-            if range.is_nan() || range < self.lidar.range_min {
+            if range.is_nan() || range < scan.lidar.range_min {
                 continue;
             }
             // From column to column, or from row to row.
@@ -130,7 +126,7 @@ impl BlindSpotGrid {
         }
         for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            if range >= self.lidar.range_min && range <= MEMORY_RANGE {
+            if range >= scan.lidar.range_min && range <= MEMORY_RANGE {
                 let (at, index) = place(laser + ray * range);
                 if let Some(cell) = cells.get_mut(index) {
                     *cell = Cell {
@@ -170,10 +166,10 @@ impl BlindSpotGrid {
         matches!(self.floor(odom_from_base, place), Floor::Occupied | Floor::Unknown)
     }
 
-    /// Whether a place (base frame) is in the lidar's blind spot.
+    /// Whether a place (base frame) is in the blind spot.
     #[must_use]
     pub fn in_blind_spot(&self, place: Point2<f64>) -> bool {
-        self.view.in_blind_spot((self.laser_from_base * place).coords)
+        self.view.in_blind_spot(place)
     }
 }
 
@@ -227,12 +223,20 @@ fn place(point: Point2<f64>) -> Place {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::field_of_view::ScanProjector;
+    use crate::field_of_view::{ScanProjector, rigid};
     use std::f64::consts::PI;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::RobotModel;
+    use zenav_protocol::robot::{LidarModel, RobotModel};
     use zenav_protocol::time::Stamp;
+
+    fn lidar(robot: &str) -> LidarModel {
+        zenav_fixtures::robot(robot).lidar.unwrap()
+    }
+
+    fn grid(lidar: &LidarModel, footprint: &Footprint) -> BlindSpotGrid {
+        BlindSpotGrid::new(FieldOfView::new([lidar], footprint), footprint)
+    }
 
     fn jackal() -> RobotModel {
         zenav_fixtures::robot("jackal")
@@ -240,12 +244,9 @@ mod tests {
 
     #[test]
     fn what_was_never_seen_is_unknown_and_what_was_seen_stays_known() {
-        let lidar = zenav_fixtures::robot("tiago").lidar;
-        let mut grid = BlindSpotGrid::new(&lidar, &jackal().footprint);
-        let sweep = Sweep {
-            stamp: Stamp(1),
-            ranges: vec![2.0; lidar.beams],
-        };
+        let lidar = lidar("tiago");
+        let mut grid = grid(&lidar, &jackal().footprint);
+        let sweep = Sweep::new(Stamp(1), vec![2.0; lidar.beams]);
         grid.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         let floor = |base: Pose2, x: f64| grid.floor(&rigid(base), Point2::new(x, 0.0));
         assert_eq!(floor(Pose2::IDENTITY, -0.6), Floor::Unknown);
@@ -259,12 +260,9 @@ mod tests {
 
     #[test]
     fn a_range_that_is_no_number_frees_nothing() {
-        let lidar = zenav_fixtures::robot("tiago").lidar;
-        let mut grid = BlindSpotGrid::new(&lidar, &jackal().footprint);
-        let sweep = Sweep {
-            stamp: Stamp(1),
-            ranges: vec![f32::NAN; lidar.beams],
-        };
+        let lidar = lidar("tiago");
+        let mut grid = grid(&lidar, &jackal().footprint);
+        let sweep = Sweep::new(Stamp(1), vec![f32::NAN; lidar.beams]);
         grid.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         let turned = rigid(Pose2::new(0.0, 0.0, PI));
         assert_eq!(grid.floor(&turned, Point2::new(-1.5, 0.0)), Floor::Unknown);
@@ -272,7 +270,6 @@ mod tests {
 
     #[test]
     fn a_lidar_with_a_full_circle_of_view_has_no_blind_spot() {
-        let lidar = zenav_fixtures::robot("neato").lidar;
-        assert!(!BlindSpotGrid::new(&lidar, &Footprint::Radius(0.17)).has_blind_spot());
+        assert!(!grid(&lidar("neato"), &Footprint::Radius(0.17)).has_blind_spot());
     }
 }

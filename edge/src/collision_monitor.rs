@@ -11,7 +11,6 @@ use zenav_protocol::messages::{Bump, GuardZone};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
-use crate::limiter::wheel_surface_speed;
 use crate::local_obstacles::LocalObstacles;
 use crate::passive_safety::{LEAST_CLEARANCE, Motion, approaches, closing_speed, contact_point};
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
@@ -91,7 +90,7 @@ impl CollisionMonitor {
         bump: &Bump,
     ) -> Verdict {
         let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump);
-        let moving = wheel_surface_speed(&self.model.drive, wanted) > 1e-3 || !wanted.is_finite();
+        let moving = self.model.drive.surface_speed(wanted) > 1e-3 || !wanted.is_finite();
         let zone = match share {
             _ if !moving => GuardZone::Clear,
             share if share < STOPPED => GuardZone::Stop,

@@ -48,8 +48,8 @@ pub struct Persisted {
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
-    /// A scan with the poses at its own stamp.
-    Scan(Scan),
+    /// A scan of the lidar of this name, with the poses at its own stamp.
+    Scan(String, Scan),
     /// Odometry by dead reckoning.
     Odometry(Odometry),
     /// Gyro and compass.
@@ -71,11 +71,12 @@ pub enum Publication {
 }
 
 impl Publication {
-    /// Whether a newer message makes this one obsolete. Markers are told apart by name.
+    /// Whether a newer message makes this one obsolete. Markers are told apart by name, scans by lidar.
     #[must_use]
     pub fn is_replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
             (Self::Marker(old), Self::Marker(new)) => old.name == new.name,
+            (Self::Scan(old, _), Self::Scan(new, _)) => old == new,
             _ => discriminant(self) == discriminant(newer),
         }
     }

@@ -1,46 +1,49 @@
-//! Field of view and scan projection. Which directions does a lidar see, and where do the beams of a scan lie in the odometry frame?
+//! Field of view and scan projection. Which directions do the robot's lidars see together, and where do the beams of a scan lie in the
+//! odometry frame?
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
+
+/// Several lidars are asked for blind places up to this range, m, this far apart.
+const SAMPLED_RANGE: f64 = 6.0;
+const SAMPLE: f64 = 0.01;
 
 /// A pose for transforming many points: sine and cosine are computed once.
 pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
 }
 
-/// The directions that a lidar sees, in its own frame.
+/// The directions that one lidar looks in, in the base frame.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct FieldOfView {
-    /// Directions of the first and of the last beam.
+struct Sector {
+    /// Where the lidar sits.
+    origin: Vector2<f64>,
+    /// Direction of the first and of the last beam.
     first: Vector2<f64>,
     last: Vector2<f64>,
-    /// Opening of the blind spot, rad; a gap of about a beam's spacing is none.
+    /// Angle that is never seen, rad; a gap of a beam is none.
     gap: f64,
 }
 
-impl FieldOfView {
-    pub(crate) fn new(lidar: &LidarModel) -> Self {
-        let first = lidar.angle_min();
+impl Sector {
+    fn new(lidar: &LidarModel) -> Self {
+        let first = lidar.mount.yaw + lidar.angle_min();
         let span = lidar.angle_increment() * (lidar.beams.max(1) - 1) as f64;
         let direction = |angle: f64| Vector2::new(angle.cos(), angle.sin());
-        let gap = std::f64::consts::TAU - span;
         Self {
+            origin: lidar.mount.position().coords,
             first: direction(first),
             last: direction(first + span),
-            gap: if gap > 0.1 { gap } else { 0.0 },
+            gap: lidar.gap(),
         }
     }
 
-    /// Whether some directions are never seen.
-    pub(crate) fn has_blind_spot(&self) -> bool {
-        self.gap > 0.0
-    }
-
-    /// Whether this direction is never seen.
-    pub(crate) fn in_blind_spot(&self, local: Vector2<f64>) -> bool {
+    /// Whether nothing at this place is ever seen.
+    fn in_blind_spot(&self, place: Point2<f64>) -> bool {
+        let local = place.coords - self.origin;
         let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
         if self.gap <= std::f64::consts::PI {
             self.gap > 0.0 && after_last && before_first
@@ -49,14 +52,15 @@ impl FieldOfView {
         }
     }
 
-    /// Distance of a place from the blind spot, m: zero inside it, infinite where there is none.
-    pub(crate) fn distance_to_blind_spot(&self, local: Vector2<f64>) -> f64 {
-        if !self.has_blind_spot() {
+    /// Distance of a place from what is never seen, m: zero within it.
+    fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
+        if self.gap == 0.0 {
             return f64::INFINITY;
         }
-        if self.in_blind_spot(local) {
+        if self.in_blind_spot(place) {
             return 0.0;
         }
+        let local = place.coords - self.origin;
         let off = |edge: &Vector2<f64>| {
             if edge.dot(&local) > 0.0 {
                 edge.perp(&local).abs()
@@ -68,30 +72,93 @@ impl FieldOfView {
     }
 }
 
-/// A scan in the odometry frame.
+/// What all lidars of a robot see together, in the base frame: blind is what no lidar sees.
+#[derive(Clone, Debug)]
+pub(crate) struct FieldOfView {
+    sectors: Vec<Sector>,
+    has_blind_spot: bool,
+}
+
+impl FieldOfView {
+    pub(crate) fn new<'a>(lidars: impl IntoIterator<Item = &'a LidarModel>, footprint: &Footprint) -> Self {
+        let sectors: Vec<Sector> = lidars.into_iter().map(Sector::new).collect();
+        let mut view = Self {
+            sectors,
+            has_blind_spot: true,
+        };
+        view.has_blind_spot = match &view.sectors[..] {
+            [] => true,
+            [one] => one.gap > 0.0,
+            _ => view.has_blind_place(footprint),
+        };
+        view
+    }
+
+    /// Whether any place outside of the footprint is blind, by looking at many.
+    fn has_blind_place(&self, footprint: &Footprint) -> bool {
+        let rings = (SAMPLED_RANGE / SAMPLE).ceil() as u32;
+        let directions = (0..360_u32).map(|degree| f64::from(degree).to_radians().sin_cos());
+        directions.into_iter().any(|(sin, cos)| {
+            let places = (0..rings).map(|ring| SAMPLE * f64::from(ring));
+            places
+                .map(|range| Point2::new(range * cos, range * sin))
+                .any(|place| self.in_blind_spot(place) && footprint.distance(place) > 0.0)
+        })
+    }
+
+    /// Whether some places are never seen.
+    pub(crate) fn has_blind_spot(&self) -> bool {
+        self.has_blind_spot
+    }
+
+    /// Whether nothing at this place is ever seen.
+    pub(crate) fn in_blind_spot(&self, place: Point2<f64>) -> bool {
+        self.has_blind_spot && self.sectors.iter().all(|sector| sector.in_blind_spot(place))
+    }
+
+    /// A place is no nearer than this to what is never seen, m: zero within it, infinite where all is seen.
+    pub(crate) fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
+        if !self.has_blind_spot {
+            return f64::INFINITY;
+        }
+        let distances = self.sectors.iter().map(|sector| sector.distance_to_blind_spot(place));
+        distances.fold(0.0, f64::max)
+    }
+}
+
+/// A sweep projected into the odometry frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ProjectedScan<'a> {
+    /// Which lidar took it.
+    pub(crate) lidar: &'a LidarModel,
     /// When it was taken.
     pub(crate) stamp: Stamp,
-    /// Pose of the lidar.
+    /// Where the robot was.
+    pub(crate) odom_from_base: Isometry2<f64>,
+    /// Where the lidar was.
     pub(crate) odom_from_laser: Isometry2<f64>,
-    /// Range of each beam, m.
+    /// One range per beam, m.
     pub(crate) ranges: &'a [f32],
-    /// Direction of each beam in the odometry frame.
+    /// Directions of the beams in the odometry frame, as many as ranges.
     pub(crate) rays: &'a [Vector2<f64>],
 }
 
 impl ProjectedScan<'_> {
-    /// Position of the lidar, odometry frame.
+    /// Where the lidar was, odometry frame.
     pub(crate) fn laser(&self) -> Point2<f64> {
         self.odom_from_laser.translation.vector.into()
     }
+
+    /// Whether a range is a real return; NaN is none.
+    pub(crate) fn is_return(&self, range: f64) -> bool {
+        range >= self.lidar.range_min && range <= self.lidar.range_max
+    }
 }
 
-/// Projects scans into the odometry frame; the directions of the beams are computed once.
+/// Projects the sweeps of one lidar: the directions of its beams are computed once.
 #[derive(Clone, Debug)]
 pub(crate) struct ScanProjector {
-    mount: Pose2,
+    lidar: LidarModel,
     beams: Vec<Vector2<f64>>,
     rays: Vec<Vector2<f64>>,
 }
@@ -103,27 +170,70 @@ impl ScanProjector {
             Vector2::new(angle.cos(), angle.sin())
         };
         Self {
-            mount: lidar.mount,
             beams: (0..lidar.beams).map(direction).collect(),
             rays: Vec::new(),
+            lidar: lidar.clone(),
         }
     }
 
-    /// Projects a scan of a robot at `odom_from_base`; `None` for another number of beams.
+    /// A sweep of a robot at `odom_from_base`; `None` for another number of beams.
     pub(crate) fn project<'a>(&'a mut self, sweep: &'a Sweep, odom_from_base: Pose2) -> Option<ProjectedScan<'a>> {
         if sweep.ranges.len() != self.beams.len() {
             return None;
         }
-        let odom_from_laser = rigid(odom_from_base * self.mount);
+        let odom_from_laser = rigid(odom_from_base * self.lidar.mount);
         let (cos, sin) = (odom_from_laser.rotation.re, odom_from_laser.rotation.im);
         let turn = |beam: &Vector2<f64>| Vector2::new(cos * beam.x - sin * beam.y, sin * beam.x + cos * beam.y);
         self.rays.clear();
         self.rays.extend(self.beams.iter().map(turn));
         Some(ProjectedScan {
+            lidar: &self.lidar,
             stamp: sweep.stamp,
+            odom_from_base: rigid(odom_from_base),
             odom_from_laser,
             ranges: &sweep.ranges,
             rays: &self.rays,
         })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use zenav_protocol::robot::RobotModel;
+
+    fn view(names: &str) -> FieldOfView {
+        let model = RobotModel::with_options(names, |name| Err(name.to_owned())).unwrap();
+        FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint)
+    }
+
+    #[test]
+    fn blind_is_what_no_lidar_sees() {
+        let (behind, ahead) = (Point2::new(-1.0, 0.0), Point2::new(1.0, 0.0));
+        for robot in ["jackal", "tiago"] {
+            let one = view(robot);
+            assert!(
+                one.has_blind_spot() && one.in_blind_spot(behind) && !one.in_blind_spot(ahead),
+                "{robot}"
+            );
+            assert_eq!(one.distance_to_blind_spot(behind), 0.0);
+            let two = view(&format!("{robot}+rear_lidar"));
+            assert!(!two.has_blind_spot() && !two.in_blind_spot(behind), "{robot}");
+            assert_eq!(two.distance_to_blind_spot(behind), f64::INFINITY);
+        }
+        assert!(!view("neato").has_blind_spot());
+    }
+
+    #[test]
+    fn two_lidars_that_leave_a_gap_between_them_have_a_blind_sector() {
+        let mut model = RobotModel::with_options("jackal+rear_lidar", |name| Err(name.to_owned())).unwrap();
+        for (_, lidar) in model.all_lidars_mut() {
+            lidar.field_of_view = 2.0;
+        }
+        let view = FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint);
+        let beside = Point2::new(0.0, 1.0);
+        assert!(view.has_blind_spot() && view.in_blind_spot(beside) && !view.in_blind_spot(Point2::new(-1.0, 0.0)));
+        assert!(view.distance_to_blind_spot(Point2::new(1.0, 0.0)) > 0.3);
     }
 }

@@ -48,7 +48,7 @@ impl Limiter {
         let wheels = self.drive.wheels(target);
         let normal = self.drive.max_wheel_acceleration;
         let rate = if braking == Braking::Hard {
-            normal.max(self.drive.hard_braking / self.drive.wheel_radius)
+            normal.max(self.drive.wheel_braking())
         } else {
             normal
         };
@@ -107,12 +107,6 @@ pub fn within_speed(drive: &Drive, twist: Twist2) -> Twist2 {
     // Division by zero gives infinity: no limit there.
     let share = shares.into_iter().fold(1.0, f64::min);
     Twist2::new(share * twist.v, share * twist.w)
-}
-
-/// Speed of the faster wheel's contact point, m/s: braking distances and times are computed from it.
-#[must_use]
-pub fn wheel_surface_speed(drive: &Drive, twist: Twist2) -> f64 {
-    twist.v.abs() + 0.5 * drive.wheel_separation * twist.w.abs()
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Local obstacle memory. Which obstacles are around the robot, and which of them move? The newest scan, and in the lidar's blind spot what
-//! earlier scans saw.
+//! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind spot
+//! what earlier sweeps saw.
 //!
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
 
@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::BlindSpotGrid;
@@ -25,114 +25,133 @@ const SILENCE: f64 = 0.5;
 /// Least spacing of remembered points, m.
 const SPACING: f64 = 0.02;
 
-/// Obstacle points around the robot, static and moving, and the floor known in the blind spot.
+/// Obstacle points around the robot.
 #[derive(Clone, Debug)]
 pub struct LocalObstacles {
-    lidar: LidarModel,
+    lidars: Vec<LidarView>,
     view: FieldOfView,
-    projector: ScanProjector,
-    /// Top speed of the robot, m/s.
-    fastest: f64,
-    stamp: Option<Stamp>,
-    seen: Vec<Point2<f64>>,
-    /// Points that are in the blind spot now, until they are seen again or left behind.
+    /// What was seen in what is the blind spot now, until it is seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
+    /// Top speed of the robot, m/s.
+    top_speed: f64,
+}
+
+/// What one lidar sees.
+#[derive(Clone, Debug)]
+struct LidarView {
+    name: String,
+    projector: ScanProjector,
+    /// When its newest sweep was taken.
+    stamp: Option<Stamp>,
+    /// The returns of its newest sweep, odometry frame.
+    seen: Vec<Point2<f64>>,
 }
 
 impl LocalObstacles {
-    /// No scan yet. Nothing moves faster than `fastest`, m/s.
+    /// Nothing seen yet. Nothing is taken to move faster than the robot itself can.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        Self {
-            lidar: lidar.clone(),
-            view: FieldOfView::new(lidar),
+    pub fn new(model: &RobotModel) -> Self {
+        let view = FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint);
+        let lidars = model.all_lidars().map(|(name, lidar)| LidarView {
+            name: name.to_owned(),
             projector: ScanProjector::new(lidar),
-            fastest,
             stamp: None,
             seen: Vec::new(),
+        });
+        Self {
+            lidars: lidars.collect(),
             remembered: VecDeque::new(),
-            moving: MovingObstacles::new(lidar, footprint, fastest),
-            blind_spots: BlindSpotGrid::new(lidar, footprint),
+            moving: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
+            blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint),
+            view,
+            top_speed: model.drive.top_speed(),
         }
     }
 
     /// The same with other tunables than the defaults.
     #[must_use]
     pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
-        self.moving = self.moving.with_settings(settings, self.fastest);
+        self.moving = self.moving.with_settings(settings, self.top_speed);
         self
     }
 
-    /// Takes a scan with the robot's odometry at the scan's stamp. Returns whether it was used: not with another number of beams, or not
-    /// newer than the last.
+    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep of an unknown lidar, with
+    /// another number of beams, or not newer than that lidar's last, is not.
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
-        if self.stamp.is_some_and(|last| sweep.stamp <= last) {
+        let Some(index) = self.lidars.iter().position(|lidar| lidar.name == sweep.lidar) else {
+            return false;
+        };
+        let Some(LidarView {
+            projector, stamp, seen, ..
+        }) = self.lidars.get_mut(index)
+        else {
+            return false;
+        };
+        if stamp.is_some_and(|last| sweep.stamp <= last) {
             return false;
         }
-        let Some(scan) = self.projector.project(sweep, odom_from_base) else {
+        let Some(scan) = projector.project(sweep, odom_from_base) else {
             return false;
         };
         if self.view.has_blind_spot() {
-            if self.stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
+            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
                 self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
-            remember(
-                &mut self.remembered,
-                &self.seen,
-                self.view,
-                scan.odom_from_laser.inverse(),
-            );
+            remember(&mut self.remembered, seen, &self.view, scan.odom_from_base.inverse());
         }
-        self.seen.clear();
+        seen.clear();
         let laser = scan.laser();
         for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            // NaN compares false: no return.
-            if range >= self.lidar.range_min && range <= self.lidar.range_max {
-                self.seen.push(laser + ray * range);
+            if scan.is_return(range) {
+                seen.push(laser + ray * range);
             }
         }
-        self.moving.insert(&scan);
+        self.moving.insert(index, &scan);
         self.blind_spots.insert(&scan);
-        self.stamp = Some(sweep.stamp);
+        *stamp = Some(sweep.stamp);
         true
     }
 
-    /// The bumper was touched at a place (base frame): in the blind spot that counts as a moving obstacle.
+    /// Something was felt at a place (base frame): where no lidar looks it counts as something that moves.
     pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
-        let local = self.lidar.mount.inverse().transform_point(place).coords;
-        if self.view.in_blind_spot(local) {
+        if self.view.in_blind_spot(place) {
             self.moving.note_occlusion(odom_from_base.transform_point(place), now);
         }
     }
 
-    /// Age of the newest scan, s; `None` before the first.
+    /// Age of what is seen, s: that of the lidar whose newest sweep is the oldest; `None` before each lidar's first.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<f64> {
-        self.stamp.map(|stamp| now.secs_since(stamp))
+        let ages = self.lidars.iter().map(|lidar| Some(now.secs_since(lidar.stamp?)));
+        ages.reduce(|oldest, age| Some(oldest?.max(age?))).flatten()
     }
 
-    /// Stamp of the newest scan.
+    /// When the newest sweep of any lidar was taken.
     #[must_use]
     pub fn stamp(&self) -> Option<Stamp> {
-        self.stamp
+        self.lidars.iter().filter_map(|lidar| lidar.stamp).max()
     }
 
     /// All known points in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
-        self.seen
-            .iter()
-            .chain(&self.remembered)
-            .map(move |point| base_from_odom * point)
+        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
+        seen.chain(&self.remembered).map(move |point| base_from_odom * point)
     }
 
-    /// The newest scan's points in another frame.
+    /// The points of all lidars' newest sweeps in another frame.
     pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let frame_from_odom = rigid(frame_from_odom);
-        self.seen.iter().map(move |point| frame_from_odom * point)
+        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
+        seen.map(move |point| frame_from_odom * point)
+    }
+
+    /// The points of each lidar's newest sweep in the order of its beams, odometry frame.
+    pub fn seen_by_lidar(&self) -> impl Iterator<Item = &[Point2<f64>]> {
+        self.lidars.iter().map(|lidar| &lidar.seen[..])
     }
 
     /// The moving ones among them.
@@ -152,12 +171,12 @@ impl LocalObstacles {
 fn remember(
     remembered: &mut VecDeque<Point2<f64>>,
     seen: &[Point2<f64>],
-    view: FieldOfView,
-    laser_from_odom: Isometry2<f64>,
+    view: &FieldOfView,
+    base_from_odom: Isometry2<f64>,
 ) {
     let blind = |point: &Point2<f64>| {
-        let local = (laser_from_odom * point).coords;
-        view.in_blind_spot(local) && local.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+        let place = base_from_odom * point;
+        view.in_blind_spot(place) && place.coords.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
     };
     remembered.retain(blind);
     let mut last = Point2::new(f64::INFINITY, 0.0);
@@ -178,64 +197,92 @@ fn remember(
 mod tests {
     use super::*;
 
-    fn tiago() -> LidarModel {
-        zenav_fixtures::robot("tiago").lidar
+    fn tiago() -> RobotModel {
+        zenav_fixtures::robot("tiago")
     }
 
-    fn sweep(lidar: &LidarModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
-        let mut ranges = vec![f32::INFINITY; lidar.beams];
+    fn sweep(model: &RobotModel, secs: f64, hit: Option<(usize, f32)>) -> Sweep {
+        let mut ranges = vec![f32::INFINITY; model.first_lidar().unwrap().beams];
         if let Some((beam, range)) = hit {
             ranges[beam] = range;
         }
-        Sweep {
-            stamp: Stamp::from_secs(secs),
-            ranges,
-        }
+        Sweep::new(Stamp::from_secs(secs), ranges)
     }
 
     #[test]
     fn a_point_that_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
-        let lidar = tiago();
-        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(obstacles.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
+        let model = tiago();
+        let mut obstacles = LocalObstacles::new(&model);
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY));
         let behind = Pose2::new(0.0, 0.0, std::f64::consts::PI);
-        assert!(obstacles.insert(&sweep(&lidar, 1.1, None), behind));
+        assert!(obstacles.insert(&sweep(&model, 1.1, None), behind));
         let points: Vec<_> = obstacles.in_base(behind).collect();
         assert_eq!(points.len(), 1);
         assert!((points[0].x + 0.8).abs() < 1e-3, "now behind: {:?}", points[0]);
-        assert!(obstacles.insert(&sweep(&lidar, 100.0, None), behind));
+        assert!(obstacles.insert(&sweep(&model, 100.0, None), behind));
         assert_eq!(obstacles.in_base(behind).count(), 1, "nobody has looked again");
         let gone = Pose2::new(-4.0, 0.0, std::f64::consts::PI);
-        assert!(obstacles.insert(&sweep(&lidar, 110.0, None), gone));
+        assert!(obstacles.insert(&sweep(&model, 110.0, None), gone));
         assert_eq!(obstacles.in_base(gone).count(), 0);
     }
 
     #[test]
     fn a_point_back_in_view_is_not_remembered() {
-        let lidar = tiago();
-        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        obstacles.insert(&sweep(&lidar, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
-        obstacles.insert(&sweep(&lidar, 1.1, None), Pose2::IDENTITY);
+        let model = tiago();
+        let mut obstacles = LocalObstacles::new(&model);
+        obstacles.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
+        obstacles.insert(&sweep(&model, 1.1, None), Pose2::IDENTITY);
         assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
     }
 
     #[test]
     fn a_malformed_scan_is_ignored() {
-        let lidar = tiago();
-        let mut obstacles = LocalObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        assert!(!obstacles.insert(
-            &Sweep {
-                stamp: Stamp(5),
-                ranges: vec![1.0; 3]
-            },
-            Pose2::IDENTITY
-        ));
+        let model = tiago();
+        let mut obstacles = LocalObstacles::new(&model);
+        assert!(!obstacles.insert(&Sweep::new(Stamp(5), vec![1.0; 3]), Pose2::IDENTITY));
+        let stranger = Sweep {
+            lidar: "rear".to_owned(),
+            ..sweep(&model, 0.5, None)
+        };
+        assert!(!obstacles.insert(&stranger, Pose2::IDENTITY));
         assert_eq!(obstacles.age(Stamp(6)), None);
-        assert!(obstacles.insert(&sweep(&lidar, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((0, f32::NAN))), Pose2::IDENTITY));
         assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
         assert!(
-            !obstacles.insert(&sweep(&lidar, 1.0, None), Pose2::IDENTITY),
+            !obstacles.insert(&sweep(&model, 1.0, None), Pose2::IDENTITY),
             "the same stamp twice"
+        );
+    }
+
+    #[test]
+    fn every_lidar_is_heard_and_the_oldest_sweep_says_how_old_all_is() {
+        let model = RobotModel::with_options("jackal+rear_lidar", |name| Err(name.to_owned())).unwrap();
+        let mut obstacles = LocalObstacles::new(&model);
+        let rear = |secs: f64, range: f32| {
+            let mut rear = Sweep::new(Stamp::from_secs(secs), vec![f32::INFINITY; 720]);
+            rear.lidar = "rear".to_owned();
+            rear.ranges[360] = range;
+            rear
+        };
+        assert!(obstacles.insert(&sweep(&model, 1.0, Some((360, 1.0))), Pose2::IDENTITY));
+        assert_eq!(
+            obstacles.age(Stamp::from_secs(1.0)),
+            None,
+            "the rear lidar has not looked yet"
+        );
+        assert!(obstacles.insert(&rear(0.9, 2.0), Pose2::IDENTITY));
+        assert!((obstacles.age(Stamp::from_secs(1.0)).unwrap() - 0.1).abs() < 1e-9);
+        assert_eq!(obstacles.stamp(), Some(Stamp::from_secs(1.0)));
+        let seen: Vec<f64> = obstacles
+            .in_base(Pose2::IDENTITY)
+            .map(|point| (100.0 * point.x).round())
+            .collect();
+        assert_eq!(seen, [112.0, -215.0]);
+        assert!(obstacles.insert(&rear(1.1, f32::INFINITY), Pose2::IDENTITY));
+        assert_eq!(
+            obstacles.in_base(Pose2::IDENTITY).count(),
+            1,
+            "the rear lidar sees that it has gone"
         );
     }
 }

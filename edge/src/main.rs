@@ -9,7 +9,7 @@ use zenav_protocol::bus::{Bus, BusConfig, BusError, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{LostPolicy, exit_code};
-use zenav_protocol::robot::{RobotModel, SHIPPED, shipped};
+use zenav_protocol::robot::{OPTIONS, RobotError, RobotModel, SHIPPED};
 
 /// The robot's side of zenav.
 #[derive(Debug, Parser)]
@@ -125,11 +125,17 @@ fn read_file(what: &str, path: &str, known: &[(&str, &str)]) -> Result<String, F
 }
 
 fn start(arguments: Arguments) -> Result<(), Failure> {
-    let model = match shipped(&arguments.robot) {
-        Some(text) => RobotModel::from_toml(text, &arguments.robot),
-        None => RobotModel::from_toml(&read_file("robot", &arguments.robot, SHIPPED)?, &arguments.robot),
-    };
-    let model = model.map_err(Failure::usage)?;
+    let model = RobotModel::with_options(&arguments.robot, |name| {
+        std::fs::read_to_string(name).map_err(|error| error.to_string())
+    });
+    let model = model.map_err(|error| match error {
+        RobotError::Unknown { name, reason } => {
+            let names: Vec<_> = SHIPPED.iter().chain(OPTIONS).map(|(name, _)| *name).collect();
+            let reason = format!("robot `{name}`: {reason}; shipped ones are {}", names.join(", "));
+            Failure::new(exit_code::NOT_FOUND, reason)
+        }
+        error => Failure::usage(error),
+    })?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
     // Bad files are reported before waiting for a router.
     let here = if arguments.attach || arguments.body.is_some() {

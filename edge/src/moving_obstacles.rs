@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::robot::{Footprint, LidarModel};
+use zenav_protocol::robot::{LidarModel, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
@@ -31,17 +31,29 @@ const OCCLUDED_PLACES: usize = 32;
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
 pub struct MovingObstacles {
-    lidar: LidarModel,
+    /// One for each lidar.
+    detectors: Vec<Detector>,
     view: FieldOfView,
-    reprojection: ScanReprojection,
-    /// Up to which range each beam of the newest scan saw free space, m.
-    free: Vec<f32>,
     settings: MovingObstacleSettings,
     /// Assumed speed of moving obstacles in view and out of sight, m/s.
     fastest: f64,
     fastest_out_of_sight: f64,
     /// Circumscribed radius of the robot, m.
     circumscribed_radius: f64,
+    /// Places where a moving obstacle entered the blind spot.
+    occluded: RecentPlaces,
+}
+
+/// Finds what moves in the scans of one lidar.
+#[derive(Clone, Debug)]
+struct Detector {
+    lidar: LidarModel,
+    reprojection: ScanReprojection,
+    settings: MovingObstacleSettings,
+    /// Assumed speed of moving obstacles, m/s.
+    fastest: f64,
+    /// Up to which range each beam of the newest scan saw free space, m.
+    free: Vec<f32>,
     references: VecDeque<ReferenceScan>,
     /// Points of moving obstacles in the newest scan, odometry frame.
     points: Vec<Point2<f64>>,
@@ -51,8 +63,6 @@ pub struct MovingObstacles {
     appeared: Vec<bool>,
     /// Places where something moved recently.
     moved: RecentPlaces,
-    /// Places where a moving obstacle entered the blind spot.
-    occluded: RecentPlaces,
 }
 
 /// An earlier scan that new ones are compared with.
@@ -79,22 +89,15 @@ struct DepartedRun {
 impl MovingObstacles {
     /// No scan yet; nothing moves faster than `fastest`, m/s.
     #[must_use]
-    pub fn new(lidar: &LidarModel, footprint: &Footprint, fastest: f64) -> Self {
-        let view = FieldOfView::new(lidar);
+    pub(crate) fn new(model: &RobotModel, view: FieldOfView, fastest: f64) -> Self {
+        let detectors = model.all_lidars().map(|(_, lidar)| Detector::new(lidar, fastest));
         Self {
-            lidar: lidar.clone(),
+            detectors: detectors.collect(),
             view,
-            reprojection: ScanReprojection::new(lidar, !view.has_blind_spot()),
-            free: Vec::new(),
             settings: MovingObstacleSettings::default(),
             fastest,
             fastest_out_of_sight: fastest,
-            circumscribed_radius: footprint.circumscribed_radius(),
-            references: VecDeque::new(),
-            points: Vec::new(),
-            departed: Vec::new(),
-            appeared: Vec::new(),
-            moved: RecentPlaces::new(MOVED_PLACES),
+            circumscribed_radius: model.footprint.circumscribed_radius(),
             occluded: RecentPlaces::new(OCCLUDED_PLACES),
         }
     }
@@ -105,6 +108,9 @@ impl MovingObstacles {
         self.settings = settings.moving_obstacles.clone();
         self.fastest = settings.passive_safety.speed_in_view(top_speed);
         self.fastest_out_of_sight = settings.passive_safety.speed_out_of_sight(top_speed);
+        for detector in &mut self.detectors {
+            (detector.settings, detector.fastest) = (self.settings.clone(), self.fastest);
+        }
         self
     }
 
@@ -113,14 +119,89 @@ impl MovingObstacles {
         2.0 * self.circumscribed_radius + self.settings.near_secs * self.fastest_out_of_sight
     }
 
+    /// Takes a scan of the lidar with this index.
+    pub(crate) fn insert(&mut self, index: usize, scan: &ProjectedScan<'_>) {
+        let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(scan)) else {
+            return;
+        };
+        self.track_occlusions(index, scan);
+        if let Some(detector) = self.detectors.get_mut(index) {
+            detector.note_moved(evident, scan.stamp);
+        }
+    }
+
+    /// Remembers obstacles that may enter the blind spot before the lidar's next scan, and forgets those that are too old or have left it
+    /// again.
+    fn track_occlusions(&mut self, index: usize, scan: &ProjectedScan<'_>) {
+        let Some(detector) = self.detectors.get(index) else {
+            return;
+        };
+        let (points, settings) = (&detector.points, &self.settings);
+        let step = self.fastest / scan.lidar.rate_hz;
+        let (beside, near, laser) = (settings.beside_blind_spot + step, self.near(), scan.laser());
+        let (now, base_from_odom) = (scan.stamp, scan.odom_from_base.inverse());
+        // Motion in a single scan may be a false detection: it is not worth waiting for.
+        let since = settings.turning_distance + step;
+        let goes = |place: &&Point2<f64>| {
+            self.view.distance_to_blind_spot(base_from_odom * **place) <= beside
+                && (**place - laser).norm() <= near
+                && detector.moved.any_within(since, **place)
+        };
+        let places: Vec<_> = points.iter().filter(goes).copied().collect();
+        let fastest = self.fastest_out_of_sight;
+        self.occluded.retain(|occluded| {
+            let age = now.secs_since(occluded.stamp);
+            let reach = fastest * age + settings.reappearance_tolerance;
+            let is_out = places.is_empty() && points.iter().any(|place| occluded.is_within(reach, *place));
+            age <= settings.memory && !is_out
+        });
+        for place in places {
+            self.note_occlusion(place, now);
+        }
+    }
+
+    /// A moving obstacle was last seen, or felt by the bumper, at a place (odometry frame).
+    pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
+        self.occluded.note(place, stamp);
+    }
+
+    /// Where moving obstacles entered the blind spot.
+    pub fn occluded(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
+        self.occluded.iter()
+    }
+
+    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let base_from_odom = rigid(odom_from_base.inverse());
+        let points = self.detectors.iter().flat_map(|detector| &detector.points);
+        points.map(move |point| base_from_odom * point)
+    }
+}
+
+impl Detector {
+    fn new(lidar: &LidarModel, fastest: f64) -> Self {
+        Self {
+            lidar: lidar.clone(),
+            reprojection: ScanReprojection::new(lidar),
+            settings: MovingObstacleSettings::default(),
+            fastest,
+            free: Vec::new(),
+            references: VecDeque::new(),
+            points: Vec::new(),
+            departed: Vec::new(),
+            appeared: Vec::new(),
+            moved: RecentPlaces::new(MOVED_PLACES),
+        }
+    }
+
     /// Least width of a moving obstacle at a range, m.
     fn least_width(&self, range: f64) -> f64 {
         let spacing = self.lidar.angle_increment() * range;
         self.settings.least_width.max(self.settings.least_beams * spacing)
     }
 
-    /// Takes a scan.
-    pub(crate) fn insert(&mut self, scan: &ProjectedScan<'_>) {
+    /// Takes a scan; returns how many of the points found in it moved by themselves, not only near to something that moves.
+    fn insert(&mut self, scan: &ProjectedScan<'_>) -> usize {
         self.points.clear();
         self.reprojection.free_ranges(scan.ranges, &mut self.free);
         self.find_departed(scan);
@@ -153,9 +234,13 @@ impl MovingObstacles {
         thin(&mut still);
         self.points.append(&mut still);
         self.keep_reference(scan);
-        self.track_occlusions(scan);
+        evident
+    }
+
+    /// Notes where something has evidently moved: the first of the points.
+    fn note_moved(&mut self, evident: usize, stamp: Stamp) {
         for place in self.points.iter().take(evident) {
-            self.moved.note(*place, scan.stamp);
+            self.moved.note(*place, stamp);
         }
     }
 
@@ -216,44 +301,6 @@ impl MovingObstacles {
         }
     }
 
-    /// Remembers obstacles that may enter the blind spot before the next scan, and forgets those that are too old or have left it again.
-    fn track_occlusions(&mut self, scan: &ProjectedScan<'_>) {
-        let (beside, near) = (
-            self.settings.beside_blind_spot + self.fastest / self.lidar.rate_hz,
-            self.near(),
-        );
-        let (now, laser_from_odom) = (scan.stamp, scan.odom_from_laser.inverse());
-        // Motion in a single scan may be a false detection: it is not worth waiting for.
-        let since = self.settings.turning_distance + self.fastest / self.lidar.rate_hz;
-        let goes = |place: &&Point2<f64>| {
-            let local = (laser_from_odom * **place).coords;
-            self.view.distance_to_blind_spot(local) <= beside
-                && local.norm() <= near
-                && self.moved.any_within(since, **place)
-        };
-        let places: Vec<_> = self.points.iter().filter(goes).copied().collect();
-        let (fastest, points, settings) = (self.fastest_out_of_sight, &self.points, &self.settings);
-        self.occluded.retain(|occluded| {
-            let age = now.secs_since(occluded.stamp);
-            let reach = fastest * age + settings.reappearance_tolerance;
-            let is_out = places.is_empty() && points.iter().any(|place| occluded.is_within(reach, *place));
-            age <= settings.memory && !is_out
-        });
-        for place in places {
-            self.note_occlusion(place, now);
-        }
-    }
-
-    /// A moving obstacle was last seen, or felt by the bumper, at a place (odometry frame).
-    pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
-        self.occluded.note(place, stamp);
-    }
-
-    /// Where moving obstacles entered the blind spot.
-    pub fn occluded(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
-        self.occluded.iter()
-    }
-
     /// Drops a run of neighbouring returns that is too narrow to be trusted.
     fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>) {
         if let [first, .., last] = self.points.get(*begun..).unwrap_or_default() {
@@ -306,12 +353,6 @@ impl MovingObstacles {
             free,
         });
     }
-
-    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`.
-    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
-        let base_from_odom = rigid(odom_from_base.inverse());
-        self.points.iter().map(move |point| base_from_odom * point)
-    }
 }
 
 /// Drops points close to the one before.
@@ -333,8 +374,9 @@ mod tests {
     use crate::field_of_view::ScanProjector;
     use zenav_protocol::readings::Sweep;
 
-    fn lidar() -> LidarModel {
-        zenav_fixtures::robot("tiago").lidar
+    fn none_yet(model: &RobotModel, fastest: f64) -> MovingObstacles {
+        let view = FieldOfView::new(model.first_lidar(), &model.footprint);
+        MovingObstacles::new(model, view, fastest)
     }
 
     /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
@@ -350,27 +392,21 @@ mod tests {
             let before = post.filter(|_| angle.abs() < 0.05).map_or(wall, |at| at - laser.x);
             wall.min(before) as f32
         };
-        Sweep {
-            stamp: Stamp::from_secs(secs),
-            ranges: (0..lidar.beams).map(range).collect(),
-        }
+        Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
     }
 
     #[test]
     fn a_departed_return_at_the_seam_of_a_full_circle_marks_only_what_lies_behind_it() {
         let robot = zenav_fixtures::robot("neato");
-        let lidar = robot.lidar;
-        let mut tracked = MovingObstacles::new(&lidar, &robot.footprint, 0.3);
+        let lidar = robot.first_lidar().unwrap();
+        let mut tracked = none_yet(&robot, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
             let range = |beam: usize| {
                 let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
                 (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
             };
-            let sweep = Sweep {
-                stamp: Stamp::from_secs(secs),
-                ranges: (0..lidar.beams).map(range).collect(),
-            };
-            tracked.insert(&ScanProjector::new(&lidar).project(&sweep, Pose2::IDENTITY).unwrap());
+            let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
+            tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
         let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).collect();
         assert!(
@@ -381,16 +417,17 @@ mod tests {
 
     #[test]
     fn an_approaching_post_is_detected_and_a_static_one_is_not() {
-        let lidar = lidar();
-        let mut still = MovingObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        let mut moving = MovingObstacles::new(&lidar, &Footprint::Radius(0.265), 0.6);
-        let mut projector = ScanProjector::new(&lidar);
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let (mut still, mut moving) = (none_yet(&robot, 0.6), none_yet(&robot, 0.6));
+        let mut projector = ScanProjector::new(lidar);
         for step in 0..20 {
             let secs = 0.1 * f64::from(step);
             // The robot drives and turns: what stands still stands.
             let base = Pose2::new(0.05 * f64::from(step), 0.0, 0.0);
             for (tracked, post) in [(&mut still, 2.0), (&mut moving, 2.4 - 0.03 * f64::from(step))] {
-                tracked.insert(&projector.project(&sweep(&lidar, secs, base, Some(post)), base).unwrap());
+                let sweep = sweep(lidar, secs, base, Some(post));
+                tracked.insert(0, &projector.project(&sweep, base).unwrap());
             }
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);

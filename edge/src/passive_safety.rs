@@ -15,7 +15,6 @@ use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
-use crate::limiter::wheel_surface_speed;
 use crate::local_obstacles::LocalObstacles;
 use crate::settings::PassiveSafetySettings;
 use crate::time_to_contact::SweptFootprint;
@@ -71,7 +70,7 @@ impl<'a> Motion<'a> {
         Self {
             footprint,
             twist,
-            speed: wheel_surface_speed(drive, twist),
+            speed: drive.surface_speed(twist),
             reaction: age + tick + drive.motor_lag,
             braking: drive.hard_braking,
             lag: drive.motor_lag,

@@ -38,13 +38,13 @@ pub(crate) struct ScanReprojection {
 }
 
 impl ScanReprojection {
-    pub(crate) fn new(lidar: &LidarModel, closed: bool) -> Self {
+    pub(crate) fn new(lidar: &LidarModel) -> Self {
         let angles = (0..lidar.beams).map(|beam| lidar.angle_min() + beam as f64 * lidar.angle_increment());
         Self {
             along: angles.map(|angle| (angle.cos() as f32, angle.sin() as f32)).unzip(),
             first: lidar.angle_min() as f32,
             beams_per_radian: (1.0 / lidar.angle_increment()) as f32,
-            closed,
+            closed: lidar.gap() == 0.0,
             points: (vec![0.0; lidar.beams], vec![0.0; lidar.beams]),
             bearings: vec![0.0; lidar.beams],
             distances: vec![0.0; lidar.beams],
@@ -142,7 +142,7 @@ mod tests {
             shift in (-1.0..1.0, -1.0..1.0, -3.0..3.0),
             ranges in prop::collection::vec((0.2_f32..6.0, 0.2_f32..6.0, 0_u8..20), 40),
         ) {
-            let mut lidar = zenav_fixtures::robot(name).lidar;
+            let mut lidar = zenav_fixtures::robot(name).lidar.unwrap();
             lidar.beams = ranges.len();
             let (here, there): (Vec<f32>, Vec<f32>) = ranges
                 .iter()
@@ -153,7 +153,7 @@ mod tests {
                 })
                 .unzip();
             let there_from_here = Isometry2::new(Vector2::new(shift.0, shift.1), shift.2);
-            let mut reprojection = ScanReprojection::new(&lidar, name == "neato");
+            let mut reprojection = ScanReprojection::new(&lidar);
             let mut free = Vec::new();
             reprojection.free_ranges(&there, &mut free);
             reprojection.reproject(&there_from_here, &here);

@@ -1,5 +1,6 @@
 //! Edge service. How is the pilot connected to the bus? Typed topics and requests in, topics and replies out, the control loop between.
 
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
     Battery, Bump, EdgeState, Event, Gps, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
 };
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::settings::Settings as _;
 use zenav_protocol::topics::{self, EdgeRequest, Topic};
 
@@ -107,7 +109,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     }
 
     let mut output = JoinSet::new();
-    let publishers = Publishers::new(&bus, &robot, config.gives_the_time)?;
+    let publishers = Publishers::new(&bus, &robot, &config.edge.model, config.gives_the_time)?;
     output.spawn(publish(publishers, Arc::clone(&handoff)));
     output.spawn(persist_then_reply(file, Arc::clone(&handoff)));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
@@ -189,7 +191,8 @@ async fn serve(mut server: PartServer<EdgeRequest>, handoff: Arc<Handoff>) {
 
 /// One publisher a topic.
 struct Publishers {
-    scan: Publisher<Scan>,
+    /// By name of the lidar.
+    scans: BTreeMap<String, Publisher<Scan>>,
     odometry: Publisher<Odometry>,
     imu: Publisher<Imu>,
     gps: Publisher<Gps>,
@@ -203,10 +206,18 @@ struct Publishers {
 }
 
 impl Publishers {
-    fn new(bus: &Bus, robot: &str, gives_the_time: bool) -> Result<Self, BusError> {
+    fn new(bus: &Bus, robot: &str, model: &RobotModel, gives_the_time: bool) -> Result<Self, BusError> {
+        let lidars = model.all_lidars().enumerate();
+        let scans = lidars.map(|(index, (lidar, _))| {
+            let publisher = match index {
+                0 => bus.publisher(&topics::SCAN, &[robot])?,
+                _ => bus.publisher(&topics::LIDAR_SCAN, &[robot, lidar])?,
+            };
+            Ok((lidar.to_owned(), publisher))
+        });
         let robot = &[robot];
         Ok(Self {
-            scan: bus.publisher(&topics::SCAN, robot)?,
+            scans: scans.collect::<Result<_, BusError>>()?,
             odometry: bus.publisher(&topics::ODOMETRY, robot)?,
             imu: bus.publisher(&topics::IMU, robot)?,
             gps: bus.publisher(&topics::GPS, robot)?,
@@ -228,7 +239,11 @@ impl Publishers {
         }
         for publication in &bundle.publications {
             match publication {
-                Publication::Scan(message) => self.scan.put(message),
+                Publication::Scan(lidar, message) => {
+                    if let Some(publisher) = self.scans.get(lidar) {
+                        publisher.put(message);
+                    }
+                }
                 Publication::Odometry(message) => self.odometry.put(message),
                 Publication::Imu(message) => self.imu.put(message),
                 Publication::Gps(message) => self.gps.put(message),

@@ -1,7 +1,8 @@
 //! Edge settings. What can be tuned on the robot's side, in which unit, within which bounds, and why is the default what it is?
 //!
-//! One section a subsystem; a robot's section of the deployment file holds them. What belongs to one robot model (gains, distances of the wall follower) is in the robot file instead. Numerical epsilons and memory bounds stay
-//! private constants of their subsystem.
+//! One section a subsystem; a deployment file holds them as `[robots.NAME.edge.collision_monitor]` and so on. What belongs to one robot
+//! model (gains, distances of the wall follower) is in the robot file instead. Numerical epsilons and memory bounds stay private constants
+//! of their subsystem.
 
 use zenav_protocol::config_text::OutOfBounds;
 

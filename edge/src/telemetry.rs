@@ -3,7 +3,7 @@
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EventKind, Odometry, PoseEstimate, Scan};
 use zenav_protocol::readings::{Readings, Sweep};
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
@@ -99,9 +99,10 @@ impl Telemetry {
     }
 }
 
-/// A scan as a message, with the poses at its own stamp; `None` when that is too long ago to know them.
+/// A scan as a message, with the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
 #[must_use]
-pub fn scan(sweep: &Sweep, lidar: &LidarModel, estimator: &Estimator) -> Option<Scan> {
+pub fn scan(sweep: &Sweep, model: &RobotModel, estimator: &Estimator) -> Option<Scan> {
+    let (_, lidar) = model.all_lidars().find(|(name, _)| *name == sweep.lidar)?;
     Some(Scan {
         stamp: sweep.stamp,
         angle_min: lidar.angle_min(),

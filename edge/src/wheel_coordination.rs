@@ -24,7 +24,7 @@ impl WheelCoordination {
         Self {
             lag: drive.motor_lag,
             acceleration: drive.max_wheel_acceleration,
-            deceleration: (drive.hard_braking / drive.wheel_radius).max(drive.max_wheel_acceleration),
+            deceleration: drive.wheel_braking().max(drive.max_wheel_acceleration),
             speed: [0.0; 2],
         }
     }
@@ -68,9 +68,7 @@ mod tests {
     use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_sim::drive::Motors as Real;
-
-    use crate::limiter::wheel_surface_speed;
+    use zenav_sim::motors::Motors as Real;
 
     const TICK: f64 = 0.02;
 
@@ -89,7 +87,7 @@ mod tests {
             let driven = drive.twist(real.step(&drive, TICK));
             if tick >= 200 {
                 pose = pose.advance(driven, TICK);
-                way += wheel_surface_speed(&drive, driven) * TICK;
+                way += drive.surface_speed(driven) * TICK;
             }
         }
         (pose, way)

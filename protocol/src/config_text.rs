@@ -71,6 +71,57 @@ impl OutOfBounds {
     }
 }
 
+/// What a number in a file is expected to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Expected {
+    /// Finite and greater than zero.
+    Positive,
+    /// Finite and not less than zero.
+    NotNegative,
+    /// From zero to one.
+    Share,
+    /// Any finite number.
+    Finite,
+    /// From the one to the other, and how that is said.
+    Range(f64, f64, &'static str),
+}
+
+impl Expected {
+    fn holds(self, value: f64) -> bool {
+        match self {
+            Self::Positive => value.is_finite() && value > 0.0,
+            Self::NotNegative => value.is_finite() && value >= 0.0,
+            Self::Share => (0.0..=1.0).contains(&value),
+            Self::Finite => value.is_finite(),
+            Self::Range(least, most, _) => (least..=most).contains(&value),
+        }
+    }
+}
+
+impl fmt::Display for Expected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Positive => "a positive number",
+            Self::NotNegative => "zero or a positive number",
+            Self::Share => "a share, 0 to 1",
+            Self::Finite => "a finite number",
+            Self::Range(.., words) => words,
+        })
+    }
+}
+
+/// Checks values by key.
+///
+/// # Errors
+/// The first value that is not what is expected.
+pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBounds> {
+    match values.iter().find(|(_, value, expected)| !expected.holds(*value)) {
+        Some((name, value, expected)) => Err(OutOfBounds::unlike(name, *value, expected)),
+        None => Ok(()),
+    }
+}
+
+/// A number in a message: what would need a line of digits is written with an exponent.
 /// A number in a message to the user: a very large or small one is shown with an exponent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Number(pub f64);

@@ -11,6 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::config_text::{Expected, OutOfBounds, check_all};
 use crate::robot::RobotModel;
 
 /// Acceleration of gravity, m/s².
@@ -41,6 +42,19 @@ impl Default for MotorModel {
             viscous_friction: 10.0,
             motor_constant: 0.5,
         }
+    }
+}
+
+impl MotorModel {
+    /// The first value that no motor has.
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        check_all(&[
+            ("mass", self.mass, Expected::Positive),
+            ("motor_constant", self.motor_constant, Expected::Positive),
+            ("inertia", self.inertia, Expected::NotNegative),
+            ("rolling_resistance", self.rolling_resistance, Expected::NotNegative),
+            ("viscous_friction", self.viscous_friction, Expected::NotNegative),
+        ])
     }
 }
 

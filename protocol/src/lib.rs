@@ -12,6 +12,8 @@
 //! | [`time`] | stamps in nanoseconds |
 //! | [`id`] | names that may stand in a key, and unique ids |
 //! | [`robot`] | footprint, limits and sensors of a robot, and its TOML file |
+//! | [`drive`] | wheels, their limits and kinematics |
+//! | [`sensors`] | sensors: model, bounds, reading and message, one file for each kind |
 //! | [`gains`], [`wall_following`] | path trackers and the wall follower: settings and their bounds |
 //! | [`energy`] | power that a robot draws |
 //! | [`readings`] | sensor readings that a body hands to its edge |
@@ -31,6 +33,7 @@ extern crate self as zenav_protocol;
 pub mod bus;
 pub mod codec;
 pub mod config_text;
+pub mod drive;
 pub mod energy;
 pub mod gains;
 pub mod geometry;
@@ -44,6 +47,7 @@ pub mod polygon;
 pub mod readings;
 pub mod robot;
 mod robot_check;
+pub mod sensors;
 pub mod settings;
 pub mod time;
 pub mod topics;

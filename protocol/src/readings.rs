@@ -1,8 +1,10 @@
-//! What does a body give its pilot each tick, whether it is real or simulated?
+//! Readings. What does a body give its pilot each tick, whether it is real or simulated?
 
 use serde::{Deserialize, Serialize};
 
-use crate::messages::{Battery, Bump, Gps, Imu, no_return_as_null};
+pub use crate::sensors::Sweep;
+use crate::sensors::lidar::none_one_or_many;
+use crate::sensors::{Battery, Bump, Gps, Imu};
 use crate::time::Stamp;
 
 /// Raw readings of one control tick. What did not come since the last tick is `None`.
@@ -16,8 +18,9 @@ pub struct Readings {
     pub imu: Option<Imu>,
     /// Position by GPS or beacons, map frame.
     pub gps: Option<Gps>,
-    /// A finished lidar sweep.
-    pub sweep: Option<Sweep>,
+    /// Finished lidar sweeps, at most one per lidar. On the wire `sweep`: `null`, a sweep, or a list of sweeps.
+    #[serde(rename = "sweep", default, with = "none_one_or_many")]
+    pub sweeps: Vec<Sweep>,
     /// Contact sensor.
     pub bump: Bump,
     /// Energy.
@@ -25,32 +28,44 @@ pub struct Readings {
 }
 
 impl Readings {
+    /// Nothing measured yet: wheels at zero, no contact, a full battery.
+    #[must_use]
+    pub fn new(stamp: Stamp) -> Self {
+        Self {
+            stamp,
+            wheels: [0.0; 2],
+            imu: None,
+            gps: None,
+            sweeps: Vec::new(),
+            bump: Bump::none(stamp),
+            battery: Battery {
+                stamp,
+                charge: 1.0,
+                drawn_j: 0.0,
+            },
+        }
+    }
+
     /// These readings and later ones as those of one tick: nothing that was sensed in between is lost.
     #[must_use]
-    pub fn followed_by(self, later: Self) -> Self {
+    pub fn followed_by(self, mut later: Self) -> Self {
         let bump = if self.bump.pressed && !later.bump.pressed {
             self.bump
         } else {
             later.bump
         };
+        for sweep in self.sweeps {
+            if !later.sweeps.iter().any(|newer| newer.lidar == sweep.lidar) {
+                later.sweeps.push(sweep);
+            }
+        }
         Self {
             imu: later.imu.or(self.imu),
             gps: later.gps.or(self.gps),
-            sweep: later.sweep.or(self.sweep),
             bump,
             ..later
         }
     }
-}
-
-/// Ranges of one lidar sweep; the robot's model says where the beams point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sweep {
-    /// When it was taken: at or before the tick.
-    pub stamp: Stamp,
-    /// Distance a beam, m; no return is infinity in memory and `null` on the wire.
-    #[serde(with = "no_return_as_null")]
-    pub ranges: Vec<f32>,
 }
 
 #[cfg(test)]
@@ -65,10 +80,10 @@ mod tests {
             wheels: [ms as f64, 0.0],
             imu: None,
             gps: None,
-            sweep: sweep.map(|range| Sweep {
-                stamp,
-                ranges: vec![range, f32::INFINITY],
-            }),
+            sweeps: sweep
+                .map(|range| Sweep::new(stamp, vec![range, f32::INFINITY]))
+                .into_iter()
+                .collect(),
             bump: Bump {
                 stamp,
                 pressed,
@@ -89,7 +104,7 @@ mod tests {
             (both.stamp, both.wheels[0], both.bump.pressed),
             (Stamp(40_000_000), 40.0, true)
         );
-        assert_eq!(both.sweep, readings(20, Some(1.0), false).sweep);
+        assert_eq!(both.sweeps, readings(20, Some(1.0), false).sweeps);
         let newer = readings(20, Some(1.0), false).followed_by(readings(40, Some(2.0), true));
         assert_eq!(newer, readings(40, Some(2.0), true));
     }
@@ -100,5 +115,38 @@ mod tests {
         let text = serde_json::to_string(&sent).unwrap();
         assert!(text.contains("[1.5,null]"), "{text}");
         assert_eq!(serde_json::from_str::<Readings>(&text).unwrap(), sent);
+    }
+
+    #[test]
+    fn the_sweeps_of_two_lidars_do_not_replace_one_another() {
+        let mut rear = readings(20, Some(3.0), false);
+        rear.sweeps[0].lidar = "rear".to_owned();
+        let both = rear.followed_by(readings(40, Some(1.0), false));
+        let heard: Vec<_> = both
+            .sweeps
+            .iter()
+            .map(|sweep| (sweep.lidar.as_str(), sweep.ranges[0]))
+            .collect();
+        assert_eq!(heard, [("lidar", 1.0), ("rear", 3.0)]);
+    }
+
+    #[test]
+    fn one_sweep_is_written_as_itself_and_several_as_a_list() {
+        for count in 0..3 {
+            let mut sent = readings(20, None, false);
+            sent.sweeps = (0..count)
+                .map(|nth| Sweep {
+                    lidar: if nth == 0 { "lidar" } else { "rear" }.to_owned(),
+                    ..Sweep::new(sent.stamp, vec![nth as f32, f32::INFINITY])
+                })
+                .collect();
+            let text = serde_json::to_string(&sent).unwrap();
+            let begins = ["\"sweep\":null", "\"sweep\":{\"stamp\"", "\"sweep\":[{"][count];
+            assert!(text.contains(begins), "{text}");
+            assert_eq!(serde_json::from_str::<Readings>(&text).unwrap(), sent);
+            let mut binary = Vec::new();
+            ciborium::into_writer(&sent, &mut binary).unwrap();
+            assert_eq!(ciborium::from_reader::<Readings, _>(&binary[..]).unwrap(), sent);
+        }
     }
 }

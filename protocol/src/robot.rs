@@ -1,17 +1,20 @@
-//! What is a robot, for everybody who plans for it, drives it or simulates it? Its footprint, limits and sensors.
+//! Robot model. What is a robot, for everybody who plans for it, drives it or simulates it? Its footprint, limits and sensors.
 //!
-//! Read from TOML; unknown keys are errors that name the line. Shipped ones are found by name.
+//! Read from TOML; unknown keys are errors that name the line. Shipped robots are found by name, and options such as `rear_lidar` are
+//! added to a robot with `+`: `jackal+rear_lidar`.
 
-use std::f64::consts::{PI, TAU};
+use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use crate::config_text::{Pair, pair};
+use crate::config_text::Pair;
+pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
 pub use crate::gains::ControllerGains;
-use crate::geometry::Pose2;
 pub use crate::robot_check::RobotError;
+use crate::sensors::DEFAULT_LIDAR;
+pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
 use crate::wall_following::WallFollowing;
 
 /// A robot: what its file says.
@@ -24,8 +27,12 @@ pub struct RobotModel {
     pub footprint: Footprint,
     /// Wheels and motors.
     pub drive: Drive,
-    /// Planar lidar.
-    pub lidar: LidarModel,
+    /// The lidar named [`DEFAULT_LIDAR`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lidar: Option<LidarModel>,
+    /// Further lidars by name. [`Self::all_lidars`] lists them all.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub lidars: BTreeMap<String, LidarModel>,
     /// Wheel encoders.
     #[serde(default)]
     pub encoders: EncoderModel,
@@ -136,274 +143,8 @@ impl Footprint {
     }
 }
 
-/// A differential drive.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Drive {
-    /// m.
-    pub wheel_radius: f64,
-    /// Distance between the wheels' contact points, m.
-    pub wheel_separation: f64,
-    /// Largest speed of a wheel, rad/s.
-    pub max_wheel_speed: f64,
-    /// Largest acceleration of a wheel in normal driving, rad/s².
-    pub max_wheel_acceleration: f64,
-    /// Deceleration of the base when it brakes as hard as it can, m/s².
-    pub hard_braking: f64,
-    /// Largest lateral acceleration, m/s².
-    #[serde(default = "default_lateral")]
-    pub max_lateral_acceleration: f64,
-    /// Largest yaw rate, rad/s; the wheels may allow less.
-    #[serde(default = "unlimited")]
-    pub max_yaw_rate: f64,
-    /// Largest forward speed, m/s; the wheels may allow less.
-    #[serde(default = "unlimited")]
-    pub max_speed: f64,
-    /// Largest jerk of the base along its way, m/s³; without it plans and commands change their acceleration at once.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_jerk: Option<f64>,
-    /// Time constant of the motors, s.
-    #[serde(default)]
-    pub motor_lag: f64,
-    /// What the simulated robot does differently from what it believes.
-    #[serde(default)]
-    pub errors: DriveErrors,
-}
-
-/// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
-/// Mobile Robots", 1996). The simulator drives by them; the robot knows of the slip only.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DriveErrors {
-    /// How much larger the wheels (left, right) are than stated, as a share.
-    #[serde(deserialize_with = "pair")]
-    pub wheel_radius: [f64; 2],
-    /// How much farther apart the wheels touch the floor than stated, as a share.
-    pub wheel_separation: f64,
-    /// Standard deviation of what a wheel slips, m for each square root of a metre rolled.
-    pub slip: f64,
-}
-
-fn default_lateral() -> f64 {
-    1.0
-}
-
-fn unlimited() -> f64 {
-    1e6
-}
-
-impl Drive {
-    /// Forward speed with both wheels at their limit, or the base's own limit, m/s.
-    #[must_use]
-    pub fn top_speed(&self) -> f64 {
-        (self.max_wheel_speed * self.wheel_radius).min(self.max_speed)
-    }
-
-    /// Yaw rate on the spot with both wheels at their limit, or the base's own limit, rad/s.
-    #[must_use]
-    pub fn top_yaw_rate(&self) -> f64 {
-        (2.0 * self.max_wheel_speed * self.wheel_radius / self.wheel_separation).min(self.max_yaw_rate)
-    }
-
-    /// Forward acceleration with both wheels at their limit, m/s².
-    #[must_use]
-    pub fn acceleration(&self) -> f64 {
-        self.max_wheel_acceleration * self.wheel_radius
-    }
-
-    /// Wheel speeds (left, right; rad/s) of a twist.
-    #[must_use]
-    pub fn wheels(&self, twist: crate::geometry::Twist2) -> [f64; 2] {
-        let half = 0.5 * self.wheel_separation * twist.w;
-        [
-            (twist.v - half) / self.wheel_radius,
-            (twist.v + half) / self.wheel_radius,
-        ]
-    }
-
-    /// Twist of wheel speeds (left, right; rad/s).
-    #[must_use]
-    pub fn twist(&self, wheels: [f64; 2]) -> crate::geometry::Twist2 {
-        let [left, right] = wheels;
-        crate::geometry::Twist2::new(
-            0.5 * (left + right) * self.wheel_radius,
-            (right - left) * self.wheel_radius / self.wheel_separation,
-        )
-    }
-}
-
-/// A planar lidar.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LidarModel {
-    /// Where it sits on the base.
-    #[serde(default)]
-    pub mount: Pose2,
-    /// Sweeps a second.
-    pub rate_hz: f64,
-    /// m.
-    pub range_min: f64,
-    /// m.
-    pub range_max: f64,
-    /// Readings a sweep.
-    pub beams: usize,
-    /// Angle from the first beam to the last, rad; 2 pi is a full circle without a doubled beam.
-    pub field_of_view: f64,
-    /// Standard deviation of a range, m.
-    #[serde(default)]
-    pub noise: f64,
-    /// Constant error of a range, m.
-    #[serde(default)]
-    pub bias: f64,
-    /// Share of beams that are lost.
-    #[serde(default)]
-    pub dropout: f64,
-    /// Smallest step of a range, m.
-    #[serde(default = "millimetre")]
-    pub resolution: f64,
-    /// Time from a sweep to its delivery, s.
-    #[serde(default)]
-    pub latency: f64,
-}
-
-fn millimetre() -> f64 {
-    0.001
-}
-
-impl LidarModel {
-    /// Direction of the first beam, rad.
-    #[must_use]
-    pub fn angle_min(&self) -> f64 {
-        if self.is_full_circle() {
-            -PI
-        } else {
-            -0.5 * self.field_of_view
-        }
-    }
-
-    /// Angle between beams, rad.
-    #[must_use]
-    pub fn angle_increment(&self) -> f64 {
-        if self.is_full_circle() {
-            TAU / self.beams.max(1) as f64
-        } else {
-            self.field_of_view / (self.beams.max(2) - 1) as f64
-        }
-    }
-
-    fn is_full_circle(&self) -> bool {
-        self.field_of_view > TAU - 1e-3
-    }
-}
-
-/// Wheel encoders.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EncoderModel {
-    /// Standard deviation of a wheel's measured turn, as a share of the turn.
-    pub noise: f64,
-    /// Smallest step, rad.
-    pub resolution: f64,
-    /// Readings a second; without it one every control step.
-    pub rate_hz: Option<f64>,
-    /// Share of readings that are lost: the angles of the one before stand.
-    pub dropout: f64,
-    /// Time from a reading to its delivery, s.
-    pub latency: f64,
-}
-
-impl Default for EncoderModel {
-    fn default() -> Self {
-        Self {
-            noise: 0.005,
-            resolution: 0.001,
-            rate_hz: None,
-            dropout: 0.0,
-            latency: 0.0,
-        }
-    }
-}
-
-/// Gyro and compass.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ImuModel {
-    /// Readings a second.
-    pub rate_hz: f64,
-    /// Standard deviation of the yaw rate, rad/s.
-    pub gyro_noise: f64,
-    /// Constant error of the yaw rate, rad/s.
-    pub gyro_bias: f64,
-    /// Standard deviation of the compass, rad; without it there is no compass.
-    pub compass_noise: Option<f64>,
-    /// Constant error of the compass, rad.
-    pub compass_bias: f64,
-    /// Smallest step of the yaw rate, rad/s.
-    pub resolution: f64,
-    /// Share of readings that are lost.
-    pub dropout: f64,
-    /// Time from a reading to its delivery, s.
-    pub latency: f64,
-}
-
-impl Default for ImuModel {
-    fn default() -> Self {
-        Self {
-            rate_hz: 50.0,
-            gyro_noise: 0.002,
-            gyro_bias: 0.0,
-            compass_noise: None,
-            compass_bias: 0.0,
-            resolution: 0.0,
-            dropout: 0.0,
-            latency: 0.0,
-        }
-    }
-}
-
-/// GPS or beacons.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GpsModel {
-    /// Readings a second.
-    pub rate_hz: f64,
-    /// Standard deviation of each coordinate, m.
-    pub noise: f64,
-    /// Constant error (x, y), m.
-    #[serde(default, deserialize_with = "pair")]
-    pub bias: [f64; 2],
-    /// Smallest step of a coordinate, m.
-    #[serde(default)]
-    pub resolution: f64,
-    /// Share of readings that are lost.
-    #[serde(default)]
-    pub dropout: f64,
-    /// Time from a reading to its delivery, s.
-    #[serde(default)]
-    pub latency: f64,
-}
-
-/// Battery; what motion draws of it is in [`MotorModel`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BatteryModel {
-    /// When full, J.
-    pub capacity: f64,
-    /// Drawn by sensors and computers whatever happens, W.
-    pub idle_power: f64,
-    /// Share of the charge below which the robot says that its battery is low.
-    pub low: f64,
-}
-
-impl Default for BatteryModel {
-    fn default() -> Self {
-        Self {
-            capacity: 500_000.0,
-            idle_power: 20.0,
-            low: 0.2,
-        }
-    }
-}
+/// Names and texts of the shipped options: parts that are added to a robot's file.
+pub const OPTIONS: &[(&str, &str)] = &[("rear_lidar", include_str!("../robots/options/rear_lidar.toml"))];
 
 /// Names and texts of the shipped robots.
 pub const SHIPPED: &[(&str, &str)] = &[
@@ -425,12 +166,52 @@ impl RobotModel {
     /// # Errors
     /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has: file, line and key.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
-        let model: Self = toml::from_str(text).map_err(|source| RobotError::Toml {
-            name: name.to_owned(),
-            source: Box::new(source),
-        })?;
-        model.check().map_err(|wrong| wrong.of(name, Some(text)))?;
+        let model: Self = toml::from_str(text).map_err(|source| RobotError::toml(name, source))?;
+        model
+            .check()
+            .map_err(|error| RobotError::value(error, name, Some(text)))?;
         Ok(model)
+    }
+
+    /// Reads a robot and its options, `ROBOT+OPTION+…`: a robot file's tables, with those of each option file laid over them.
+    ///
+    /// `read` gives the text of a file that is not a shipped robot or option, or says why it cannot.
+    ///
+    /// # Errors
+    /// [`RobotError`], as for [`Self::from_toml`]; values that only the sum of all files gets wrong are named without a line.
+    ///
+    /// ```
+    /// use zenav_protocol::robot::RobotModel;
+    ///
+    /// let jackal = RobotModel::with_options("jackal+rear_lidar", |name| Err(format!("no such file: {name}")))?;
+    /// let names: Vec<&str> = jackal.all_lidars().map(|(name, _)| name).collect();
+    /// assert_eq!(names, ["lidar", "rear"]);
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
+    pub fn with_options(names: &str, read: impl Fn(&str) -> Result<String, String>) -> Result<Self, RobotError> {
+        let text_of = |name: &str, shipped: &[(&str, &str)]| match shipped.iter().find(|(known, _)| *known == name) {
+            Some((_, text)) => Ok((*text).to_owned()),
+            None => read(name).map_err(|reason| RobotError::Unknown {
+                name: name.to_owned(),
+                reason,
+            }),
+        };
+        let mut parts = names.split('+');
+        let robot = parts.next().unwrap_or_default();
+        let text = text_of(robot, SHIPPED)?;
+        // By itself first: errors of the robot's own file name its lines.
+        let alone = Self::from_toml(&text, robot)?;
+        let mut options = parts.peekable();
+        if options.peek().is_none() {
+            return Ok(alone);
+        }
+        let table = |text: &str, name: &str| text.parse().map_err(|source| RobotError::toml(name, source));
+        let mut sum: toml::Table = table(&text, robot)?;
+        for option in options {
+            lay_over(&mut sum, table(&text_of(option, OPTIONS)?, option)?);
+        }
+        let model: Self = sum.try_into().map_err(|source| RobotError::toml(names, source))?;
+        model.checked(names)
     }
 
     /// Checks values, wherever they came from; `name` is for errors.
@@ -438,8 +219,44 @@ impl RobotModel {
     /// # Errors
     /// [`RobotError::Value`].
     pub fn checked(self, name: &str) -> Result<Self, RobotError> {
-        self.check().map_err(|wrong| wrong.of(name, None))?;
+        self.check().map_err(|error| RobotError::value(error, name, None))?;
         Ok(self)
+    }
+
+    /// All lidars with their names: [`Self::lidar`] first, then the others by name. The first is the one whose scans are published on
+    /// the robot's plain scan key.
+    pub fn all_lidars(&self) -> impl Iterator<Item = (&str, &LidarModel)> {
+        let first = self.lidar.as_ref().map(|lidar| (DEFAULT_LIDAR, lidar));
+        first
+            .into_iter()
+            .chain(self.lidars.iter().map(|(name, lidar)| (name.as_str(), lidar)))
+    }
+
+    /// The same, to change them.
+    pub fn all_lidars_mut(&mut self) -> impl Iterator<Item = (&str, &mut LidarModel)> {
+        let first = self.lidar.as_mut().map(|lidar| (DEFAULT_LIDAR, lidar));
+        let others = self.lidars.iter_mut();
+        first
+            .into_iter()
+            .chain(others.map(|(name, lidar)| (name.as_str(), lidar)))
+    }
+
+    /// The first lidar; every robot that was read from a file has one.
+    #[must_use]
+    pub fn first_lidar(&self) -> Option<&LidarModel> {
+        self.all_lidars().next().map(|(_, lidar)| lidar)
+    }
+}
+
+/// Lays tables over tables; any other value replaces what was there.
+fn lay_over(table: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (table.get_mut(&key), value) {
+            (Some(toml::Value::Table(table)), toml::Value::Table(over)) => lay_over(table, over),
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
     }
 }
 
@@ -474,5 +291,38 @@ mod tests {
         assert!((jackal.circumscribed_radius() - 0.21_f64.hypot(0.165)).abs() < 1e-12);
         assert!((jackal.distance(Point2::new(0.31, 0.0)) - 0.1).abs() < 1e-12);
         assert_eq!(jackal.distance(Point2::new(0.1, 0.1)), 0.0);
+    }
+
+    #[test]
+    fn a_robot_has_any_number_of_lidars_by_name() {
+        let names = |model: &RobotModel| model.all_lidars().map(|(name, _)| name.to_owned()).collect::<Vec<_>>();
+        let nothing = |name: &str| Err(format!("{name}?"));
+        for robot in ["jackal", "tiago"] {
+            let model = RobotModel::with_options(&format!("{robot}+rear_lidar"), nothing).unwrap();
+            assert_eq!(names(&model), ["lidar", "rear"]);
+            assert_eq!(model.lidars["rear"].mount.x, -0.15);
+            let alone = RobotModel::with_options(robot, nothing).unwrap();
+            assert_eq!((names(&alone), &alone.lidar), (vec!["lidar".to_owned()], &model.lidar));
+        }
+        let text = shipped("tiago").unwrap().replace("[lidar]", "[lidars.front]");
+        let front = RobotModel::from_toml(&text, "front").unwrap();
+        assert_eq!(
+            (names(&front), front.first_lidar()),
+            (vec!["front".to_owned()], front.lidars.get("front"))
+        );
+    }
+
+    #[test]
+    fn an_option_that_does_not_exist_or_does_not_fit_is_named() {
+        let said = |names: &str, text: &str| {
+            RobotModel::with_options(names, |_| Ok(text.to_owned()))
+                .unwrap_err()
+                .to_string()
+        };
+        let missing = RobotModel::with_options("jackal+wings", |_| Err("no such file".to_owned())).unwrap_err();
+        assert_eq!(missing.to_string(), "`wings`: no such file");
+        assert!(said("jackal+mine", "[lidars.rear]\nbeams = 3").contains("rate_hz"));
+        assert!(said("jackal+mine", "[lidar]\nbeams = 0").contains("`lidar.beams` is 0"));
+        assert!(said("jackal+mine", "[lidar").contains("mine"));
     }
 }

@@ -1,13 +1,16 @@
-//! Which values may a robot's file hold? Those of a robot that can be; whatever is wrong is named with file, line and key.
-
-use std::f64::consts::TAU;
+//! Validation of robot files. Which values may a robot's file hold? A value out of bounds is named with file, line and key.
 
 use nalgebra::Point2;
 use thiserror::Error;
 
-use crate::config_text::{OutOfBounds, line_of};
+use crate::config_text::{Expected, OutOfBounds, check_all, line_of};
+use crate::id::Id;
 use crate::robot::{Footprint, RobotModel};
+use crate::sensors::{DEFAULT_LIDAR, GpsModel};
 use crate::settings::Settings as _;
+
+/// Most lidars of one robot.
+const MAX_LIDARS: usize = 16;
 
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
@@ -19,6 +22,14 @@ pub enum RobotError {
         name: String,
         /// What and where.
         source: Box<toml::de::Error>,
+    },
+    /// There is no robot or option of that name.
+    #[error("`{name}`: {reason}")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// Why it cannot be had.
+        reason: String,
     },
     /// A value that no robot has.
     #[error("{at}: `{key}` {problem}")]
@@ -32,18 +43,20 @@ pub enum RobotError {
     },
 }
 
-/// A value that no robot has, wherever it came from.
-pub(crate) struct Wrong {
-    key: String,
-    problem: String,
-}
+impl RobotError {
+    /// The TOML does not fit.
+    pub(crate) fn toml(name: &str, source: toml::de::Error) -> Self {
+        Self::Toml {
+            name: name.to_owned(),
+            source: Box::new(source),
+        }
+    }
 
-impl Wrong {
-    /// The error, with the line where there is a text.
-    pub(crate) fn of(self, name: &str, text: Option<&str>) -> RobotError {
-        let Self { key, problem } = self;
+    /// A value out of bounds, with its line where there is a text.
+    pub(crate) fn value(error: OutOfBounds, name: &str, text: Option<&str>) -> Self {
+        let OutOfBounds { key, problem } = error;
         let line = text.and_then(|text| line_of(text, &key));
-        RobotError::Value {
+        Self::Value {
             at: line.map_or_else(|| name.to_owned(), |line| format!("{name}:{line}")),
             key,
             problem,
@@ -51,14 +64,29 @@ impl Wrong {
     }
 }
 
-fn wrong(key: &'static str, value: f64, expected: &str) -> Result<(), Wrong> {
-    let OutOfBounds { key, problem } = OutOfBounds::unlike(key, value, expected);
-    Err(Wrong { key, problem })
-}
-
 impl RobotModel {
     /// The first value that no robot has.
-    pub(crate) fn check(&self) -> Result<(), Wrong> {
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        self.check_footprint()?;
+        self.drive.check().map_err(|error| error.within("drive"))?;
+        self.check_lidars()?;
+        let gps = self.gps.as_ref().map_or(Ok(()), GpsModel::check);
+        let reach = self.footprint.circumscribed_radius();
+        for (table, check) in [
+            ("encoders", self.encoders.check()),
+            ("imu", self.imu.check()),
+            ("gps", gps),
+            ("battery", self.battery.check()),
+            ("motors", self.motors.check()),
+            ("controller", self.controller.check()),
+            ("wall_following", self.wall_following.check_for(reach)),
+        ] {
+            check.map_err(|error| error.within(table))?;
+        }
+        Ok(())
+    }
+
+    fn check_footprint(&self) -> Result<(), OutOfBounds> {
         if let Footprint::Polygon(corners) = &self.footprint {
             let edges: Vec<_> = corners
                 .iter()
@@ -72,124 +100,48 @@ impl RobotModel {
             let around_base =
                 self.footprint.distance(Point2::origin()) == 0.0 && self.footprint.inscribed_radius() > 0.0;
             if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
-                return Err(Wrong {
+                return Err(OutOfBounds {
                     key: "footprint.polygon".to_owned(),
-                    problem: "encloses no base: expected 3 to 64 corners of a convex polygon around the base, counter-clockwise".to_owned(),
+                    problem: "does not enclose the base: expected 3 to 64 corners of a convex polygon around the base, counter-clockwise"
+                        .to_owned(),
                 });
             }
         }
-        let positive = [
-            ("footprint.radius", self.footprint.inscribed_radius()),
-            ("drive.wheel_radius", self.drive.wheel_radius),
-            ("drive.wheel_separation", self.drive.wheel_separation),
-            ("drive.max_wheel_speed", self.drive.max_wheel_speed),
-            ("drive.max_wheel_acceleration", self.drive.max_wheel_acceleration),
-            ("drive.hard_braking", self.drive.hard_braking),
-            ("drive.max_lateral_acceleration", self.drive.max_lateral_acceleration),
-            ("drive.max_yaw_rate", self.drive.max_yaw_rate),
-            ("drive.max_speed", self.drive.max_speed),
-            ("drive.max_jerk", self.drive.max_jerk.unwrap_or(1.0)),
-            ("lidar.rate_hz", self.lidar.rate_hz),
-            ("lidar.range_max", self.lidar.range_max),
-            ("lidar.field_of_view", self.lidar.field_of_view),
-            ("imu.rate_hz", self.imu.rate_hz),
-            ("gps.rate_hz", self.gps.as_ref().map_or(1.0, |gps| gps.rate_hz)),
-            ("encoders.rate_hz", self.encoders.rate_hz.unwrap_or(1.0)),
-            ("battery.capacity", self.battery.capacity),
-            ("motors.mass", self.motors.mass),
-            ("motors.motor_constant", self.motors.motor_constant),
-        ];
-        for (field, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return wrong(field, value, "a positive number");
+        check_all(&[(
+            "footprint.radius",
+            self.footprint.inscribed_radius(),
+            Expected::Positive,
+        )])
+    }
+
+    fn check_lidars(&self) -> Result<(), OutOfBounds> {
+        let refused = |name: &str, problem: &str| {
+            Err(OutOfBounds {
+                key: name.to_owned(),
+                problem: problem.to_owned(),
+            })
+        };
+        if self.lidar.is_none() && self.lidars.is_empty() {
+            return refused(
+                "lidar",
+                "is missing: expected `[lidar]`, or `[lidars.NAME]` for each of several",
+            );
+        }
+        if self.lidars.len() >= MAX_LIDARS {
+            return refused("lidars", "has too many tables: expected at most 16 lidars");
+        }
+        if let Some(lidar) = &self.lidar {
+            lidar.check().map_err(|error| error.within("lidar"))?;
+        }
+        for (name, lidar) in &self.lidars {
+            let table = format!("lidars.{name}");
+            if Id::new(name.clone()).is_err() || (name == DEFAULT_LIDAR && self.lidar.is_some()) {
+                return refused(
+                    &table,
+                    "is no name of a further lidar: expected letters, digits, `_` or `-`, and not that of `[lidar]`",
+                );
             }
-        }
-        let not_negative = [
-            ("drive.motor_lag", self.drive.motor_lag),
-            ("lidar.range_min", self.lidar.range_min),
-            ("lidar.noise", self.lidar.noise),
-            ("encoders.noise", self.encoders.noise),
-            ("encoders.resolution", self.encoders.resolution),
-            ("imu.gyro_noise", self.imu.gyro_noise),
-            ("imu.compass_noise", self.imu.compass_noise.unwrap_or(0.0)),
-            ("gps.noise", self.gps.as_ref().map_or(0.0, |gps| gps.noise)),
-            ("gps.resolution", self.gps.as_ref().map_or(0.0, |gps| gps.resolution)),
-            ("lidar.resolution", self.lidar.resolution),
-            ("imu.resolution", self.imu.resolution),
-            ("drive.errors.slip", self.drive.errors.slip),
-            ("battery.idle_power", self.battery.idle_power),
-            ("motors.inertia", self.motors.inertia),
-            ("motors.rolling_resistance", self.motors.rolling_resistance),
-            ("motors.viscous_friction", self.motors.viscous_friction),
-        ];
-        for (field, value) in not_negative {
-            if !(value.is_finite() && value >= 0.0) {
-                return wrong(field, value, "zero or a positive number");
-            }
-        }
-        let gps = self.gps.as_ref();
-        for (field, share) in [
-            ("battery.low", self.battery.low),
-            ("lidar.dropout", self.lidar.dropout),
-            ("encoders.dropout", self.encoders.dropout),
-            ("imu.dropout", self.imu.dropout),
-            ("gps.dropout", gps.map_or(0.0, |gps| gps.dropout)),
-        ] {
-            if !(0.0..=1.0).contains(&share) {
-                return wrong(field, share, "a share, 0 to 1");
-            }
-        }
-        for (field, secs) in [
-            ("lidar.latency", self.lidar.latency),
-            ("encoders.latency", self.encoders.latency),
-            ("imu.latency", self.imu.latency),
-            ("gps.latency", gps.map_or(0.0, |gps| gps.latency)),
-        ] {
-            if !(0.0..=10.0).contains(&secs) {
-                return wrong(field, secs, "0 to 10 s");
-            }
-        }
-        let [left, right] = self.drive.errors.wheel_radius;
-        for (field, share) in [
-            ("drive.errors.wheel_radius", left),
-            ("drive.errors.wheel_radius", right),
-            ("drive.errors.wheel_separation", self.drive.errors.wheel_separation),
-        ] {
-            if !(-0.5..=0.5).contains(&share) {
-                return wrong(field, share, "a share, -0.5 to 0.5");
-            }
-        }
-        for (field, value) in [
-            ("lidar.bias", self.lidar.bias),
-            ("imu.gyro_bias", self.imu.gyro_bias),
-            ("imu.compass_bias", self.imu.compass_bias),
-            ("gps.bias", gps.map_or(0.0, |gps| gps.bias[0] + gps.bias[1])),
-        ] {
-            if !value.is_finite() {
-                return wrong(field, value, "a finite number");
-            }
-        }
-        if !self.lidar.mount.is_finite() {
-            return wrong("lidar.mount", f64::NAN, "finite numbers");
-        }
-        if !(1..=100_000).contains(&self.lidar.beams) {
-            return wrong("lidar.beams", self.lidar.beams as f64, "1 to 100000");
-        }
-        if self.lidar.field_of_view > TAU + 1e-6 {
-            return wrong("lidar.field_of_view", self.lidar.field_of_view, "at most 2 pi");
-        }
-        if self.lidar.range_min >= self.lidar.range_max {
-            return wrong("lidar.range_min", self.lidar.range_min, "less than range_max");
-        }
-        let reach = self.footprint.circumscribed_radius();
-        for (table, check) in [
-            ("controller", self.controller.check()),
-            ("wall_following", self.wall_following.check_for(reach)),
-        ] {
-            check.map_err(|error| {
-                let OutOfBounds { key, problem } = error.within(table);
-                Wrong { key, problem }
-            })?;
+            lidar.check().map_err(|error| error.within(&table))?;
         }
         Ok(())
     }
@@ -279,7 +231,7 @@ mod tests {
                 "radius = 0.265",
                 "polygon = [[0.1, 0], [0.2, 0], [0.2, 0.1]]",
                 line_of("radius = 0.265"),
-                "`footprint.polygon` encloses no base",
+                "`footprint.polygon` does not enclose the base",
             ),
         ] {
             let said = said(line, by);

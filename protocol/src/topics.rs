@@ -283,6 +283,7 @@ key_table! {
         READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, 256 * KIB;
         WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, KIB;
         SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
+        LIDAR_SCAN: Scan = "zenav/{robot}/edge/scan/{lidar}", Edge, Qos::Latest, 256 * KIB;
         ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
         IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
         GPS: Gps = "zenav/{robot}/edge/gps", Edge, Qos::Latest, 4 * KIB;

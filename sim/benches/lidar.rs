@@ -13,8 +13,9 @@ use parry2d_f64::math::{Pose, Vector};
 use parry2d_f64::query::{Ray, RayCast};
 use parry2d_f64::shape::Polyline;
 use zenav_protocol::geometry::Pose2;
-use zenav_sim::bench::{office, polygons, scatter};
 use zenav_sim::lidar::AngularBuffer;
+use zenav_sim::made_worlds::{office, polygons};
+use zenav_sim::scatter::scatter;
 use zenav_sim::world::World;
 
 const BEAMS: usize = 667;
@@ -25,9 +26,9 @@ fn world(text: &str) -> World {
 }
 
 fn sweeps(criterion: &mut Criterion) {
-    let mut model = zenav_fixtures::robot("tiago");
-    model.lidar.beams = BEAMS;
-    model.lidar.range_max = 25.0;
+    let model = zenav_fixtures::robot("tiago");
+    let mut lidar = model.first_lidar().unwrap().clone();
+    (lidar.beams, lidar.range_max) = (BEAMS, 25.0);
     for (name, world) in [
         ("50 polygons", world(&polygons(50, 4, 20.0))),
         ("2000 segments", world(&polygons(50, 40, 20.0))),
@@ -35,12 +36,12 @@ fn sweeps(criterion: &mut Criterion) {
     ] {
         let poses: Vec<Pose2> = scatter(&world, &model, 64, 0.0, 2)
             .into_iter()
-            .map(|pose| pose * model.lidar.mount)
+            .map(|pose| pose * lidar.mount)
             .collect();
         let mut group = criterion.benchmark_group(name);
         group.throughput(Throughput::Elements((poses.len() * BEAMS) as u64));
         group.sample_size(20);
-        let mut buffer = AngularBuffer::new(&model.lidar);
+        let mut buffer = AngularBuffer::new(&lidar);
         group.bench_function("angular buffer", |bencher| {
             bencher.iter(|| {
                 for pose in &poses {
@@ -59,9 +60,9 @@ fn sweeps(criterion: &mut Criterion) {
             bencher.iter(|| {
                 for pose in &poses {
                     for beam in 0..BEAMS {
-                        let angle = pose.yaw + model.lidar.angle_min() + beam as f64 * model.lidar.angle_increment();
+                        let angle = pose.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
                         let ray = Ray::new(vector(pose.position()), Vector::new(angle.cos(), angle.sin()));
-                        black_box(polyline.cast_ray(&Pose::IDENTITY, &ray, model.lidar.range_max, true));
+                        black_box(polyline.cast_ray(&Pose::IDENTITY, &ray, lidar.range_max, true));
                     }
                 }
             });

@@ -1,4 +1,4 @@
-//! How does one robot move among solids, and what does it touch? Contact blocks motion into the obstacle.
+//! Chassis. How does one robot move among solids, and what does it touch? Contact blocks motion into the obstacle.
 //!
 //! Motion is cut into pieces shorter than the footprint is wide, so that nothing is jumped over. A piece that would
 //! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall.
@@ -7,14 +7,14 @@
 use nalgebra::Vector2;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::robot::{Drive, RobotModel};
+use zenav_protocol::robot::{BatteryModel, Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::clearance::{Nearest, Placed};
 use crate::crowd::Crowd;
-use crate::drive::Motors;
+use crate::motors::Motors;
 use crate::scene::Scene;
-use crate::sensors::gauss;
+use crate::sensors::random::gauss;
 
 /// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
 const SKIN: f64 = 1e-6;
@@ -95,13 +95,6 @@ pub struct Moved {
     pub reach: f64,
 }
 
-/// The base's velocity when its wheels turn, with the errors that the robot does not know of.
-fn true_twist(drive: &Drive, wheels: [f64; 2]) -> Twist2 {
-    let [left, right] = drive.errors.wheel_radius;
-    let twist = drive.twist([wheels[0] * (1.0 + left), wheels[1] * (1.0 + right)]);
-    Twist2::new(twist.v, twist.w / (1.0 + drive.errors.wheel_separation))
-}
-
 /// Wheels, footprint and battery of one robot.
 #[derive(Clone, Debug)]
 pub struct Chassis {
@@ -160,8 +153,8 @@ impl Chassis {
 
     /// Charge left, 0 to 1.
     #[must_use]
-    pub fn charge(&self, model: &RobotModel) -> f64 {
-        (1.0 - self.truth.drawn_j / model.battery.capacity).max(0.0)
+    pub fn charge(&self, battery: &BatteryModel) -> f64 {
+        (1.0 - self.truth.drawn_j / battery.capacity).max(0.0)
     }
 
     /// Direction of the touched point in the base frame, rad, while something is touched.
@@ -180,7 +173,7 @@ impl Chassis {
         now: Stamp,
     ) -> Moved {
         self.clearance -= others;
-        if self.charge(model) <= 0.0 {
+        if self.charge(&model.battery) <= 0.0 {
             self.motors.command(&model.drive, [0.0; 2]);
         }
         let substeps = (secs / SUBSTEP).ceil().clamp(1.0, 1000.0);
@@ -197,8 +190,8 @@ impl Chassis {
         let after = self.motors.speed();
         let gained = [(after[0] - before[0]) / secs, (after[1] - before[1]) / secs];
         self.truth.drawn_j += model.power(wheels, gained) * secs;
-        let turning = true_twist(&model.drive, wheels);
-        let twist = true_twist(&model.drive, self.slipped(&model.drive, wheels, secs));
+        let turning = model.drive.true_twist(wheels);
+        let twist = model.drive.true_twist(self.slipped(&model.drive, wheels, secs));
         let share = if wheels == [0.0; 2] {
             1.0
         } else {
@@ -214,7 +207,7 @@ impl Chassis {
         if share < 1.0 {
             self.motors.stall();
         }
-        self.truth.twist = true_twist(&model.drive, self.motors.speed());
+        self.truth.twist = model.drive.true_twist(self.motors.speed());
     }
 
     /// The wheel speeds by which the robot gets on, rad/s: a random walk along the way, whatever the step.

@@ -12,13 +12,14 @@
 //! | [`crowd`] | which movers and robots are near? |
 //! | [`clearance`] | how far is a footprint from a solid? |
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
-//! | [`drive`] | what do wheels and motors make of a command? |
+//! | [`motors`] | what do wheels and motors make of a command? |
 //! | [`sensors`] | what do encoders, gyro, compass and GPS measure, and when? |
 //! | [`movers`] | where are the moving obstacles? |
 //! | [`chassis`] | how does one robot move among solids, and what does it touch? |
 //! | [`body`] | what does one robot do in a tick? |
 //! | [`simulation`] | how does everything advance together? |
-//! | [`mod@bench`] | how much does this machine hold? |
+//! | [`scatter`] | where can many robots stand? |
+//! | [`made_worlds`] | which worlds need no file? |
 //!
 //! The world frame is the map frame. Metres, radians, seconds.
 //!
@@ -40,17 +41,18 @@
 //! # }
 //! ```
 
-pub mod bench;
 pub mod body;
 pub mod boxes;
 mod bridge;
 pub mod chassis;
 pub mod clearance;
 pub mod crowd;
-pub mod drive;
 pub mod lidar;
+pub mod made_worlds;
+pub mod motors;
 pub mod movers;
 pub mod outline;
+pub mod scatter;
 pub mod scene;
 pub mod sensors;
 pub mod shape;

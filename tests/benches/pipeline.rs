@@ -87,7 +87,7 @@ fn recorded() -> (Vec<Scan>, Vec<Readings>) {
                 out.publications
                     .into_iter()
                     .filter_map(|publication| match publication {
-                        Publication::Scan(scan) => Some(scan),
+                        Publication::Scan(_, scan) => Some(scan),
                         _ => None,
                     }),
             );
@@ -361,7 +361,7 @@ impl Driven {
         self.now = self.now.plus_secs(0.02);
         self.counter += 1;
         readings.stamp = self.now;
-        if let Some(sweep) = &mut readings.sweep {
+        for sweep in &mut readings.sweeps {
             sweep.stamp = self.now;
         }
         let mut inbox = Inbox {

@@ -14,12 +14,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use zenav::batch::sim_bench::{rays, run};
 use zenav_fixtures::{Row, robot, thread_time};
 use zenav_mapping::map_file::read_map;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{Footprint, RobotModel};
-use zenav_sim::bench::{office, polygons, rays, run};
+use zenav_sim::made_worlds::{office, polygons};
 use zenav_sim::{RobotSpec, Simulation, World};
 
 /// Beams of the peer's robot.
@@ -70,7 +71,8 @@ fn main() {
 
 fn lidar(beams: usize, range_max: f64) -> RobotModel {
     let mut model = robot("tiago");
-    (model.lidar.beams, model.lidar.range_max, model.lidar.rate_hz) = (beams, range_max, 10.0);
+    let lidar = model.lidar.as_mut().unwrap();
+    (lidar.beams, lidar.range_max, lidar.rate_hz) = (beams, range_max, 10.0);
     model
 }
 
@@ -117,7 +119,7 @@ fn maps() -> impl Iterator<Item = (String, World)> {
 /// Steps a second of one robot that takes a scan in each.
 fn steps(world: &World) -> f64 {
     let mut model = lidar(BEAMS, RANGE);
-    model.lidar.rate_hz = 50.0;
+    model.lidar.as_mut().unwrap().rate_hz = 50.0;
     let turning = model.drive.wheels(zenav_protocol::geometry::Twist2::new(0.2, 0.5));
     let id = Id::robot("robot").unwrap();
     let start = world.start();
@@ -127,7 +129,7 @@ fn steps(world: &World) -> f64 {
     loop {
         simulation.step();
         steps += 1;
-        assert!(simulation.readings(0).sweep.is_some());
+        assert!(simulation.readings(0).sweeps.len() == 1);
         let took = thread_time() - begin;
         if took > Duration::from_secs(1) {
             return f64::from(steps) / took.as_secs_f64();
@@ -146,7 +148,14 @@ fn peer(text: &str) -> Option<f64> {
     let Footprint::Radius(radius) = model.footprint else {
         return None;
     };
-    let numbers = [radius, BEAMS as f64, model.lidar.field_of_view, RANGE, 5.0].map(|value| value.to_string());
+    let numbers = [
+        radius,
+        BEAMS as f64,
+        model.first_lidar().unwrap().field_of_view,
+        RANGE,
+        5.0,
+    ]
+    .map(|value| value.to_string());
     let output = Command::new(python).arg(script).arg(&file).args(numbers).output();
     let output = output.ok().filter(|output| output.status.success())?;
     // Plotting libraries may print lines of their own first.

@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, Scan};
 use zenav_protocol::robot::Footprint;
@@ -20,7 +21,7 @@ pub enum Insertion {
     Inserted,
     /// The map is held: no scan is inserted until it is resumed.
     Held,
-    /// The scan is not newer than the newest one in the map.
+    /// The scan is not newer than the newest one of its lidar in the map.
     OutOfOrder,
     /// The scan's geometry is out of bounds.
     NotSane,
@@ -30,6 +31,9 @@ pub enum Insertion {
 
 /// A stamp this much (s) before the newest one is not late: the robot's clock restarted.
 const RESTARTED_CLOCK: f64 = 10.0;
+
+/// Most lidars whose scans are kept in order.
+const MAX_LIDARS: usize = 16;
 
 /// Most positions of a trajectory; beyond it every other one is dropped, and the step doubles.
 const MAX_TRAJECTORY: usize = 100_000;
@@ -68,6 +72,8 @@ pub struct Mapper {
     grid: LogOddsGrid,
     map: MapRef,
     stamp: Stamp,
+    /// Stamp of the last scan of each lidar; lidars are told apart by their mounts.
+    newest: Vec<(Pose2, Stamp)>,
     scans: u64,
     trajectory: Vec<Point2<f64>>,
     trajectory_step: f64,
@@ -87,6 +93,7 @@ impl Mapper {
                 revision: 0,
             },
             stamp: Stamp::ZERO,
+            newest: Vec::new(),
             scans: 0,
             trajectory: Vec::new(),
             trajectory_step: settings.trajectory_step,
@@ -132,7 +139,7 @@ impl Mapper {
         if !scan.is_sane() {
             return Insertion::NotSane;
         }
-        if self.scans > 0 && scan.stamp <= self.stamp && self.stamp.secs_since(scan.stamp) < RESTARTED_CLOCK {
+        if !self.is_in_order(scan) {
             return Insertion::OutOfOrder;
         }
         let count = self
@@ -141,10 +148,25 @@ impl Mapper {
         if count.is_none_or(|count| count.inserted == 0 && count.left_out > 0) {
             return Insertion::OutOfMap;
         }
-        self.stamp = scan.stamp;
+        self.note_order(scan);
         self.scans += 1;
         self.keep_trajectory((scan.map_from_odom * scan.odom_from_base).position());
         Insertion::Inserted
+    }
+
+    /// Whether a scan is newer than the last one of its lidar: the lidars of one robot scan independently of one another.
+    fn is_in_order(&self, scan: &Scan) -> bool {
+        let last = self.newest.iter().find(|(mount, _)| *mount == scan.base_from_laser);
+        last.is_none_or(|(_, stamp)| scan.stamp > *stamp || stamp.secs_since(scan.stamp) >= RESTARTED_CLOCK)
+    }
+
+    fn note_order(&mut self, scan: &Scan) {
+        if self.stamp.secs_since(scan.stamp) >= RESTARTED_CLOCK || self.newest.len() >= MAX_LIDARS {
+            (self.newest, self.stamp) = (Vec::new(), scan.stamp);
+        }
+        self.newest.retain(|(mount, _)| *mount != scan.base_from_laser);
+        self.newest.push((scan.base_from_laser, scan.stamp));
+        self.stamp = self.stamp.max(scan.stamp);
     }
 
     fn keep_trajectory(&mut self, position: Point2<f64>) {
@@ -323,7 +345,6 @@ impl MapSnapshot {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::geometry::Pose2;
     use zenav_protocol::grid::Occupancy;
 
     use super::*;
@@ -363,6 +384,31 @@ mod tests {
         mapper.take_patch();
         assert_eq!(mapper.insert(&far), Insertion::OutOfMap);
         assert_eq!(mapper.reply().values, before.values);
+    }
+
+    #[test]
+    fn two_lidars_need_not_wait_for_one_another() {
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
+        let rear = |stamp| Scan {
+            base_from_laser: Pose2::new(-0.1, 0.0, 3.0),
+            ..scan(stamp, 0.0)
+        };
+        for (scan, is_inserted) in [
+            (scan(5, 0.0), true),
+            (rear(5), true),
+            (rear(8), true),
+            (scan(7, 0.0), true),
+            (rear(8), false),
+            (scan(6, 0.0), false),
+        ] {
+            assert_eq!(
+                mapper.insert(&scan) == Insertion::Inserted,
+                is_inserted,
+                "{:?}",
+                scan.stamp
+            );
+        }
+        assert_eq!(mapper.info().stamp, Stamp(8));
     }
 
     #[test]

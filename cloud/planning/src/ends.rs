@@ -17,7 +17,7 @@ const NEARBY: i64 = 3;
 /// Where a search begins or ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct End {
-    /// Exactly, in cells.
+    /// The point that was asked for, in cells.
     pub(super) point: Point2<f64>,
     /// The free cell at or close to it.
     pub(super) cell: Cell,

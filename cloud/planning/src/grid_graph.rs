@@ -25,7 +25,7 @@ pub struct GridGraph {
     words: Vec<u64>,
     width: u32,
     height: u32,
-    /// Bits a row.
+    /// Bits of a row, the padding included.
     pitch: u32,
     /// Grows with every change.
     revision: u64,
@@ -243,11 +243,11 @@ impl GridGraph {
 /// A step: columns, rows, cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// Columns.
+    /// Columns to the right.
     pub x: i32,
-    /// Rows.
+    /// Rows upwards.
     pub y: i32,
-    /// Cost.
+    /// What it costs: [`STRAIGHT`] or [`DIAGONAL`].
     pub cost: u32,
 }
 
@@ -296,7 +296,7 @@ pub struct GridPath {
     pub corners: Vec<Cell>,
     /// Steps along an axis.
     pub straight: u64,
-    /// Diagonal steps.
+    /// Number of diagonal steps.
     pub diagonal: u64,
 }
 

@@ -25,7 +25,7 @@ pub(super) struct OpenList {
     now: u32,
 }
 
-/// An open node.
+/// A node that was reached and not expanded yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Open {
     /// Least cost of a path through it.

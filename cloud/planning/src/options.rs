@@ -13,7 +13,7 @@ use super::settings::PlanningSettings;
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanOptions {
-    /// Which planner.
+    /// The planner that searches.
     pub planner: Planner,
     /// Seed of sampling planners.
     pub seed: u64,

@@ -8,9 +8,9 @@ use super::grid_graph::GridPath;
 /// A path as corner points, in cells of the grid: the centre of cell (0, 0) lies at (0.5, 0.5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// Start, corners, end.
+    /// The start, the corners in order, and the end.
     pub corners: Vec<Point2<f64>>,
-    /// Length, cells.
+    /// Length of all legs together, cells.
     pub length: f64,
 }
 

@@ -60,9 +60,9 @@ impl From<Searched<GridPath>> for Searched {
 /// What is looked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Query {
-    /// Start, in cells.
+    /// Where the path begins, in cells.
     pub start: Point2<f64>,
-    /// Goal, in cells.
+    /// Where it ends, in cells.
     pub goal: Point2<f64>,
     /// Seed of planners that draw samples.
     pub seed: u64,

@@ -17,7 +17,7 @@ zenav_protocol::settings! {
         pub max_expansions: u64 = 50_000_000, "", 1..;
         /// Samples that one search may draw: seconds' worth.
         pub max_samples: u64 = 1_000_000, "", 1..;
-        /// Distance from obstacles.
+        /// How far paths keep from obstacles.
         pub clearance: ClearanceSettings;
         /// How a robot leaves a place where it does not fit by the map.
         pub leaving: LeavingSettings;

@@ -28,7 +28,9 @@ use zenav_protocol::messages::{InfoRequest, MapInfo, MapPatch, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
-use zenav_protocol::topics::{ALIVE_COMPONENT, EDGE_INFO, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key};
+use zenav_protocol::topics::{
+    ALIVE_COMPONENT, EDGE_INFO, LIDAR_SCAN, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
+};
 
 use authority::Authority;
 use requests::FirstAnswers;
@@ -82,6 +84,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let robot = config.robot.clone();
     let chunks = [robot.as_str()];
     let mut scans = bus.latest(&SCAN, &chunks)?;
+    let mut further_scans = bus.latest(&LIDAR_SCAN, &[robot.as_str(), "*"])?;
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut service = Service {
@@ -116,6 +119,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 None => break,
             },
             scan = scans.next() => match scan {
+                Some(scan) => service.insert(&scan.message, clock.now()),
+                None => break,
+            },
+            scan = further_scans.next() => match scan {
                 Some(scan) => service.insert(&scan.message, clock.now()),
                 None => break,
             },

@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use zenav_protocol::bus::overhead;
 use zenav_protocol::messages::exit_code;
-use zenav_sim::bench;
+use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
+use super::sim_bench;
 use crate::connect::{self, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -72,8 +73,10 @@ pub fn sim(args: &SimArgs) -> Outcome {
 
 fn bench_simulator(args: &SimBenchArgs) -> Outcome {
     let mut model = files::robot(&args.robot)?;
-    model.lidar.beams = args.beams.unwrap_or(model.lidar.beams);
-    model.lidar.rate_hz = args.rate;
+    for (_, lidar) in model.all_lidars_mut() {
+        lidar.beams = args.beams.unwrap_or(lidar.beams);
+        lidar.rate_hz = args.rate;
+    }
     let model = model
         .checked("--beams, --rate")
         .map_err(|error| Failure::usage(error.to_string()))?;
@@ -85,11 +88,11 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
     }
     let world = match &args.world {
         Some(name) => files::world(name)?,
-        None => bench::floor(&model, args.robots).map_err(|error| Failure::failed(error.to_string()))?,
+        None => made_worlds::floor(&model, args.robots).map_err(|error| Failure::failed(error.to_string()))?,
     };
     let time = Duration::try_from_secs_f64(args.time)
         .map_err(|error| Failure::usage(format!("--time {}: {error}", args.time)))?;
-    let report = bench::run(&world, &model, args.robots, time, &thread_time)
+    let report = sim_bench::run(&world, &model, args.robots, time, &thread_time)
         .map_err(|error| Failure::failed(error.to_string()))?;
     if report.robots < args.robots {
         tracing::warn!(

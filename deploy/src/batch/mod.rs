@@ -13,6 +13,7 @@ mod bench;
 mod plan;
 mod queries;
 mod show;
+pub mod sim_bench;
 mod smooth;
 mod watchdog;
 

@@ -9,8 +9,9 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::LidarModel;
 use zenav_sim::movers::{MoverModel, Route};
+use zenav_sim::scatter::scatter;
 use zenav_sim::shape::Shape;
-use zenav_sim::{RobotSpec, Simulation, World, bench};
+use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::drawing::canvas::{Canvas, Color};
 use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, circle};
@@ -145,7 +146,7 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
 fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let model = files::robot(&args.robot)?;
     // Round the start there is no room for as many as this.
-    let others = bench::scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
+    let others = scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
     let apart = |pose: &Pose2| pose.distance(&world.start()) > 2.0 * model.footprint.circumscribed_radius();
     let others = others.into_iter().filter(apart);
     let starts = [world.start()].into_iter().chain(others).take(args.robots);
@@ -280,10 +281,12 @@ fn robot(plane: &mut Plane, simulation: &Simulation, robot: usize) {
     let model = simulation.model(robot);
     let pose = simulation.truth(robot).map_from_base;
     plane.robot(pose, &model.footprint);
-    if let Some(sweep) = simulation.readings(robot).sweep {
-        let laser = pose * model.lidar.mount;
+    for sweep in simulation.readings(robot).sweeps {
+        let Some((_, lidar)) = model.all_lidars().find(|(name, _)| *name == sweep.lidar) else {
+            continue;
+        };
         for (beam, range) in sweep.ranges.iter().enumerate() {
-            if let Some(hit) = hit(&model.lidar, laser, beam, f64::from(*range)) {
+            if let Some(hit) = hit(lidar, pose * lidar.mount, beam, f64::from(*range)) {
                 plane.dot(hit, SEEN, 1.5);
             }
         }

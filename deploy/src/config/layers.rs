@@ -159,7 +159,11 @@ fn told(error: &toml::de::Error) -> String {
         .filter(|_| error.message().starts_with("unknown field"))
         .and_then(|unknown| {
             let slips = |known: &&str| strsim::osa_distance(unknown, known);
-            names.min_by_key(slips).filter(|known| slips(known) <= SLIPS)
+            let known = names.min_by_key(slips).filter(|known| slips(known) <= SLIPS);
+            match unknown {
+                "guard" | "collision_monitor" => Some("robots.NAME.edge.collision_monitor"),
+                _ => known,
+            }
         });
     match perhaps {
         Some(known) => format!("{text}\nperhaps `{known}`"),
@@ -205,8 +209,16 @@ mod tests {
     fn a_library_s_settings_stand_in_the_section_of_its_service() {
         let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
         let mapping = read(text, &[]).unwrap().deployment.mapping;
-        assert_eq!((mapping.enabled, mapping.settings.resolution), (false, 0.1));
+        assert_eq!((mapping.run.enabled, mapping.settings.resolution), (false, 0.1));
         assert_eq!(mapping.settings.sensor_model.hit, 0.7);
+        let text = "[planning]\nworkers = 2\n[planning.clearance]\nweight = 1\n[robots.a.edge.collision_monitor]\n";
+        let planning = read(text, &[]).unwrap().deployment.planning;
+        assert_eq!((planning.run.workers, planning.settings.clearance.weight), (2, 1.0));
+        let failure = read("[guard]\n", &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure.message.contains("perhaps `robots.NAME.edge.collision_monitor`"),
+            "{failure}"
+        );
         let failure = read("[mapping.sensor_model]\nhit = 0.1\n", &[])
             .map(|_| ())
             .unwrap_err();

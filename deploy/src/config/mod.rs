@@ -14,7 +14,9 @@ mod show;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use zenav_edge::EdgeSettings;
 use zenav_mapping::MappingSettings;
+use zenav_planning::PlanningSettings;
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -44,9 +46,9 @@ settings! {
         /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
-        pub mapping: Service<MappingSettings>;
+        pub mapping: Service<MappingSection, MappingSettings>;
         /// Motion workers.
-        pub planning: PlanningSection;
+        pub planning: Service<PlanningSection, PlanningSettings>;
         /// How paths become trajectories.
         pub smoothing: SmoothingSettings;
         /// Zones of the map.
@@ -104,11 +106,21 @@ settings! {
         pub attach: bool = false;
         /// Pose in the world at the start; without it, the world's own.
         pub start: Option<Pose2> = None;
+        /// Tunables of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
+        pub edge: EdgeSettings;
     }
 }
 
 settings! {
-    /// Motion workers.
+    /// How the mapping service is run.
+    pub struct MappingSection {
+        /// Whether it runs.
+        pub enabled: bool = true;
+    }
+}
+
+settings! {
+    /// How planning and smoothing workers are run.
     pub struct PlanningSection {
         /// How many run.
         pub workers: usize = 1, "", 1..=64;

@@ -1,73 +1,72 @@
-//! Section of a service. The settings of its library, and whether it runs: `enabled`.
+//! Section of a service. How a deployment runs it, and the settings of its library, side by side.
 
 use std::fmt;
 use std::marker::PhantomData;
 
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{DeserializeSeed, Deserializer, IntoDeserializer as _, MapAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IntoDeserializer as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::settings::{Row, Settings};
 
-/// A library's settings in a section that also says whether the service runs.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Service<S> {
-    /// Whether it runs.
-    pub enabled: bool,
-    /// The library's own.
+/// A section in which a deployment's own settings `R` stand beside a library's `S`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Service<R, S> {
+    /// How it is run.
+    #[serde(flatten)]
+    pub run: R,
+    /// The library's settings.
     #[serde(flatten)]
     pub settings: S,
 }
 
-impl<S: Default> Default for Service<S> {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            settings: S::default(),
-        }
-    }
-}
-
-impl<S: Settings> Settings for Service<S> {
+impl<R: Settings, S: Settings> Settings for Service<R, S> {
     fn rows() -> Vec<Row> {
-        let enabled = Row::new("enabled", "bool", &true, "Whether it runs.");
-        [enabled].into_iter().chain(S::rows()).collect()
+        [R::rows(), S::rows()].concat()
     }
 
     fn check(&self) -> Result<(), OutOfBounds> {
+        self.run.check()?;
         self.settings.check()
     }
 }
 
 /// By hand: serde's `flatten` would neither refuse unknown keys nor tell where they stand.
-impl<'de, S: Deserialize<'de>> Deserialize<'de> for Service<S> {
+impl<'de, R: Settings, S: Settings> Deserialize<'de> for Service<R, S> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Section<S>(PhantomData<S>);
-        impl<'de, S: Deserialize<'de>> Visitor<'de> for Section<S> {
-            type Value = Service<S>;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a section")
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Service<S>, A::Error> {
-                let mut enabled = true;
-                let others = Others {
-                    map,
-                    enabled: &mut enabled,
-                };
-                let settings = S::deserialize(MapAccessDeserializer::new(others))?;
-                Ok(Service { enabled, settings })
-            }
-        }
         deserializer.deserialize_map(Section(PhantomData))
     }
 }
 
-/// The entries of a section but for `enabled`, which is taken out.
+struct Section<R, S>(PhantomData<(R, S)>);
+
+impl<'de, R: Settings, S: Settings> Visitor<'de> for Section<R, S> {
+    type Value = Service<R, S>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a section")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+        let mut taken = toml::Table::new();
+        let others = Others {
+            map,
+            keys: R::rows().into_iter().map(|row| row.key).collect(),
+            taken: &mut taken,
+        };
+        let settings = S::deserialize(MapAccessDeserializer::new(others))?;
+        let run = taken
+            .try_into()
+            .map_err(|error: toml::de::Error| A::Error::custom(error.message()))?;
+        Ok(Service { run, settings })
+    }
+}
+
+/// The entries of a section but for some keys, which are taken out.
 struct Others<'a, A> {
     map: A,
-    enabled: &'a mut bool,
+    keys: Vec<String>,
+    taken: &'a mut toml::Table,
 }
 
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for Others<'_, A> {
@@ -76,10 +75,17 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Others<'_, A> {
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
         let mut seed = Some(seed);
         loop {
-            match self.map.next_key_seed(Key(&mut seed))? {
+            let key = Key {
+                keys: &self.keys,
+                seed: &mut seed,
+            };
+            match self.map.next_key_seed(key)? {
                 None => return Ok(None),
-                Some(Some(key)) => return Ok(Some(key)),
-                Some(None) => *self.enabled = self.map.next_value()?,
+                Some(Found::Other(key)) => return Ok(Some(key)),
+                Some(Found::Ours(key)) => {
+                    let value = self.map.next_value()?;
+                    self.taken.insert(key, value);
+                }
             }
         }
     }
@@ -89,21 +95,29 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Others<'_, A> {
     }
 }
 
-/// A key for the settings, or `None` for `enabled`.
-struct Key<'a, K>(&'a mut Option<K>);
+/// A key, read while its place in the text is known: whatever is wrong with it is told with that.
+struct Key<'a, K> {
+    keys: &'a [String],
+    seed: &'a mut Option<K>,
+}
+
+enum Found<V> {
+    Ours(String),
+    Other(V),
+}
 
 impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Key<'_, K> {
-    type Value = Option<K::Value>;
+    type Value = Found<K::Value>;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
         let key = String::deserialize(deserializer)?;
-        if key == "enabled" {
-            return Ok(None);
+        if self.keys.contains(&key) {
+            return Ok(Found::Ours(key));
         }
         let seed = self
-            .0
+            .seed
             .take()
-            .ok_or_else(|| serde::de::Error::custom("a key was read twice"))?;
-        seed.deserialize(key.into_deserializer()).map(Some)
+            .ok_or_else(|| D::Error::custom("a key was read twice"))?;
+        seed.deserialize(key.into_deserializer()).map(Found::Other)
     }
 }

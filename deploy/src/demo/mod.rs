@@ -182,19 +182,17 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     deployment.data.dir = state.to_path_buf();
     let (id, model) = script.robot;
     let robot = RobotSection {
-        attach: false,
         model: model.to_owned(),
-        listen: "tcp/127.0.0.1:0".to_owned(),
         on_lost: if script.alone {
             LostPolicy::WallFollow
         } else {
             LostPolicy::default()
         },
-        start: None,
+        ..RobotSection::default()
     };
     deployment.robots = [(id.to_owned(), robot)].into();
     if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
-        planner.clone_into(&mut deployment.planning.planner);
+        planner.clone_into(&mut deployment.planning.run.planner);
     }
     Ok(deployment)
 }

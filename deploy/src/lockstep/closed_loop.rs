@@ -155,7 +155,7 @@ impl ClosedLoop {
                 Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
-                Up::Publication(Publication::Scan(scan)) => {
+                Up::Publication(Publication::Scan(_, scan)) => {
                     self.mapper.insert(&scan);
                 }
                 Up::Publication(_) => {}

@@ -215,7 +215,7 @@ mod tests {
         let state = state(5, Some("me"), true);
         let told = |commanded, alone| unstopped(commanded, alone, heard(&state));
         assert!(told(true, Some(FinishHorizon)).contains("brakes without commands"));
-        assert!(told(false, Some(FinishHorizon)).contains("as others command"));
+        assert!(told(false, Some(FinishHorizon)).contains("its present commander"));
         for (alone, does) in [
             (Some(WallFollow), "follows walls"),
             (Some(ReturnHome), "drives back"),

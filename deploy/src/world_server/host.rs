@@ -270,7 +270,7 @@ mod tests {
         assert!(driven(&mut host, 2 * SEC, &[1]) < 1e-6);
         assert!(driven(&mut host, 3 * SEC, &[2]) > 0.05);
         let mut other = request("a", 3);
-        other.model.lidar.beams = 10;
+        other.model.lidar.as_mut().unwrap().beams = 10;
         let refused = host.attach(10 * SEC, &other);
         assert!(matches!(&refused, Err(Refusal::BadRequest { .. })), "{refused:?}");
     }

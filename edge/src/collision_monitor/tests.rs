@@ -20,14 +20,14 @@ fn tiago() -> RobotModel {
 /// A TIAGo that looks all around.
 fn all_seeing() -> RobotModel {
     let mut model = tiago();
-    model.lidar.field_of_view = std::f64::consts::TAU;
+    model.lidar.as_mut().unwrap().field_of_view = std::f64::consts::TAU;
     model
 }
 
 /// A wall across the way at `distance` ahead of the base.
 fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
-    let lidar = &model.lidar;
-    let mut obstacles = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let lidar = model.first_lidar().unwrap();
+    let mut obstacles = LocalObstacles::new(&model);
     let range = |beam: usize| {
         let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
         if cos > 0.05 {
@@ -37,10 +37,7 @@ fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
         }
     };
     obstacles.insert(
-        &Sweep {
-            stamp: Stamp::from_secs(1.0),
-            ranges: (0..lidar.beams).map(range).collect(),
-        },
+        &Sweep::new(Stamp::from_secs(1.0), (0..lidar.beams).map(range).collect()),
         Pose2::IDENTITY,
     );
     obstacles
@@ -72,8 +69,8 @@ fn a_robot_at_a_wall_may_turn_and_back_away() {
 #[test]
 fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
     let model = tiago();
-    let lidar = &model.lidar;
-    let mut obstacles = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let lidar = model.first_lidar().unwrap();
+    let mut obstacles = LocalObstacles::new(&model);
     let ranges = (0..lidar.beams).map(|beam| {
         let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
         if sin > 0.05 {
@@ -82,13 +79,7 @@ fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
             f32::INFINITY
         }
     });
-    obstacles.insert(
-        &Sweep {
-            stamp: Stamp::from_secs(1.0),
-            ranges: ranges.collect(),
-        },
-        Pose2::IDENTITY,
-    );
+    obstacles.insert(&Sweep::new(Stamp::from_secs(1.0), ranges.collect()), Pose2::IDENTITY);
     assert_eq!(judge(&model, &obstacles, Twist2::new(0.6, 0.0)).twist.v, 0.6);
 }
 
@@ -108,7 +99,7 @@ fn without_a_fresh_scan_nothing_moves() {
     let none = monitor.judge(
         Stamp::from_secs(1.6),
         Twist2::new(0.1, 0.0),
-        &LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed()),
+        &LocalObstacles::new(&model),
         Pose2::IDENTITY,
         &NO_BUMP,
     );
@@ -169,8 +160,8 @@ fn jackal() -> RobotModel {
 
 /// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
 fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
-    let lidar = &model.lidar;
-    let mut obstacles = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
+    let lidar = model.first_lidar().unwrap();
+    let mut obstacles = LocalObstacles::new(&model);
     let mut stamp = Stamp::ZERO;
     for step in 0..20 {
         let secs = 1.0 + 0.05 * f64::from(step);
@@ -187,7 +178,7 @@ fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacl
             }
         };
         let ranges = (0..lidar.beams).map(range).collect();
-        assert!(obstacles.insert(&Sweep { stamp, ranges }, Pose2::IDENTITY));
+        assert!(obstacles.insert(&Sweep::new(stamp, ranges), Pose2::IDENTITY));
     }
     (obstacles, stamp)
 }
@@ -221,10 +212,7 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
         let mut now = stamp;
         while now < stamp.plus_secs(secs) {
             now = now.plus_secs(0.2);
-            let sweep = Sweep {
-                stamp: now,
-                ranges: vec![f32::INFINITY; model.lidar.beams],
-            };
+            let sweep = Sweep::new(now, vec![f32::INFINITY; model.first_lidar().unwrap().beams]);
             assert!(obstacles.insert(&sweep, Pose2::IDENTITY));
         }
         CollisionMonitor::new(&model, 0.02).judge(now.plus_secs(0.02), twist, &obstacles, Pose2::IDENTITY, &NO_BUMP)
@@ -244,7 +232,7 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
 fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
     let model = jackal();
     let turn = |second: f64| {
-        let mut obstacles = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+        let mut obstacles = LocalObstacles::new(&model);
         looked(&mut obstacles, &model, 0.0, 0.0);
         looked(&mut obstacles, &model, second, 0.0);
         let now = Stamp::from_secs(second + 0.05);
@@ -259,7 +247,7 @@ fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
 #[test]
 fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
     let model = jackal();
-    let mut obstacles = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    let mut obstacles = LocalObstacles::new(&model);
     looked(&mut obstacles, &model, 1.0, 0.0);
     let turn = |obstacles: &LocalObstacles| judge(&model, obstacles, Twist2::new(0.0, 1.0)).twist.w;
     assert_eq!(turn(&obstacles), 1.0);
@@ -277,10 +265,10 @@ fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
 
 /// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.
 fn looked(obstacles: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
-    let sweep = Sweep {
-        stamp: Stamp::from_secs(secs),
-        ranges: vec![f32::INFINITY; model.lidar.beams],
-    };
+    let sweep = Sweep::new(
+        Stamp::from_secs(secs),
+        vec![f32::INFINITY; model.first_lidar().unwrap().beams],
+    );
     assert!(obstacles.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
 }
 
@@ -296,10 +284,10 @@ fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowe
             .twist
             .v
     };
-    let mut ahead = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    let mut ahead = LocalObstacles::new(&model);
     looked(&mut ahead, &model, 1.0, 0.0);
     assert!(back(&ahead, 0.15) <= 0.01, "never seen");
-    let mut both = LocalObstacles::new(&model.lidar, &model.footprint, model.drive.top_speed());
+    let mut both = LocalObstacles::new(&model);
     looked(&mut both, &model, 0.5, std::f64::consts::PI);
     looked(&mut both, &model, 1.0, 0.0);
     assert!((back(&both, 0.15) - 0.15).abs() < 1e-9);
@@ -309,21 +297,23 @@ fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowe
 #[test]
 fn a_moving_obstacle_stops_the_robot_earlier_than_a_static_one() {
     let model = tiago();
-    let lidar = &model.lidar;
-    let mut moving = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
-    let mut standing = LocalObstacles::new(lidar, &model.footprint, model.drive.top_speed());
-    let post = |distance: f64, secs: f64| Sweep {
-        stamp: Stamp::from_secs(secs),
-        ranges: (0..lidar.beams)
-            .map(|beam| {
-                let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
-                if angle.abs() < 0.2 {
-                    distance as f32
-                } else {
-                    f32::INFINITY
-                }
-            })
-            .collect(),
+    let lidar = model.first_lidar().unwrap();
+    let mut moving = LocalObstacles::new(&model);
+    let mut standing = LocalObstacles::new(&model);
+    let post = |distance: f64, secs: f64| {
+        Sweep::new(
+            Stamp::from_secs(secs),
+            (0..lidar.beams)
+                .map(|beam| {
+                    let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+                    if angle.abs() < 0.2 {
+                        distance as f32
+                    } else {
+                        f32::INFINITY
+                    }
+                })
+                .collect(),
+        )
     };
     for (secs, distance) in [(0.6, 0.7), (0.8, 0.6), (1.0, 0.5)] {
         moving.insert(&post(distance, secs), Pose2::IDENTITY);

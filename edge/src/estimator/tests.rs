@@ -36,7 +36,7 @@ fn readings(tick: usize, wheels: [f64; 2]) -> Readings {
         wheels,
         imu: None,
         gps: None,
-        sweep: None,
+        sweeps: Vec::new(),
         bump: Bump {
             stamp,
             pressed: false,

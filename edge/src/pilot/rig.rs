@@ -45,7 +45,7 @@ impl Rig {
     pub fn new(stored: Persisted) -> Self {
         let mut model = zenav_fixtures::robot("tiago");
         // It looks behind itself, too: it may back up.
-        model.lidar.field_of_view = std::f64::consts::TAU;
+        model.lidar.as_mut().unwrap().field_of_view = std::f64::consts::TAU;
         Self::of(model, stored)
     }
 
@@ -115,7 +115,7 @@ impl Rig {
 
     fn readings(&self) -> Readings {
         let sweep = (self.scanning && self.ticks.is_multiple_of(5)).then(|| {
-            let lidar = &self.model.lidar;
+            let lidar = self.model.first_lidar().unwrap();
             let laser = self.pose * lidar.mount;
             let range = |beam: usize| {
                 let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
@@ -127,10 +127,7 @@ impl Rig {
                     f32::INFINITY
                 }
             };
-            Sweep {
-                stamp: self.now,
-                ranges: (0..lidar.beams).map(range).collect(),
-            }
+            Sweep::new(self.now, (0..lidar.beams).map(range).collect())
         });
         Readings {
             stamp: self.now,
@@ -141,7 +138,7 @@ impl Rig {
                 yaw: Some(self.pose.yaw),
             }),
             gps: None,
-            sweep,
+            sweeps: sweep.into_iter().collect(),
             bump: Bump {
                 stamp: self.now,
                 pressed: self.bump.is_some(),

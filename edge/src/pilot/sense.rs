@@ -28,11 +28,13 @@ impl Pilot {
             self.events.record(now, kind);
         }
         self.telemetry.sensors(readings, &self.estimator, out);
-        if let Some(sweep) = &readings.sweep
-            && let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
-            && self.obstacles.insert(sweep, odom_from_base)
-        {
-            out.extend(telemetry::scan(sweep, &self.config.model.lidar, &self.estimator).map(Publication::Scan));
+        for sweep in &readings.sweeps {
+            if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
+                && self.obstacles.insert(sweep, odom_from_base)
+                && let Some(scan) = telemetry::scan(sweep, &self.config.model, &self.estimator)
+            {
+                out.push(Publication::Scan(sweep.lidar.clone(), scan));
+            }
         }
         if readings.bump.pressed {
             let place = contact_point(&self.config.model.footprint, &readings.bump);

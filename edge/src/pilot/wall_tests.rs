@@ -22,8 +22,8 @@ fn left_alone() -> (Rig, u64) {
 fn commanded(policy: LostPolicy) -> (Rig, u64) {
     let mut model = zenav_fixtures::robot("tiago");
     // Enough for walls, and quick; and it sees where it backs up to.
-    model.lidar.beams = 180;
-    model.lidar.field_of_view = std::f64::consts::TAU;
+    let lidar = model.lidar.as_mut().unwrap();
+    (lidar.beams, lidar.field_of_view) = (180, std::f64::consts::TAU);
     let mut rig = Rig::of(model, Persisted::default());
     let epoch = rig.mission();
     rig.ask(EdgeRequest::Mode(ModeRequest {

@@ -7,7 +7,7 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use zenav_protocol::trajectory::Trajectory;
 
 use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput, capped};
-use crate::limiter::{wheel_surface_speed, within_speed};
+use crate::limiter::within_speed;
 
 /// The end is reached within this, m.
 const REACHED: f64 = 0.05;
@@ -69,7 +69,7 @@ impl<L: PathLaw> Tracker for OnPath<L> {
         let to_end = (self.projection.end().pose().position() - view.map_from_base.position()).norm();
         self.arrived |= left < REACHED && to_end < 2.0 * REACHED || left < 1e-6;
         if self.arrived {
-            self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+            self.finished |= self.drive.surface_speed(view.velocity) < AT_REST;
             return Twist2::ZERO;
         }
         let wanted = match self.law.step(&self.projection, &self.drive, view, gains) {

@@ -11,7 +11,6 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use super::{AT_REST, Progress, Tracker, TrackerInput, capped};
-use crate::limiter::wheel_surface_speed;
 use crate::passive_safety::GENTLE;
 
 /// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
@@ -89,12 +88,12 @@ impl TrajectoryTracker {
         let lagging = falling(direction * error.x, LAG)
             .min(falling(error.y.abs(), OFF_TRACK))
             .min(falling(turn_lag, TURN_LAG));
-        let planned = wheel_surface_speed(&self.drive, goal.twist());
+        let planned = self.drive.surface_speed(goal.twist());
         if planned < 1e-6 {
             return lagging;
         }
         // From rest, or after a slowdown, the reference speeds up as the robot can, not at once.
-        let reachable = wheel_surface_speed(&self.drive, view.velocity)
+        let reachable = self.drive.surface_speed(view.velocity)
             + self.drive.acceleration() * (self.drive.motor_lag + 4.0 * view.dt)
             + 0.02;
         lagging.min(view.speed_cap / planned).min(reachable / planned)
@@ -104,7 +103,7 @@ impl TrajectoryTracker {
     fn settle(&mut self, view: &TrackerInput, error: &Pose2, gains: &ControllerGains) -> Twist2 {
         self.settling += view.dt;
         let near = error.x.abs() < SETTLED.0 && error.yaw.abs() < SETTLED.1;
-        let at_rest = wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+        let at_rest = self.drive.surface_speed(view.velocity) < AT_REST;
         if near || self.settling > SETTLE_TIME {
             self.finished = at_rest;
             return Twist2::ZERO;

@@ -7,7 +7,6 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use zenav_protocol::trajectory::Trajectory;
 
 use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput};
-use crate::limiter::wheel_surface_speed;
 
 /// Where the last waypoint counts as reached at most, m: it is a place to be at, the others are passed.
 const FINAL_THRESHOLD: f64 = 0.1;
@@ -74,7 +73,7 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
             }
             self.next += 1;
         }
-        self.finished |= wheel_surface_speed(&self.drive, view.velocity) < AT_REST;
+        self.finished |= self.drive.surface_speed(view.velocity) < AT_REST;
         Twist2::ZERO
     }
 

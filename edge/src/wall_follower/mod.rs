@@ -109,7 +109,10 @@ impl WallFollower {
         Self {
             settings: settings.clone(),
             body: model.footprint.circumscribed_radius() + settings.side_clearance,
-            bend: BEND.0.max(BEND.1 * model.lidar.noise),
+            bend: model
+                .all_lidars()
+                .map(|(_, lidar)| BEND.1 * lidar.noise)
+                .fold(BEND.0, f64::max),
             braking: 0.5 * model.drive.acceleration(),
             state: State::WallSearch,
             scan: None,
@@ -237,7 +240,11 @@ impl WallFollower {
             return;
         }
         self.scan = input.obstacles.stamp();
-        let runs = filter::runs(input.obstacles.seen_in(Pose2::IDENTITY), input.settings.wall_min_points);
+        let least = input.settings.wall_min_points;
+        let scans = input.obstacles.seen_by_lidar();
+        let runs: Vec<_> = scans
+            .flat_map(|points| filter::runs(points.iter().copied(), least))
+            .collect();
         self.walls = runs.iter().flat_map(|run| line::walls(run, self.bend)).collect();
         self.points = runs.concat();
     }

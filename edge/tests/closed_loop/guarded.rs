@@ -106,3 +106,49 @@ fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_met
         assert!(secs < duration + 2.0, "{secs}");
     }
 }
+
+#[test]
+fn a_rear_lidar_lets_a_robot_back_up_at_full_recovery_speed() {
+    for robot in ["tiago", "jackal"] {
+        let fastest = |options: &str| {
+            let mut rig = Rig::new("empty", &format!("{robot}{options}"), 1, LeaseRole::Mission);
+            rig.run(1.0);
+            // The floor behind has been seen by then.
+            let ahead = rig.drive_straight("ahead", 2.0, 0.45);
+            let back = rig.drive_straight("back", -1.5, 0.45);
+            assert_eq!(rig.truth().collisions, 0);
+            (ahead, back)
+        };
+        let (ahead, back) = fastest("");
+        assert!(
+            ahead > 0.4 && (0.1..0.17).contains(&back),
+            "{robot} alone: {ahead} {back}"
+        );
+        let (ahead, back) = fastest("+rear_lidar");
+        assert!(ahead > 0.4 && back > 0.4, "{robot} with a rear lidar: {ahead} {back}");
+    }
+}
+
+#[test]
+fn a_rear_lidar_stops_a_robot_that_backs_up_to_somebody_who_came_from_behind() {
+    const COMES: &str = r#"
+size = [12.0, 12.0]
+origin = [-6.0, -6.0]
+[start]
+x = 0.0
+y = 0.0
+[[mover]]
+radius = 0.25
+path = [[-4.5, 0.0], [-1.5, 0.0]]
+speed = 0.3
+"#;
+    let world = World::from_toml(COMES, "comes", &|_| Err("no map".into())).unwrap();
+    for seed in 1..=3 {
+        let mut rig = Rig::within(&world, "jackal+rear_lidar", seed, LeaseRole::Operator);
+        rig.teleop = Some(Twist2::new(-1.0, 0.0));
+        rig.run(20.0);
+        let truth = rig.truth();
+        assert!(truth.length > 0.3, "it backs up: {truth:?}");
+        assert!(truth.hardest_contact < 0.01, "{truth:?}");
+    }
+}

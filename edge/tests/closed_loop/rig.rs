@@ -29,8 +29,8 @@ impl Rig {
     }
 
     pub fn within(world: &World, robot: &str, seed: u64, role: LeaseRole) -> Self {
-        let model = zenav_fixtures::robot(robot);
-        let id = Id::robot(robot).unwrap();
+        let model = RobotModel::with_options(robot, |name| Err(name.to_owned())).unwrap();
+        let id = Id::robot(model.name.clone()).unwrap();
         let sim = Simulation::new(
             world,
             vec![RobotSpec {
@@ -173,5 +173,29 @@ impl Rig {
                 self.events
             );
         }
+    }
+
+    /// Drives straight as a recovery of that id, until it has ended; the greatest speed on the way, m/s.
+    pub fn drive_straight(&mut self, id: &str, distance: f64, speed: f64) -> f64 {
+        let request = BehaviourRequest {
+            id: id.into(),
+            action: BehaviourAction::Drive { distance, speed },
+            epoch: Some(self.epoch),
+        };
+        self.tick(Inbox {
+            requests: vec![(Ticket(2), EdgeRequest::Behaviour(request))],
+            ..Inbox::default()
+        });
+        let mut fastest = 0.0_f64;
+        for _ in 0..1500 {
+            self.tick(Inbox::default());
+            fastest = fastest.max(self.truth().twist.v.abs());
+            let report = self.state.as_ref().and_then(|state| state.behaviour.as_ref());
+            if let Some(report) = report.filter(|report| report.id == id && report.state != BehaviourState::Running) {
+                assert_eq!(report.state, BehaviourState::Succeeded, "{report:?} {:?}", self.events);
+                return fastest;
+            }
+        }
+        panic!("{id} has not ended: {:?} {:?}", self.state, self.events);
     }
 }

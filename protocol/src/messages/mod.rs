@@ -9,7 +9,8 @@
 //!
 //! | file | subject |
 //! |---|---|
-//! | `sense` | sensor readings as the robot publishes them, and its pose |
+//! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
+//! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
@@ -25,6 +26,7 @@
 mod behaviour;
 mod body;
 mod control;
+mod estimate;
 mod event;
 mod goal;
 mod journal;
@@ -35,12 +37,12 @@ mod motion;
 mod plan;
 mod refusal;
 mod remote;
-mod sense;
 mod state;
 
 pub use behaviour::*;
 pub use body::*;
 pub use control::*;
+pub use estimate::*;
 pub use event::*;
 pub use goal::*;
 pub use journal::*;
@@ -51,7 +53,6 @@ pub use motion::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
-pub use sense::*;
 pub use state::*;
 
-pub(crate) use sense::no_return_as_null;
+pub use crate::sensors::{Battery, Bump, Gps, Imu, Scan};

@@ -1,4 +1,4 @@
-//! What does a planar lidar measure? A whole sweep at once by an angular z-buffer.
+//! Angular z-buffer. How far is the nearest solid in each beam of a lidar? A whole sweep at once.
 //!
 //! Instead of casting a ray a beam, each edge is drawn over the beams that it covers, and a buffer keeps the nearest:
 //! the cost is what is seen, not beams times solids. The buffer holds *inverse* ranges, because along an edge the
@@ -14,7 +14,6 @@
 
 mod angle;
 mod hidden;
-mod measure;
 #[cfg(test)]
 mod tests;
 
@@ -22,13 +21,12 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::sensors::LidarModel;
 
 use crate::crowd::Crowd;
 use crate::scene::Scene;
 use crate::shape::{Disc, Edge, cross};
 use angle::{TURN_ERROR, direction, turns};
-pub use measure::measure;
 
 /// Edges whose directions are found together.
 const LANES: usize = 8;

@@ -121,21 +121,3 @@ proptest! {
         prop_assert!(buffer.ranges().all(|range| range < 20.1), "{:?}", buffer.ranges().collect::<Vec<_>>());
     }
 }
-
-#[test]
-fn a_reading_is_rounded_to_millimetres_and_bounded_by_the_limits() {
-    let model = LidarModel {
-        range_min: 0.1,
-        range_max: 5.0,
-        ..model(1, 1.0)
-    };
-    let mut ranges = Vec::new();
-    let mut rng = rand_pcg::Pcg64Mcg::new(1);
-    measure(
-        &model,
-        [1.234_56, 0.05, 5.01, f64::INFINITY].into_iter(),
-        &mut rng,
-        &mut ranges,
-    );
-    assert_eq!(ranges, [1.235, f32::INFINITY, f32::INFINITY, f32::INFINITY]);
-}

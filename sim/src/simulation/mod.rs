@@ -24,7 +24,7 @@ use crate::clearance::Placed;
 use crate::crowd::Crowd;
 use crate::movers::Mover;
 use crate::scene::Scene;
-use crate::sensors::walker_stream;
+use crate::sensors::random::mover_stream;
 use crate::shape::{Shape, Solid};
 use crate::world::World;
 pub use spec::{MAX_ROBOTS, RobotSpec, SimError};
@@ -67,7 +67,7 @@ impl Simulation {
             .movers()
             .iter()
             .enumerate()
-            .map(|(index, model)| Mover::new(model, walker_stream(seed, index)))
+            .map(|(index, model)| Mover::new(model, mover_stream(seed, index)))
             .unzip();
         let mut simulation = Self {
             scene: world.shared_scene(),

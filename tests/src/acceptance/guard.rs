@@ -136,7 +136,10 @@ pub fn drive_watched(
     model.drive.errors.wheel_radius = [error(0.01), error(0.01)];
     model.drive.errors.wheel_separation = error(0.01);
     model.drive.errors.slip = 0.002;
-    model.lidar.latency = [0.0, 0.02, 0.05][rng.below(3)];
+    let latency = [0.0, 0.02, 0.05][rng.below(3)];
+    for (_, lidar) in model.all_lidars_mut() {
+        lidar.latency = latency;
+    }
     let movers = rng.chance(0.5);
     let mover_speed = if movers { 0.95 * model.drive.top_speed() } else { 0.0 };
     for _ in 0..MOST_DRAWS {
@@ -178,9 +181,9 @@ pub fn drive_watched(
             let sweeps = adversary.sweeps;
             rig.tick(inbox, |readings| match sweeps {
                 0 => {}
-                1 => readings.sweep = None,
+                1 => readings.sweeps.clear(),
                 _ => {
-                    if let Some(sweep) = &mut readings.sweep {
+                    for sweep in &mut readings.sweeps {
                         sweep.ranges.truncate(sweeps);
                     }
                 }
@@ -225,13 +228,17 @@ fn place(rng: &mut Rng, sim: &Simulation, model: &RobotModel, room: f64) -> Opti
 
 /// Whether a mover begins close by in the lidar's blind sector.
 fn is_someone_in_blind_sector(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
-    let laser_from_map = (start * model.lidar.mount).inverse();
-    let half = 0.5 * model.lidar.field_of_view;
+    let views: Vec<_> = model
+        .all_lidars()
+        .map(|(_, lidar)| ((start * lidar.mount).inverse(), 0.5 * lidar.field_of_view))
+        .collect();
     let near = model.footprint.circumscribed_radius() + POWER_ON_CLEAR * model.drive.top_speed();
     sim.movers().any(|mover| {
-        let local = laser_from_map.transform_point(mover);
-        let is_seen = local.y.atan2(local.x).abs() <= half;
-        !is_seen && local.coords.norm() < near
+        views.iter().all(|(laser_from_map, half)| {
+            let local = laser_from_map.transform_point(mover);
+            let is_seen = local.y.atan2(local.x).abs() <= *half;
+            !is_seen && local.coords.norm() < near
+        })
     })
 }
 

@@ -33,7 +33,7 @@ fn capability(id: &str) -> (&'static str, i64) {
 impl Leaf<Context> for Missing {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         let (what, code) = capability(io.id());
-        let why = format!("not available in this stack: {what}");
+        let why = format!("this stack does not have {what}");
         fail(io, ctx, Some(code), why)
     }
 }

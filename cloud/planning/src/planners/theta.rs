@@ -206,6 +206,7 @@ fn distance(from: Cell, to: Cell) -> u32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use nalgebra::Point2;
     use std::sync::atomic::AtomicBool;
 
     use proptest::prelude::*;

@@ -8,10 +8,10 @@
 //!
 //! So an old path, or the rest of it, is as good as one that is searched for as long as it costs no more than the bound; to find this out
 //! takes a comparison of two bitmaps and a walk along the path. Where the path is cut, a piece around the cut is searched for; the result
-//! is taken when the bound proves it at most 2 % too expensive. All else is searched for from the beginning.
+//! is taken when the bound proves it at most 2 % too expensive (`[planning.replanning]`). All else is searched for from the beginning.
 //!
-//! Paths over the grid have such costs. Those of the other planners stand while nothing is in their path and no cell became free from
-//! which the path could have been shorter.
+//! Paths over the grid have such costs. Those of the other planners stand while nothing is in their way and no cell became free over
+//! which they could have been shorter.
 //!
 //! The bounds are those of the estimates of Hart, Nilsson and Raphael, 1968; that a local repair is enough in most cases is the idea
 //! of Stentz, "The Focussed D* Algorithm for Real-Time Replanning", IJCAI 1995.
@@ -51,11 +51,11 @@ pub(super) struct DiscReplanner {
     pub(super) kept: VecDeque<Kept>,
 }
 
-/// An answer.
+/// An answer, and what it answered.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     options: PlanOptions,
-    /// In cells.
+    /// The goal that it leads to, in cells.
     goal: Point2<f64>,
     pub(super) known: Known,
 }
@@ -71,7 +71,7 @@ pub(super) enum Known {
         /// Where the search had been; `None` where that was not noted.
         reached: Option<Written>,
     },
-    /// By another planner.
+    /// By a planner that is not bound to the grid.
     Free { path: Path },
 }
 

@@ -38,7 +38,7 @@ pub(crate) struct Sampling<'a> {
     pub(crate) settings: &'a SamplingSettings,
     pub(crate) budget: Budget<'a>,
     pub(crate) sampler: Sampler,
-    /// Drawn so far.
+    /// Number of samples drawn so far.
     pub(crate) samples: u64,
     black_box: bool,
 }

@@ -6,7 +6,7 @@
 
 use nalgebra::Point2;
 
-/// Points a leaf.
+/// Points that a leaf holds.
 const LEAF: usize = 16;
 /// Marks a leaf among the numbers of nodes.
 const IS_LEAF: u32 = 1 << 31;
@@ -78,7 +78,7 @@ impl Nearest {
         self.root = IS_LEAF;
     }
 
-    /// Adds a point.
+    /// Adds a point under a number.
     pub fn insert(&mut self, p: Point2<f64>, id: u32) {
         let (x, y) = (p.x as f32, p.y as f32);
         let mut at = self.root;

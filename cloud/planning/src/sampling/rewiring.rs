@@ -8,7 +8,7 @@ use nalgebra::Point2;
 use super::nearest::Nearest;
 use zenav_space::LineOfSight;
 
-/// No vertex.
+/// Stands for no vertex.
 const NONE: u32 = u32::MAX;
 /// Vertices are no closer together than this, cells.
 const LEAST_DISTANCE: f64 = 0.125;

@@ -67,7 +67,7 @@ impl Ellipse {
     }
 }
 
-/// Draws points.
+/// Draws points of the map from a seed.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     rng: Pcg64Mcg,

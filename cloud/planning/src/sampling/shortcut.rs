@@ -11,7 +11,7 @@ use zenav_space::LineOfSight;
 const PRECISION: f64 = 1.0 / 128.0;
 /// Rounds that gain less than this share of the length are the last ones.
 const LEAST_GAIN: f64 = 1e-5;
-/// Most rounds.
+/// Rounds of string pulling, at most.
 const ROUNDS: usize = 64;
 
 /// Length of a path, cells.

@@ -21,7 +21,7 @@ pub(super) struct CostToGo {
     beyond: u32,
 }
 
-/// Where nobody came.
+/// Cost of a cell that the search did not reach.
 pub(super) const NEVER: u32 = u32::MAX;
 
 impl CostToGo {

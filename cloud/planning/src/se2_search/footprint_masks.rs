@@ -31,7 +31,7 @@ pub(super) const SPACING: f64 = 0.06;
 pub(super) const MOST_PLACES: u32 = 9;
 /// Outlines for which the turn to the next heading is taken as convex.
 pub(super) const PARTS_OF_TURN: u32 = 3;
-/// Kept clear, m.
+/// Kept clear around the footprint, m: later rounding stays free.
 pub(super) const MARGIN: f64 = 5e-4;
 pub(super) fn yaw_of(heading: usize) -> f64 {
     let (x, y) = STEPS[heading];

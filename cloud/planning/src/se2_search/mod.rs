@@ -33,7 +33,7 @@ use zenav_space::ConfigurationSpace;
 /// From so many places away a start or a goal that lies between places is gone to straight.
 const FAR: f64 = 10.0;
 
-/// What is looked for.
+/// Start and goal of a search.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Query {
     pub(super) start: Point2<f64>,

@@ -38,7 +38,7 @@ fn robots_see_and_hit_one_another() {
             robot("b", "jackal", Pose2::new(2.0, 0.0, PI)),
         ],
     );
-    let sweep = simulation.readings(0).sweep.unwrap();
+    let sweep = simulation.readings(0).sweeps.remove(0);
     let ahead = sweep.ranges[333];
     assert!((ahead - (2.0 - 0.21 - 0.2)).abs() < 0.03, "{ahead}");
     assert!((simulation.truth(0).clearance - (2.0 - 0.265 - 0.21)).abs() < 1e-9);

@@ -42,8 +42,8 @@ impl Heard {
 fn heard(spoil: impl Fn(&mut RobotModel)) -> Heard {
     let mut spec = robot("a", "tiago", Pose2::new(STANDS.0, 0.0, STANDS.1));
     let model = &mut spec.model;
-    model.lidar.beams = 7;
-    (model.lidar.noise, model.lidar.resolution) = (0.0, 0.0);
+    lidar(model).beams = 7;
+    (lidar(model).noise, lidar(model).resolution) = (0.0, 0.0);
     (model.imu.gyro_noise, model.imu.gyro_bias, model.imu.compass_noise) = (0.0, 0.0, Some(0.0));
     model.gps.as_mut().unwrap().noise = 0.0;
     spoil(model);
@@ -52,11 +52,17 @@ fn heard(spoil: impl Fn(&mut RobotModel)) -> Heard {
     for _ in 0..TICKS {
         simulation.step();
         let readings = simulation.readings(0);
-        heard.sweeps.extend(readings.sweep.map(|sweep| (readings.stamp, sweep)));
+        heard
+            .sweeps
+            .extend(readings.sweeps.into_iter().map(|sweep| (readings.stamp, sweep)));
         heard.imu.extend(readings.imu.map(|imu| (readings.stamp, imu)));
         heard.gps.extend(readings.gps.map(|gps| (readings.stamp, gps)));
     }
     heard
+}
+
+fn lidar(model: &mut RobotModel) -> &mut zenav_protocol::robot::LidarModel {
+    model.lidar.as_mut().unwrap()
 }
 
 fn gps(model: &mut RobotModel) -> &mut zenav_protocol::robot::GpsModel {
@@ -86,7 +92,7 @@ fn sensors_without_errors_tell_the_truth() {
 #[test]
 fn each_sensor_has_its_own_noise() {
     let heard = heard(|model| {
-        (model.lidar.noise, model.imu.gyro_noise, model.imu.compass_noise) = (0.01, 0.02, Some(0.03));
+        (lidar(model).noise, model.imu.gyro_noise, model.imu.compass_noise) = (0.01, 0.02, Some(0.03));
         gps(model).noise = 0.04;
     });
     assert!(lie(&heard.ahead(), AHEAD, 0.01) && lie(&heard.rates(), 0.0, 0.02));
@@ -96,7 +102,7 @@ fn each_sensor_has_its_own_noise() {
 #[test]
 fn each_sensor_has_its_own_bias() {
     let heard = heard(|model| {
-        (model.lidar.bias, model.imu.gyro_bias, model.imu.compass_bias) = (0.1, 0.2, 0.3);
+        (lidar(model).bias, model.imu.gyro_bias, model.imu.compass_bias) = (0.1, 0.2, 0.3);
         gps(model).bias = [0.4, -0.5];
     });
     assert!(lie(&heard.ahead(), AHEAD + 0.1, 0.0) && lie(&heard.rates(), 0.2, 0.0));
@@ -107,7 +113,7 @@ fn each_sensor_has_its_own_bias() {
 #[test]
 fn each_sensor_loses_its_own_share() {
     let heard = heard(|model| {
-        (model.lidar.dropout, model.imu.dropout) = (0.1, 0.3);
+        (lidar(model).dropout, model.imu.dropout) = (0.1, 0.3);
         gps(model).dropout = 0.6;
     });
     let share = |count: usize, of: usize| 1.0 - count as f64 / of as f64;
@@ -137,7 +143,7 @@ fn each_sensor_loses_its_own_share() {
 #[test]
 fn each_sensor_has_its_own_steps() {
     let heard = heard(|model| {
-        (model.lidar.noise, model.lidar.resolution) = (0.1, 0.05);
+        (lidar(model).noise, lidar(model).resolution) = (0.1, 0.05);
         (model.imu.gyro_noise, model.imu.resolution) = (0.1, 0.02);
         (gps(model).noise, gps(model).resolution) = (1.0, 0.25);
     });
@@ -154,7 +160,7 @@ fn each_sensor_has_its_own_steps() {
 #[test]
 fn each_sensor_has_its_own_rate_and_latency_and_keeps_the_stamp_of_its_measurement() {
     let heard = heard(|model| {
-        (model.lidar.rate_hz, model.lidar.latency) = (5.0, 0.1);
+        (lidar(model).rate_hz, lidar(model).latency) = (5.0, 0.1);
         (model.imu.rate_hz, model.imu.latency) = (25.0, 0.06);
         (gps(model).rate_hz, gps(model).latency) = (1.0, 0.5);
     });

@@ -85,7 +85,7 @@ fn sensors_come_at_their_rates() {
     for _ in 0..500 {
         simulation.step();
         let readings = simulation.readings(0);
-        counts[0] += usize::from(readings.sweep.is_some());
+        counts[0] += readings.sweeps.len();
         counts[1] += usize::from(readings.imu.is_some());
         counts[2] += usize::from(readings.gps.is_some());
         assert_eq!(readings.stamp, simulation.now());

@@ -1,4 +1,4 @@
-//! What do wheels and motors make of a command? Lag, limits, exact arcs.
+//! Motors. What do wheels and motors make of a command? Lag and limits.
 //!
 //! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by
 //! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean.
@@ -29,13 +29,7 @@ impl Motors {
             self.command = [0.0; 2];
             return;
         }
-        let bounded = wheels.map(|speed| speed.clamp(-drive.max_wheel_speed, drive.max_wheel_speed));
-        let twist = drive.twist(bounded);
-        // Both wheels slow down alike: the curvature stays.
-        let excess = (twist.v.abs() / drive.max_speed)
-            .max(twist.w.abs() / drive.max_yaw_rate)
-            .max(1.0);
-        self.command = bounded.map(|speed| speed / excess);
+        self.command = drive.bounded(wheels);
     }
 
     /// Wheel speeds now (left, right; rad/s).
@@ -51,7 +45,7 @@ impl Motors {
         } else {
             1.0
         };
-        let braking = drive.hard_braking / drive.wheel_radius;
+        let braking = drive.wheel_braking();
         let before = self.speed;
         for (speed, command) in self.speed.iter_mut().zip(self.command) {
             let wanted = *speed + (command - *speed) * share;
@@ -71,7 +65,7 @@ fn limited(speed: f64, wanted: f64, down: f64, up: f64) -> f64 {
     if speed == 0.0 {
         return wanted.clamp(-up, up);
     }
-    // PatchResult so that the speed is positive.
+    // Mirrored, so that the speed is positive.
     let (sign, speed, wanted) = (speed.signum(), speed.abs(), wanted * speed.signum());
     let next = if wanted >= speed {
         wanted.min(speed + up)
@@ -164,7 +158,7 @@ mod tests {
                 for (before, after) in before.into_iter().zip(motors.speed()) {
                     let change = (after - before).abs();
                     let slower = after.abs() < before.abs() || after * before < 0.0;
-                    let limit = if slower { drive.hard_braking / drive.wheel_radius } else { drive.max_wheel_acceleration };
+                    let limit = if slower { drive.wheel_braking() } else { drive.max_wheel_acceleration };
                     prop_assert!(change <= limit * 0.005 + 1e-12);
                     prop_assert!(after.abs() <= drive.max_wheel_speed);
                 }

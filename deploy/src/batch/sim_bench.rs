@@ -1,22 +1,15 @@
-//! How much does this machine hold? Rays a second and the real-time factor, by a clock that is passed in.
+//! Capacity of the simulator. How many rays per second and which real-time factor does this machine hold?
+//!
+//! Time is that of a clock that is passed in.
 
-mod worlds;
-
-use std::collections::HashMap;
 use std::time::Duration;
 
-use nalgebra::Point2;
-use rand::{Rng, SeedableRng};
-use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
-use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::RobotModel;
-
-use crate::lidar::AngularBuffer;
-use crate::simulation::{RobotSpec, SimError, Simulation};
-use crate::world::World;
-pub use worlds::{floor, office, polygons};
+use zenav_sim::lidar::AngularBuffer;
+use zenav_sim::scatter::scatter;
+use zenav_sim::{RobotSpec, SimError, Simulation, World};
 
 /// Rounds of sweeps.
 const ROUNDS: usize = 10;
@@ -42,42 +35,6 @@ pub struct BenchReport {
     pub single_real_time_factor: f64,
 }
 
-/// Where so many poses in a row are taken there is no room.
-const TRIES: usize = 10_000;
-
-/// Places `count` robots at random in the free part of a world, at least `margin` m apart from everything; fewer where
-/// there is no room left. Robots are only compared with those in the cells around them.
-#[must_use]
-pub fn scatter(world: &World, model: &RobotModel, count: usize, margin: f64, seed: u64) -> Vec<Pose2> {
-    let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let (low, high) = world.bounds();
-    let apart = 2.0 * model.footprint.circumscribed_radius() + margin;
-    let mut poses: Vec<Pose2> = Vec::new();
-    let mut cells: HashMap<(i64, i64), Vec<usize>> = HashMap::new();
-    let cell = |value: f64| (value / apart.max(1e-3)).floor() as i64;
-    let mut failures = 0;
-    while poses.len() < count && failures < TRIES {
-        let mut unit = || rng.next_u64() as f64 / u64::MAX as f64;
-        let at = Point2::new(low.x + unit() * (high.x - low.x), low.y + unit() * (high.y - low.y));
-        let pose = Pose2::new(at.x, at.y, (unit() - 0.5) * std::f64::consts::TAU);
-        let (x, y) = (cell(at.x), cell(at.y));
-        let mut around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| (x, y)));
-        let taken = around.any(|cell| {
-            let near = cells.get(&cell).into_iter().flatten();
-            near.filter_map(|index| poses.get(*index))
-                .any(|other| other.distance(&pose) <= apart)
-        });
-        if taken || world.clearance(&model.footprint, pose) <= margin {
-            failures += 1;
-            continue;
-        }
-        failures = 0;
-        cells.entry((x, y)).or_default().push(poses.len());
-        poses.push(pose);
-    }
-    poses
-}
-
 /// Times sweeps at random free poses, then a whole simulation of `robots` robots that turn in small circles, and of one alone.
 /// `clock` tells the time since any fixed moment.
 ///
@@ -91,6 +48,7 @@ pub fn run(
     clock: &dyn Fn() -> Duration,
 ) -> Result<BenchReport, SimError> {
     let rays_per_s = rays(world, model, clock);
+    let lidars = || model.all_lidars().map(|(_, lidar)| lidar);
     let (robots, steps, real_time_factor) = whole(world, model, robots, simulated, clock)?;
     let single_real_time_factor = match robots {
         0 | 1 => real_time_factor,
@@ -98,8 +56,8 @@ pub fn run(
     };
     Ok(BenchReport {
         robots,
-        beams: model.lidar.beams,
-        rate_hz: model.lidar.rate_hz,
+        beams: lidars().map(|lidar| lidar.beams).max().unwrap_or(0),
+        rate_hz: lidars().map(|lidar| lidar.rate_hz).fold(0.0, f64::max),
         steps,
         rays_per_s,
         real_time_factor,
@@ -144,13 +102,16 @@ fn whole(
 #[must_use]
 pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 {
     let poses = scatter(world, model, 100, 0.0, 2);
-    let mut buffer = AngularBuffer::new(&model.lidar);
+    let Some(lidar) = model.first_lidar() else {
+        return 0.0;
+    };
+    let mut buffer = AngularBuffer::new(lidar);
     let (mut fastest, mut seen) = (0.0_f64, 0.0_f64);
     for _ in 0..if poses.is_empty() { 0 } else { ROUNDS } {
         let (begin, mut sweeps) = (clock(), 0);
         let took = loop {
             for pose in &poses {
-                buffer.begin(*pose * model.lidar.mount);
+                buffer.begin(*pose * lidar.mount);
                 buffer.scene(world.scene());
                 // The result is used, so that nothing of the work can be left out.
                 seen += buffer.ranges().filter(|range| range.is_finite()).sum::<f64>();
@@ -161,7 +122,7 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
                 break took;
             }
         };
-        fastest = fastest.max((sweeps * model.lidar.beams) as f64 / took.as_secs_f64());
+        fastest = fastest.max((sweeps * lidar.beams) as f64 / took.as_secs_f64());
     }
     if seen.is_nan() { 0.0 } else { fastest }
 }
@@ -170,33 +131,6 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-
-    #[test]
-    fn scattered_robots_stand_apart_and_a_full_world_takes_no_more() {
-        let model = zenav_fixtures::robot("tiago");
-        let world = World::shipped("empty").unwrap();
-        let poses = scatter(&world, &model, 50, 0.5, 1);
-        assert_eq!(poses.len(), 50);
-        for (i, pose) in poses.iter().enumerate() {
-            assert!(
-                poses
-                    .iter()
-                    .skip(i + 1)
-                    .all(|other| pose.distance(other) > 2.0 * 0.265 + 0.5)
-            );
-        }
-        assert!((20..=100).contains(&scatter(&world, &model, 1000, 2.0, 1).len()));
-    }
-
-    #[test]
-    fn a_floor_has_room_for_all_robots_that_it_was_made_for() {
-        for (name, count) in [("tiago", 1000), ("neato", 300), ("jackal", 1)] {
-            let model = zenav_fixtures::robot(name);
-            let world = floor(&model, count).unwrap();
-            let placed = scatter(&world, &model, count, model.drive.wheel_separation, 1);
-            assert_eq!(placed.len(), count, "{name}");
-        }
-    }
 
     #[test]
     fn a_bench_tells_of_all_robots_and_of_one() {

@@ -1,4 +1,4 @@
-//! In which worlds is the simulator measured? Made ones, which every machine has.
+//! Made worlds. Which worlds need no file? Those for benches, examples and tests: polygons on a lattice, a floor for many robots, an office.
 
 use std::fmt::Write as _;
 

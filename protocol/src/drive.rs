@@ -1,0 +1,250 @@
+//! Drive: wheels, their limits, and kinematics. Which wheel speeds make which motion of the base, and which are allowed?
+//!
+//! The one place for kinematics: the simulator, the edge and the planners ask here. A further kind of drive (omnidirectional, Ackermann)
+//! is a variant of [`DriveKind`] and its arms here.
+
+use serde::{Deserialize, Serialize};
+
+use crate::config_text::{Expected, OutOfBounds, check_all, pair};
+use crate::geometry::Twist2;
+
+/// How the wheels are arranged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DriveKind {
+    /// Two driven wheels on one axle through the base's origin, left and right; whatever else touches the floor follows.
+    #[default]
+    Differential,
+}
+
+impl DriveKind {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Wheels and motors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drive {
+    /// How the wheels are arranged; the default is left out where it is written.
+    #[serde(default, skip_serializing_if = "DriveKind::is_default")]
+    pub kind: DriveKind,
+    /// Radius of a wheel, m.
+    pub wheel_radius: f64,
+    /// Distance between the wheels' contact points, m.
+    pub wheel_separation: f64,
+    /// Largest speed of a wheel, rad/s.
+    pub max_wheel_speed: f64,
+    /// Largest acceleration of a wheel in normal driving, rad/s².
+    pub max_wheel_acceleration: f64,
+    /// Deceleration of the base when it brakes as hard as it can, m/s².
+    pub hard_braking: f64,
+    /// Largest lateral acceleration, m/s².
+    #[serde(default = "default_lateral")]
+    pub max_lateral_acceleration: f64,
+    /// Largest yaw rate, rad/s; the wheels may allow less.
+    #[serde(default = "unlimited")]
+    pub max_yaw_rate: f64,
+    /// Largest forward speed, m/s; the wheels may allow less.
+    #[serde(default = "unlimited")]
+    pub max_speed: f64,
+    /// Largest jerk of the base along its path, m/s³; without it plans and commands change their acceleration at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_jerk: Option<f64>,
+    /// Time constant of the motors, s.
+    #[serde(default)]
+    pub motor_lag: f64,
+    /// What the simulated robot does differently from what it believes.
+    #[serde(default)]
+    pub errors: DriveErrors,
+}
+
+/// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
+/// Mobile Robots", 1996). The simulator drives by them; the robot knows of the slip only.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DriveErrors {
+    /// How much larger the wheels (left, right) are than stated, as a share.
+    #[serde(deserialize_with = "pair")]
+    pub wheel_radius: [f64; 2],
+    /// How much farther apart the wheels touch the floor than stated, as a share.
+    pub wheel_separation: f64,
+    /// Standard deviation of what a wheel slips, m for each square root of a metre rolled.
+    pub slip: f64,
+}
+
+fn default_lateral() -> f64 {
+    1.0
+}
+
+fn unlimited() -> f64 {
+    1e6
+}
+
+impl Drive {
+    /// Forward speed with all wheels at their limit, or the base's own limit, m/s.
+    #[must_use]
+    pub fn top_speed(&self) -> f64 {
+        (self.max_wheel_speed * self.wheel_radius).min(self.max_speed)
+    }
+
+    /// Yaw rate on the spot with all wheels at their limit, or the base's own limit, rad/s.
+    #[must_use]
+    pub fn top_yaw_rate(&self) -> f64 {
+        (2.0 * self.max_wheel_speed * self.wheel_radius / self.wheel_separation).min(self.max_yaw_rate)
+    }
+
+    /// Forward acceleration with all wheels at their limit, m/s².
+    #[must_use]
+    pub fn acceleration(&self) -> f64 {
+        self.max_wheel_acceleration * self.wheel_radius
+    }
+
+    /// Deceleration of a wheel that brakes as hard as it can, rad/s².
+    #[must_use]
+    pub fn wheel_braking(&self) -> f64 {
+        self.hard_braking / self.wheel_radius
+    }
+
+    /// Wheel speeds (left, right; rad/s) of a twist.
+    ///
+    /// ```
+    /// use zenav_protocol::{geometry::Twist2, robot::{RobotModel, shipped}};
+    ///
+    /// let drive = RobotModel::from_toml(shipped("tiago").unwrap_or_default(), "tiago")?.drive;
+    /// let [left, right] = drive.wheels(Twist2::new(0.0985, 0.0));
+    /// assert!((left - 1.0).abs() < 1e-12 && left == right);
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
+    #[must_use]
+    pub fn wheels(&self, twist: Twist2) -> [f64; 2] {
+        match self.kind {
+            DriveKind::Differential => {
+                let half = 0.5 * self.wheel_separation * twist.w;
+                [
+                    (twist.v - half) / self.wheel_radius,
+                    (twist.v + half) / self.wheel_radius,
+                ]
+            }
+        }
+    }
+
+    /// Twist of wheel speeds (left, right; rad/s).
+    #[must_use]
+    pub fn twist(&self, wheels: [f64; 2]) -> Twist2 {
+        match self.kind {
+            DriveKind::Differential => {
+                let [left, right] = wheels;
+                Twist2::new(
+                    0.5 * (left + right) * self.wheel_radius,
+                    (right - left) * self.wheel_radius / self.wheel_separation,
+                )
+            }
+        }
+    }
+
+    /// The twist that the base really makes of wheel speeds (left, right; rad/s), with the drive's [`DriveErrors`] but without slip.
+    #[must_use]
+    pub fn true_twist(&self, wheels: [f64; 2]) -> Twist2 {
+        let [left, right] = self.errors.wheel_radius;
+        let twist = self.twist([wheels[0] * (1.0 + left), wheels[1] * (1.0 + right)]);
+        Twist2::new(twist.v, twist.w / (1.0 + self.errors.wheel_separation))
+    }
+
+    /// Speed of the faster wheel's contact point, m/s.
+    #[must_use]
+    pub fn surface_speed(&self, twist: Twist2) -> f64 {
+        match self.kind {
+            DriveKind::Differential => twist.v.abs() + 0.5 * self.wheel_separation * twist.w.abs(),
+        }
+    }
+
+    /// Wheel speeds (left, right; rad/s) within the limits of wheels and base: each wheel is bounded, then all slow down alike, so that
+    /// the curvature stays.
+    #[must_use]
+    pub fn bounded(&self, wheels: [f64; 2]) -> [f64; 2] {
+        let bounded = wheels.map(|speed| speed.clamp(-self.max_wheel_speed, self.max_wheel_speed));
+        let twist = self.twist(bounded);
+        let excess = (twist.v.abs() / self.max_speed)
+            .max(twist.w.abs() / self.max_yaw_rate)
+            .max(1.0);
+        bounded.map(|speed| speed / excess)
+    }
+
+    /// The first value that no drive has.
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        const ERROR: Expected = Expected::Range(-0.5, 0.5, "a share, -0.5 to 0.5");
+        let [left, right] = self.errors.wheel_radius;
+        check_all(&[
+            ("wheel_radius", self.wheel_radius, Expected::Positive),
+            ("wheel_separation", self.wheel_separation, Expected::Positive),
+            ("max_wheel_speed", self.max_wheel_speed, Expected::Positive),
+            (
+                "max_wheel_acceleration",
+                self.max_wheel_acceleration,
+                Expected::Positive,
+            ),
+            ("hard_braking", self.hard_braking, Expected::Positive),
+            (
+                "max_lateral_acceleration",
+                self.max_lateral_acceleration,
+                Expected::Positive,
+            ),
+            ("max_yaw_rate", self.max_yaw_rate, Expected::Positive),
+            ("max_speed", self.max_speed, Expected::Positive),
+            ("max_jerk", self.max_jerk.unwrap_or(1.0), Expected::Positive),
+            ("motor_lag", self.motor_lag, Expected::NotNegative),
+            ("errors.slip", self.errors.slip, Expected::NotNegative),
+            ("errors.wheel_radius", left, ERROR),
+            ("errors.wheel_radius", right, ERROR),
+            ("errors.wheel_separation", self.errors.wheel_separation, ERROR),
+        ])
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::robot::{RobotModel, shipped};
+    use proptest::prelude::*;
+
+    fn drive(name: &str) -> Drive {
+        RobotModel::from_toml(shipped(name).unwrap(), name).unwrap().drive
+    }
+
+    #[test]
+    fn a_drive_is_differential_unless_its_file_says_otherwise() {
+        assert_eq!(drive("tiago").kind, DriveKind::Differential);
+        let text = shipped("tiago").unwrap();
+        let named = text.replace("[drive]", "[drive]\nkind = \"differential\"");
+        assert_eq!(RobotModel::from_toml(&named, "named").unwrap().drive, drive("tiago"));
+        let other = text.replace("[drive]", "[drive]\nkind = \"legs\"");
+        let error = RobotModel::from_toml(&other, "other").unwrap_err().to_string();
+        assert!(error.contains("legs") && error.contains("differential"), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn a_twist_is_that_of_its_wheels(v in -2.0..2.0, w in -4.0..4.0) {
+            let drive = drive("jackal");
+            let wheels = drive.wheels(Twist2::new(v, w));
+            let again = drive.twist(wheels);
+            prop_assert!((again.v - v).abs() < 1e-12 && (again.w - w).abs() < 1e-12);
+            let fastest = wheels[0].abs().max(wheels[1].abs()) * drive.wheel_radius;
+            prop_assert!((drive.surface_speed(Twist2::new(v, w)) - fastest).abs() < 1e-12);
+        }
+
+        #[test]
+        fn bounded_wheels_stay_within_all_limits_and_keep_their_curvature(left in -60.0..60.0, right in -60.0..60.0) {
+            let drive = drive("jackal");
+            let bounded = drive.bounded([left, right]);
+            let twist = drive.twist(bounded);
+            prop_assert!(bounded.iter().all(|speed| speed.abs() <= drive.max_wheel_speed));
+            prop_assert!(twist.v.abs() <= drive.max_speed + 1e-9 && twist.w.abs() <= drive.max_yaw_rate + 1e-9);
+            let within = [left, right].map(|speed: f64| speed.clamp(-drive.max_wheel_speed, drive.max_wheel_speed));
+            prop_assert!((bounded[0] * within[1] - bounded[1] * within[0]).abs() < 1e-9);
+        }
+    }
+}

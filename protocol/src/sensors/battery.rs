@@ -1,0 +1,52 @@
+//! Battery. How much does it hold, and how much of it is left?
+//!
+//! What motion draws of it is [`MotorModel`](crate::energy::MotorModel)'s.
+
+use serde::{Deserialize, Serialize};
+
+use crate::config_text::{Expected, OutOfBounds, check_all};
+use crate::time::Stamp;
+
+/// Battery.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BatteryModel {
+    /// Energy of a full battery, J.
+    pub capacity: f64,
+    /// Power that sensors and computers always draw, W.
+    pub idle_power: f64,
+    /// Share of the charge below which the robot reports a low battery, 0 to 1.
+    pub low: f64,
+}
+
+impl Default for BatteryModel {
+    fn default() -> Self {
+        Self {
+            capacity: 500_000.0,
+            idle_power: 20.0,
+            low: 0.2,
+        }
+    }
+}
+
+impl BatteryModel {
+    /// The first value that no battery has.
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        check_all(&[
+            ("capacity", self.capacity, Expected::Positive),
+            ("idle_power", self.idle_power, Expected::NotNegative),
+            ("low", self.low, Expected::Share),
+        ])
+    }
+}
+
+/// Reading and message of the battery.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Battery {
+    /// When it was measured.
+    pub stamp: Stamp,
+    /// Charge left, 0 to 1.
+    pub charge: f64,
+    /// Energy drawn since start, J.
+    pub drawn_j: f64,
+}

@@ -1,0 +1,50 @@
+//! Wheel encoders. How well do they measure what the wheels turn?
+//!
+//! Their reading is the angle of each wheel since start ([`Readings::wheels`](crate::readings::Readings::wheels)); it is published as
+//! part of [`Odometry`](crate::messages::Odometry).
+
+use serde::{Deserialize, Serialize};
+
+use super::LATENCY;
+use crate::config_text::{Expected, OutOfBounds, check_all};
+
+/// Wheel encoders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EncoderModel {
+    /// Standard deviation of a wheel's measured turn, as a share of the turn.
+    pub noise: f64,
+    /// Smallest step, rad.
+    pub resolution: f64,
+    /// Readings per second; without it one every control step.
+    pub rate_hz: Option<f64>,
+    /// Share of readings that are lost, 0 to 1: the angles of the one before stand.
+    pub dropout: f64,
+    /// Time from a reading to its delivery, s.
+    pub latency: f64,
+}
+
+impl Default for EncoderModel {
+    fn default() -> Self {
+        Self {
+            noise: 0.005,
+            resolution: 0.001,
+            rate_hz: None,
+            dropout: 0.0,
+            latency: 0.0,
+        }
+    }
+}
+
+impl EncoderModel {
+    /// The first value that no encoder has.
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        check_all(&[
+            ("rate_hz", self.rate_hz.unwrap_or(1.0), Expected::Positive),
+            ("noise", self.noise, Expected::NotNegative),
+            ("resolution", self.resolution, Expected::NotNegative),
+            ("dropout", self.dropout, Expected::Share),
+            ("latency", self.latency, LATENCY),
+        ])
+    }
+}

@@ -1,0 +1,326 @@
+//! Planar lidar. How does one look around, what does a sweep of it hold, and what is published of it?
+//!
+//! A robot has any number of lidars, each with a name and a mount. A robot file's `[lidar]` is the one named
+//! [`DEFAULT_LIDAR`]; further ones are `[lidars.NAME]`.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use super::LATENCY;
+use crate::config_text::{Expected, OutOfBounds, check_all};
+use crate::geometry::Pose2;
+use crate::time::Stamp;
+
+/// Name of the lidar that a robot file describes as `[lidar]`.
+pub const DEFAULT_LIDAR: &str = "lidar";
+
+/// A gap between the last beam and the first that is no larger is not a blind sector, rad.
+const LEAST_GAP: f64 = 0.1;
+/// Most beams of one sweep.
+const MAX_BEAMS: usize = 100_000;
+
+/// A planar lidar.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LidarModel {
+    /// Where it sits on the base (`base_from_laser`).
+    #[serde(default)]
+    pub mount: Pose2,
+    /// Sweeps per second.
+    pub rate_hz: f64,
+    /// Shorter readings are not valid, m.
+    pub range_min: f64,
+    /// Longer readings are not valid, m.
+    pub range_max: f64,
+    /// Readings per sweep.
+    pub beams: usize,
+    /// Angle from the first beam to the last, rad; 2 pi is a full circle without a doubled beam.
+    pub field_of_view: f64,
+    /// Standard deviation of a range, m.
+    #[serde(default)]
+    pub noise: f64,
+    /// Constant error of a range, m.
+    #[serde(default)]
+    pub bias: f64,
+    /// Share of beams that are lost, 0 to 1.
+    #[serde(default)]
+    pub dropout: f64,
+    /// Smallest step of a range, m.
+    #[serde(default = "millimetre")]
+    pub resolution: f64,
+    /// Time from a sweep to its delivery, s.
+    #[serde(default)]
+    pub latency: f64,
+}
+
+fn millimetre() -> f64 {
+    0.001
+}
+
+impl LidarModel {
+    /// Direction of the first beam, rad.
+    #[must_use]
+    pub fn angle_min(&self) -> f64 {
+        if self.is_full_circle() {
+            -PI
+        } else {
+            -0.5 * self.field_of_view
+        }
+    }
+
+    /// Angle between beams, rad.
+    #[must_use]
+    pub fn angle_increment(&self) -> f64 {
+        if self.is_full_circle() {
+            TAU / self.beams.max(1) as f64
+        } else {
+            self.field_of_view / (self.beams.max(2) - 1) as f64
+        }
+    }
+
+    /// Angle that is never seen, rad, from the last beam to the first; zero for a full circle, and where it is no more than 0.1 rad.
+    #[must_use]
+    pub fn gap(&self) -> f64 {
+        if self.is_full_circle() {
+            return 0.0;
+        }
+        let gap = TAU - self.angle_increment() * (self.beams.max(1) - 1) as f64;
+        if gap > LEAST_GAP { gap } else { 0.0 }
+    }
+
+    fn is_full_circle(&self) -> bool {
+        self.field_of_view > TAU - 1e-3
+    }
+
+    /// The first value that no lidar has.
+    pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        check_all(&[
+            ("rate_hz", self.rate_hz, Expected::Positive),
+            ("range_max", self.range_max, Expected::Positive),
+            ("field_of_view", self.field_of_view, Expected::Positive),
+            ("range_min", self.range_min, Expected::NotNegative),
+            ("noise", self.noise, Expected::NotNegative),
+            ("resolution", self.resolution, Expected::NotNegative),
+            ("dropout", self.dropout, Expected::Share),
+            ("latency", self.latency, LATENCY),
+            ("bias", self.bias, Expected::Finite),
+        ])?;
+        if !self.mount.is_finite() {
+            return Err(OutOfBounds::unlike("mount", f64::NAN, "finite numbers"));
+        }
+        if !(1..=MAX_BEAMS).contains(&self.beams) {
+            return Err(OutOfBounds::unlike(
+                "beams",
+                self.beams as f64,
+                format_args!("1 to {MAX_BEAMS}"),
+            ));
+        }
+        if self.field_of_view > TAU + 1e-6 {
+            return Err(OutOfBounds::unlike("field_of_view", self.field_of_view, "at most 2 pi"));
+        }
+        if self.range_min >= self.range_max {
+            return Err(OutOfBounds::unlike("range_min", self.range_min, "less than range_max"));
+        }
+        Ok(())
+    }
+}
+
+/// Reading: the ranges of one sweep; the robot's model says where the beams point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sweep {
+    /// Name of the lidar; on the wire [`DEFAULT_LIDAR`] where it is left out.
+    #[serde(default = "default_name", skip_serializing_if = "is_default_name")]
+    pub lidar: String,
+    /// When it was taken: at or before the tick.
+    pub stamp: Stamp,
+    /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    #[serde(with = "no_return_as_null")]
+    pub ranges: Vec<f32>,
+}
+
+impl Sweep {
+    /// A sweep of the lidar named [`DEFAULT_LIDAR`].
+    #[must_use]
+    pub fn new(stamp: Stamp, ranges: Vec<f32>) -> Self {
+        Self {
+            lidar: default_name(),
+            stamp,
+            ranges,
+        }
+    }
+}
+
+fn default_name() -> String {
+    DEFAULT_LIDAR.to_owned()
+}
+
+fn is_default_name(name: &str) -> bool {
+    name == DEFAULT_LIDAR
+}
+
+/// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp: nobody pairs a latest pose with a latest scan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scan {
+    /// When the sweep was taken.
+    pub stamp: Stamp,
+    /// Direction of the first beam in the laser frame, rad.
+    pub angle_min: f64,
+    /// Angle from one beam to the next, rad, counter-clockwise.
+    pub angle_increment: f64,
+    /// Shorter readings are not valid, m.
+    pub range_min: f64,
+    /// A beam that met nothing up to here has no return, m.
+    pub range_max: f64,
+    /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    #[serde(with = "no_return_as_null")]
+    pub ranges: Vec<f32>,
+    /// Where the lidar sits on the robot.
+    pub base_from_laser: Pose2,
+    /// Correction of odometry at the stamp.
+    pub map_from_odom: Pose2,
+    /// Odometry at the stamp.
+    pub odom_from_base: Pose2,
+}
+
+impl Scan {
+    /// The laser's pose in the map at the stamp.
+    #[must_use]
+    pub fn map_from_laser(&self) -> Pose2 {
+        self.map_from_odom * self.odom_from_base * self.base_from_laser
+    }
+
+    /// Direction of a beam in the laser frame, rad.
+    #[must_use]
+    pub fn angle(&self, beam: usize) -> f64 {
+        self.angle_min + beam as f64 * self.angle_increment
+    }
+
+    /// Whether a reading is a real return.
+    #[must_use]
+    pub fn is_return(&self, range: f32) -> bool {
+        let range = f64::from(range);
+        range >= self.range_min && range <= self.range_max
+    }
+
+    /// End points of all real returns, in the laser frame, m.
+    pub fn returns(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+        self.ranges
+            .iter()
+            .enumerate()
+            .filter(|(_, range)| self.is_return(**range))
+            .map(|(beam, range)| {
+                let (sin, cos) = self.angle(beam).sin_cos();
+                Point2::new(f64::from(*range) * cos, f64::from(*range) * sin)
+            })
+    }
+
+    /// Whether the description makes sense: finite numbers, at most a full circle and 100,000 beams.
+    #[must_use]
+    pub fn is_sane(&self) -> bool {
+        let spread = self.angle_increment * self.ranges.len().saturating_sub(1) as f64;
+        self.angle_min.is_finite()
+            && self.angle_increment > 0.0
+            && spread <= TAU + 1e-6
+            && self.range_min >= 0.0
+            && self.range_max > self.range_min
+            && self.range_max.is_finite()
+            && self.ranges.len() <= MAX_BEAMS
+            && self.map_from_laser().is_finite()
+    }
+}
+
+/// JSON has no infinity: a beam without a return is `null`.
+mod no_return_as_null {
+    use serde::ser::SerializeSeq;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(ranges: &[f32], serializer: S) -> Result<S::Ok, S::Error> {
+        let mut seq = serializer.serialize_seq(Some(ranges.len()))?;
+        for range in ranges {
+            seq.serialize_element(&range.is_finite().then_some(*range))?;
+        }
+        seq.end()
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f32>, D::Error> {
+        let ranges: Vec<Option<f32>> = Vec::deserialize(deserializer)?;
+        Ok(ranges.into_iter().map(|range| range.unwrap_or(f32::INFINITY)).collect())
+    }
+}
+
+/// The sweeps of one tick on the wire: `null` for none, one sweep as itself, several as a list.
+pub(crate) mod none_one_or_many {
+    use std::fmt;
+
+    use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+    use serde::de::{MapAccess, SeqAccess, Visitor};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::Sweep;
+
+    pub fn serialize<S: Serializer>(sweeps: &[Sweep], serializer: S) -> Result<S::Ok, S::Error> {
+        match sweeps {
+            [] => serializer.serialize_none(),
+            [one] => one.serialize(serializer),
+            many => many.serialize(serializer),
+        }
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Sweep>, D::Error> {
+        deserializer.deserialize_any(Sweeps)
+    }
+
+    /// Reads straight into the sweeps: no range is held twice.
+    struct Sweeps;
+
+    impl<'de> Visitor<'de> for Sweeps {
+        type Value = Vec<Sweep>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a sweep, a list of sweeps, or null")
+        }
+
+        fn visit_unit<E>(self) -> Result<Vec<Sweep>, E> {
+            Ok(Vec::new())
+        }
+
+        fn visit_none<E>(self) -> Result<Vec<Sweep>, E> {
+            Ok(Vec::new())
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Vec<Sweep>, A::Error> {
+            Sweep::deserialize(MapAccessDeserializer::new(map)).map(|sweep| vec![sweep])
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Vec<Sweep>, A::Error> {
+            Vec::deserialize(SeqAccessDeserializer::new(seq))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_beam_without_a_return_is_null_on_the_wire() {
+        let scan = Scan {
+            stamp: Stamp(7),
+            angle_min: -1.0,
+            angle_increment: 0.5,
+            range_min: 0.02,
+            range_max: 5.6,
+            ranges: vec![1.5, f32::INFINITY, 0.25],
+            base_from_laser: Pose2::new(0.2, 0.0, 0.0),
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: Pose2::new(1.0, 2.0, 0.5),
+        };
+        let text = serde_json::to_string(&scan).unwrap();
+        assert!(text.contains("\"ranges\":[1.5,null,0.25]"), "{text}");
+        assert_eq!(serde_json::from_str::<Scan>(&text).unwrap(), scan);
+        assert_eq!(scan.returns().count(), 2);
+        assert!(scan.is_sane());
+    }
+}

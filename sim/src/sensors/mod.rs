@@ -1,0 +1,102 @@
+//! Simulated sensors, one file a kind. What do a robot's sensors measure, and when?
+//!
+//! Each reports the truth with bias, noise and steps, from a random stream of its own; readings get lost, and arrive late with the stamp
+//! of their measurement.
+
+pub mod battery;
+pub mod bump;
+pub mod encoders;
+pub mod gps;
+pub mod imu;
+pub mod lidar;
+pub mod random;
+pub mod timing;
+
+use std::fmt::Debug;
+
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::readings::Readings;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
+
+use crate::chassis::{Chassis, Moved, Surroundings};
+use random::{Stream, stream};
+
+/// A moment, as a sensor meets it: everybody has moved.
+#[derive(Clone, Copy)]
+pub struct Moment<'a> {
+    /// Simulated time.
+    pub now: Stamp,
+    /// The robot's true state.
+    pub chassis: &'a Chassis,
+    /// Everything else.
+    pub around: Surroundings<'a>,
+}
+
+impl Moment<'_> {
+    /// Where the robot truly is.
+    #[must_use]
+    pub fn map_from_base(&self) -> Pose2 {
+        self.chassis.truth().map_from_base
+    }
+}
+
+/// A sensor of a robot.
+pub trait Sensor: Debug + Send + Sync + CloneSensor {
+    /// The robot has moved, since the last call.
+    fn moved(&mut self, _moved: &Moved) {}
+
+    /// Measures what is due, and writes what arrives now into the readings.
+    fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings);
+}
+
+/// A robot's sensors are of many types in one list, and a simulation can be cloned.
+pub trait CloneSensor {
+    /// A copy in its present state.
+    fn boxed(&self) -> Box<dyn Sensor>;
+}
+
+impl<S: Sensor + Clone + 'static> CloneSensor for S {
+    fn boxed(&self) -> Box<dyn Sensor> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Box<dyn Sensor> {
+    fn clone(&self) -> Self {
+        self.as_ref().boxed()
+    }
+}
+
+/// All sensors of a robot.
+#[must_use]
+pub fn sensors(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
+    let stream = |source| stream(seed, id, source);
+    let mut sensors: Vec<Box<dyn Sensor>> = vec![
+        Box::new(encoders::Encoders::new(
+            model.encoders.clone(),
+            stream(Stream::Encoders),
+        )),
+        Box::new(imu::InertialUnit::new(model.imu.clone(), stream(Stream::Imu))),
+        Box::new(bump::Bumper),
+        Box::new(battery::BatteryGauge(model.battery.clone())),
+    ];
+    if let Some(gps) = &model.gps {
+        sensors.push(Box::new(gps::GpsReceiver::new(gps.clone(), stream(Stream::Gps))));
+    }
+    for (index, (name, lidar)) in model.all_lidars().enumerate() {
+        let source = if index == 0 { Stream::Lidar } else { Stream::Named(name) };
+        sensors.push(Box::new(lidar::Lidar::new(name, lidar.clone(), stream(source))));
+    }
+    sensors
+}
+
+/// Rounds to a sensor's steps; a step of zero leaves the value.
+pub(crate) fn stepped(value: f64, step: f64) -> f64 {
+    if step > 0.0 {
+        (value / step).round() * step
+    } else {
+        value
+    }
+}
