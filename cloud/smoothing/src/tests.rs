@@ -418,7 +418,7 @@ fn a_blocked_way_is_not_driven() {
         profile: DrivingProfile::Fastest,
     };
     let result = smoothed(&space, &query, &model);
-    assert!(result.trajectory.is_empty() && result.statistics.status == "fallback:way_blocked");
+    assert!(result.trajectory.is_empty() && result.statistics.status == "fallback:path_blocked");
 }
 
 #[test]
