@@ -17,12 +17,18 @@ pub enum DriveKind {
     Differential,
 }
 
+impl DriveKind {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// Wheels and motors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
-    /// How the wheels are arranged.
-    #[serde(default)]
+    /// How the wheels are arranged; the default is left out where it is written.
+    #[serde(default, skip_serializing_if = "DriveKind::is_default")]
     pub kind: DriveKind,
     /// Radius of a wheel, m.
     pub wheel_radius: f64,
