@@ -205,7 +205,7 @@ impl Parts {
             let zones = Arc::clone(&zones);
             let settings = motion::MotionSettings {
                 planning: deployment.planning.settings.clone(),
-                smoothing: deployment.smoothing.clone(),
+                smoothing: deployment.smoothing,
             };
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
                 let clock = Clock::follow(&bus)?;

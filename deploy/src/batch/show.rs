@@ -226,7 +226,7 @@ pub(crate) fn backdrop(world: &World, size: u32) -> Result<Plane, Failure> {
     }
     for place in world.places() {
         let at = Point2::new(place.x, place.y);
-        plane.place(&place.name.to_string(), at);
+        plane.place(place.name.as_ref(), at);
         if let Some(yaw) = place.yaw {
             let front = at + Pose2::new(0.0, 0.0, yaw).heading() * 0.3;
             plane.polyline(&[at, front], PLACE, 2.0);

@@ -130,7 +130,9 @@ impl Film {
                 }
                 if let Some(plan) = plans.take() {
                     let points = plan.trajectory.iter().map(|point| Point2::new(point.x, point.y));
-                    moment.plan = Arc::new(points.collect());
+                    let points: Vec<Point2<f64>> = points.collect();
+                    // A plan without a time law is its waypoints.
+                    moment.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
                 }
                 while let Some(goal) = goals.take() {
                     if goal.state == GoalPhase::Rejected {

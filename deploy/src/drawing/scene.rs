@@ -104,18 +104,18 @@ impl<'a> Scene<'a> {
         if self.scan.is_some() {
             plane.legend(Mark::Dot, SCAN, "laser scan");
         }
+        for (name, at) in self.places {
+            plane.place(name, *at);
+        }
+        if !self.places.is_empty() {
+            plane.legend(Mark::Dot, PLACE, "named place");
+        }
         if let Some((pose, footprint)) = self.robot {
             plane.robot(pose, footprint);
             plane.legend(Mark::Area, ROBOT, "robot");
         } else if let Some(start) = self.trail.and_then(<[_]>::first) {
             plane.dot(*start, START, 5.0);
             plane.legend(Mark::Dot, START, "start");
-        }
-        for (name, at) in self.places {
-            plane.place(name, *at);
-        }
-        if !self.places.is_empty() {
-            plane.legend(Mark::Dot, PLACE, "named place");
         }
         if let Some(goal) = self.goal {
             plane.dot(goal, GOAL, 6.0);
