@@ -6,11 +6,11 @@ zenav_protocol::settings! {
     /// How a path becomes a trajectory.
     #[derive(Copy)]
     pub struct SmoothingSettings {
-        /// Length over which the robot likes to turn: weighs curvature against length (0.25: a corner of a hall 1 m wide is one arc).
+        /// Length over which the robot likes to turn: weighs curvature against length.
         pub turning_length: f64 = 0.25, "m", 0.01..=10.0;
-        /// Distance between samples of the curve; the curvature is linear between them (0.02: a time law within 0.1 % of that for 0.005).
+        /// Distance between samples of the curve; the curvature is linear between them.
         pub step: f64 = 0.02, "m", 0.002..=0.5;
-        /// Iterations of the geometry solver for each quadratic programme, at most; it usually takes 10 to 20.
+        /// Iterations of the geometry solver for each quadratic programme, at most.
         pub max_iterations: u32 = 60, "", 1..=1000;
         /// The free polygons around the path.
         pub corridor: CorridorSettings;
