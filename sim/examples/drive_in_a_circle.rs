@@ -23,7 +23,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         simulation.step();
         if step % 50 == 0 {
             let pose = simulation.truth(0).map_from_base;
-            println!("{:6.1} {:7.2} {:7.2} {:8.2}", f64::from(step) * 0.02, pose.x, pose.y, pose.yaw);
+            println!(
+                "{:6.1} {:7.2} {:7.2} {:8.2}",
+                f64::from(step) * 0.02,
+                pose.x,
+                pose.y,
+                pose.yaw
+            );
         }
     }
     let truth = simulation.truth(0);

@@ -160,7 +160,7 @@ fn is_in(expected: &[String], output: &str) -> Result<(), String> {
             let begins = line.trim_start().starts_with(parts.first().unwrap_or(&"").trim());
             all && begins
         };
-        if !lines.any(|line| fits(line)) {
+        if !lines.any(fits) {
             return Err(format!("no line `{wanted}`"));
         }
     }

@@ -27,7 +27,7 @@ fn all_seeing() -> RobotModel {
 /// A wall across the way at `distance` ahead of the base.
 fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
     let lidar = model.first_lidar().unwrap();
-    let mut obstacles = LocalObstacles::new(&model);
+    let mut obstacles = LocalObstacles::new(model);
     let range = |beam: usize| {
         let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
         if cos > 0.05 {
@@ -161,7 +161,7 @@ fn jackal() -> RobotModel {
 /// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
 fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
     let lidar = model.first_lidar().unwrap();
-    let mut obstacles = LocalObstacles::new(&model);
+    let mut obstacles = LocalObstacles::new(model);
     let mut stamp = Stamp::ZERO;
     for step in 0..20 {
         let secs = 1.0 + 0.05 * f64::from(step);

@@ -67,9 +67,14 @@ impl Clone for Box<dyn Tracker> {
 pub struct Law {
     /// Its name in the robot file.
     pub name: &'static str,
-    along: fn(&Drive, Trajectory, f64, &[Point2<f64>]) -> Box<dyn Tracker>,
-    through: fn(&Drive, Pose2, Vec<Point2<f64>>) -> Box<dyn Tracker>,
+    along: Along,
+    through: Through,
 }
+
+/// Makes a tracker for a trajectory that has been driven for some seconds, and the waypoints it came from.
+type Along = fn(&Drive, Trajectory, f64, &[Point2<f64>]) -> Box<dyn Tracker>;
+/// Makes a tracker for waypoints, from a pose.
+type Through = fn(&Drive, Pose2, Vec<Point2<f64>>) -> Box<dyn Tracker>;
 
 /// Every law; the first is the default.
 pub const LAWS: [Law; 5] = [

@@ -156,6 +156,7 @@ impl Planner {
     }
 }
 
+#[allow(clippy::derivable_impls, reason = "the variants come from the rows of `planners!`")]
 impl Default for Planner {
     fn default() -> Self {
         Self::AStar

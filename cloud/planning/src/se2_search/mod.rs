@@ -149,7 +149,7 @@ fn expand(
     // Whole numbers to the end: the same order everywhere.
     let weight = (settings.heuristic_weight * 256.0) as u64;
     let estimate = |cost: u32, left: u32| {
-        let left = u64::from(left) * weight >> 8;
+        let left = (u64::from(left) * weight) >> 8;
         cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX))
     };
     let starts = starts(masks, query, settings.straight_on);
