@@ -97,7 +97,10 @@ pub enum NoAnswer {
 /// What a step asks its caller to do, in order. [`Persist`](Effect::Persist) is on disk, here and with every standby that has caught up,
 /// **before** any other effect of the step but the heartbeat, which promises nothing.
 #[derive(Clone, Debug, PartialEq)]
-#[allow(clippy::large_enum_variant, reason = "a step has few effects, and each is moved once")]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a step has few effects, and each is moved once"
+)]
 pub enum Effect {
     /// Store, all or nothing. At most one per step, and the first.
     Persist(Vec<Record>),
