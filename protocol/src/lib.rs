@@ -22,7 +22,7 @@
 //! | [`codec`] | JSON and CBOR |
 //! | [`lease`] | lease arbiter: who may command a robot |
 //! | [`map_replica`], [`padding`] | a copy of a map on another machine |
-//! | [`settings`] | settings: one declaration for each, with default, unit and bounds |
+//! | [`mod@settings`] | settings: one declaration for each, with default, unit and bounds |
 //! | [`config_text`] | configuration files: bounds, lines, numbers |
 //! | `bus` | typed Zenoh (feature `bus`) |
 

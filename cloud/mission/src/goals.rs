@@ -1,7 +1,7 @@
 //! Goal table. Which goals are there, and how do they end? Every change becomes a record; a goal ends once.
 //!
 //! A goal sent again under the same id is the same goal, and a request repeated under its id gets its first answer. Both are
-//! remembered within a window: all open goals, the last [`MAX_ENDED`] ended ones and the last [`MAX_ANSWERS`] answers. An id
+//! remembered within a window: all open goals, the last `MAX_ENDED` ended ones and the last `MAX_ANSWERS` answers. An id
 //! from before that is a new goal, so a client should not resend one after a thousand others have ended.
 
 use std::cmp::Reverse;

@@ -69,7 +69,7 @@ enum BtCommand {
 /// Validates, draws, watches and simulates trees.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for a missing file, [`exit_code::USAGE`] for a bad one.
+/// `exit_code::NOT_FOUND` for a missing file, `exit_code::USAGE` for a bad one.
 pub fn bt(args: &BtArgs) -> Outcome {
     match &args.command {
         BtCommand::Validate { file } => validate::validate(file, args.output),
