@@ -118,14 +118,41 @@ impl MotionWorker {
         clock: &mut dyn FnMut() -> f64,
         cancel: &Cancel,
     ) -> Result<TrajectoryReply, Refusal> {
-        let plan = self.plan(map, &request.plan, clock, cancel)?;
-        let smooth = match &plan.outcome {
-            PlanOutcome::Found { path, .. } => {
-                Some(self.smooth(map, &request.smooth(plan.map.clone(), path.clone()), clock, cancel)?)
+        let mut plan = self.plan(map, &request.plan, clock, cancel)?;
+        let mut smooth = self.smooth_found(map, request, &plan, clock, cancel)?;
+        // The planner looks at straight legs and turns on the spot; in the end the goal's heading, or what the robot's speed asks of the
+        // start, may need more room than that: a path with room for a larger disc gives it.
+        for radius in larger_discs(&request.plan.model.footprint) {
+            if !smooth.as_ref().is_some_and(|reply| reply.trajectory.is_empty()) {
+                break;
             }
-            _ => None,
-        };
+            let mut roomier = request.plan.clone();
+            roomier.model.footprint = Footprint::Radius(radius);
+            let other = self.plan(map, &roomier, clock, cancel)?;
+            if matches!(other.outcome, PlanOutcome::Found { .. }) {
+                smooth = self.smooth_found(map, request, &other, clock, cancel)?;
+                plan = other;
+            }
+        }
         Ok(TrajectoryReply { plan, smooth })
+    }
+
+    /// The trajectory along the path of an answer; `None` where there is no path.
+    fn smooth_found(
+        &mut self,
+        map: Option<&MapReplica>,
+        request: &TrajectoryRequest,
+        plan: &PlanReply,
+        clock: &mut dyn FnMut() -> f64,
+        cancel: &Cancel,
+    ) -> Result<Option<SmoothReply>, Refusal> {
+        match &plan.outcome {
+            PlanOutcome::Found { path, .. } => {
+                let request = request.smooth(plan.map.clone(), path.clone());
+                self.smooth(map, &request, clock, cancel).map(Some)
+            }
+            _ => Ok(None),
+        }
     }
 
     /// A path through all poses that are to be passed.
@@ -278,6 +305,17 @@ impl MotionWorker {
             trajectory: smoothed.sampled(SAMPLE_PERIOD),
             statistics: smoothed.statistics,
         })
+    }
+}
+
+/// Radii of the discs to plan for where the path of a polygon cannot be driven: halfway to the circumscribed one, and that one, m.
+fn larger_discs(footprint: &Footprint) -> Vec<f64> {
+    match footprint {
+        Footprint::Radius(_) => Vec::new(),
+        Footprint::Polygon(_) => {
+            let (inner, outer) = (footprint.inscribed_radius(), footprint.circumscribed_radius());
+            vec![0.5 * (inner + outer), outer]
+        }
     }
 }
 
