@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;

@@ -4,7 +4,7 @@ use nalgebra::Point2;
 use zenav_protocol::config_text::Number;
 use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
 
 use super::context::Context;
 use super::trees;

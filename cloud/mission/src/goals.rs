@@ -7,7 +7,9 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalFeedback, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Refusal,
+};
 use zenav_protocol::time::Stamp;
 
 use super::records::{Record, StoredGoal};

@@ -1,7 +1,11 @@
 //! Step I/O. What goes into a mission's step, and what comes out? Typed and decoded: no bus in here.
 
 use thiserror::Error;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest, LeaseReply,
+    LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
+    PoseEstimate, Refusal, RemoteReply, RemoteRequest,
+};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::records::Record;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 

@@ -2,7 +2,9 @@
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalPhase, GoalReply, GoalRequest, InfoReply, InfoRequest, JoinReply, JoinRequest, OnBusy, Refusal,
+};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::goal_validation;

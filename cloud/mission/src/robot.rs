@@ -2,7 +2,7 @@
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{BasedOn, EdgeState, Event, EventKind, InfoRequest, PoseEstimate};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
@@ -157,6 +157,7 @@ impl RobotView {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use zenav_protocol::messages::InfoReply;
 
     #[test]
     fn a_robot_of_another_schema_version_is_refused_with_both_versions_named() {

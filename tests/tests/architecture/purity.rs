@@ -212,7 +212,7 @@ fn zenoh_appears_in_the_bus_and_the_router_alone() {
 }
 
 /// Files outside tests that take in every message by a glob: no more than there are.
-const GLOBS: usize = 16;
+const GLOBS: usize = 4;
 
 #[test]
 fn fewer_and_fewer_files_take_in_every_message_by_a_glob() {
