@@ -1,5 +1,5 @@
-//! ComputePathToPose, ComputePathThroughPoses: a way to the goal or through goals, planned and smoothed by workers, put on
-//! the blackboard. With `start` it begins there, not where the robot is: then it is a way that nobody has made a motion yet.
+//! ComputePathToPose, ComputePathThroughPoses: a path to the goal or through goals, planned and smoothed by workers, put on
+//! the blackboard. With `start` it begins there, not where the robot is: then it is a path without a trajectory.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::GoalPoint;
@@ -11,18 +11,18 @@ use crate::context::Context;
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's codes of the same reasons are so much higher for a way through poses.
+/// Nav2's codes of the same reasons are so much higher for a path through poses.
 const THROUGH_POSES: i64 = 100;
 /// The path on the blackboard leaves the motion by at most so much, m.
 const EXACT: f64 = 0.01;
 /// Nav2's code for no goals at all, ComputePathThroughPoses.
 const NO_VIAPOINTS_GIVEN: i64 = 309;
 
-/// Plans; `path` gets the way, `error_code_id` and `error_msg` why there is none.
+/// Plans; `path` gets the path, `error_code_id` and `error_msg` why there is none.
 #[derive(Default)]
 pub struct ComputePath {
     search: Option<(Search, RouteRequest)>,
-    /// Where to, and how often in a row it has been tried without a way.
+    /// Where to, and how often in a row no path was found.
     tried: Option<(GoalPoint, u32)>,
 }
 
@@ -71,7 +71,7 @@ fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, S
     })
 }
 
-/// The way as it will be driven: the motion cuts the corners of what the planner found.
+/// The path as it will be driven: the trajectory cuts the corners of what the planner found.
 fn driven(route: &Route) -> Vec<Point2<f64>> {
     let trajectory = &route.plan.trajectory;
     if trajectory.is_empty() {

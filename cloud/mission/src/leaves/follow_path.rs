@@ -1,6 +1,6 @@
-//! FollowPath: a way is driven to its end, rechecked and renewed as the map grows, replaced when it is blocked.
+//! FollowPath: a path is driven to its end, rechecked and renewed as the map grows, replaced when it is blocked.
 //!
-//! SUCCESS at the goal, within its tolerance; FAILURE when the robot does not get on, when there is no way round what
+//! SUCCESS at the goal, within its tolerance; FAILURE when the robot does not get on, when no path leads round what
 //! blocks it, or when the robot refuses plan after plan. Without the lease, while stopped or driven by hand, it waits.
 
 use std::sync::Arc;
@@ -71,7 +71,7 @@ pub struct FollowPath {
     rechecked: u64,
     /// A better route than the one being driven, from the tree.
     offered: Option<Arc<Route>>,
-    /// Plan time of the motion in force at which something stands on the way, s.
+    /// Plan time of the motion in force at which something stands on the trajectory, s.
     blocked_at: Option<f64>,
     /// Until then what stands far ahead can wait.
     gathered: Stamp,
@@ -393,7 +393,7 @@ impl FollowPath {
         }
     }
 
-    /// Holds the motion in force once what stands on the way comes near.
+    /// Holds the motion in force once what stands on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
         if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
             let braking = Limits::of(model).braking_time(ctx.robot.velocity());

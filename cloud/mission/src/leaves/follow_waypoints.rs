@@ -1,6 +1,6 @@
 //! FollowWaypoints: places are passed in order by the robot's waypoint law, without a planner and without a map.
 //!
-//! Its guard keeps the robot from what stands in the way. SUCCESS at the last place; FAILURE when the robot does not get
+//! The collision monitor keeps the robot from obstacles. SUCCESS at the last place; FAILURE when the robot does not get
 //! on or refuses the plan. After a loss of the lease or a restart it goes on with the first place not passed.
 
 use nalgebra::Point2;

@@ -1,31 +1,31 @@
-//! Where on a way is the robot, how much of it is left, and what is a part of it? A way is a polyline, m, map frame.
+//! Where on a path is the robot, how much of it is left, and what is a part of it? A path is a polyline, m, map frame.
 //!
 //! Nav2's paths have a pose every few centimetres, and its nodes look for the closest pose; here the closest point of the
 //! line itself is taken.
 
 use nalgebra::Point2;
 
-/// The point of a way that is nearest to a place.
+/// The point of a path that is nearest to a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
     /// Path from the start to it, m.
     pub along: f64,
     /// Distance from the place, m.
     pub distance: f64,
-    /// The same, positive where the place lies left of the way; before its beginning, only what lies aside of it.
+    /// The same, positive where the place lies left of the path; before its beginning, only what lies aside of it.
     pub left: f64,
-    /// Heading of the way there, rad.
+    /// Heading of the path there, rad.
     pub heading: f64,
 }
 
 /// Length, m.
 #[must_use]
 pub fn length(points: &[Point2<f64>]) -> f64 {
-    steps(points).map(|(_, a, b)| (b - a).norm()).sum()
+    segments(points).map(|(_, a, b)| (b - a).norm()).sum()
 }
 
-/// Every step of a way: where it begins on the way, its ends.
-fn steps(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, Point2<f64>)> {
+/// Every segment of a path: where it begins, m along the path, and its ends.
+fn segments(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, Point2<f64>)> {
     let mut along = 0.0;
     points.iter().zip(points.iter().skip(1)).map(move |(a, b)| {
         let begin = along;
@@ -34,7 +34,7 @@ fn steps(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, Poin
     })
 }
 
-/// The point nearest to `place` between `from` and `to` m of the way; `None` for a way without points or a part that is
+/// The point nearest to `place` between `from` and `to` m of the path; `None` for a path without points or a part that is
 /// empty.
 #[must_use]
 pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -> Option<Nearest> {
@@ -48,7 +48,7 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
         });
     }
     let mut best: Option<Nearest> = None;
-    for (begin, a, b) in steps(points) {
+    for (begin, a, b) in segments(points) {
         let step = b - a;
         let long = step.norm();
         if begin > to || begin + long < from {
@@ -76,14 +76,14 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
     best
 }
 
-/// The part from `from` to `to` m of the way, cut ends included. A part without length is one point.
+/// The part from `from` to `to` m of the path, cut ends included. A part without length is one point.
 #[must_use]
 pub fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
     let Some(first) = points.first() else { return Vec::new() };
     let whole = length(points);
     let (from, to) = (from.clamp(0.0, whole), to.clamp(0.0, whole));
     let mut cut: Vec<Point2<f64>> = Vec::new();
-    for (begin, a, b) in steps(points) {
+    for (begin, a, b) in segments(points) {
         let long = (b - a).norm();
         if long <= 0.0 || begin + long < from || begin > to {
             continue;
@@ -103,7 +103,7 @@ pub fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
     cut
 }
 
-/// The corners without which the way would be more than `tolerance` m off (Douglas and Peucker, 1973); both ends always.
+/// The corners without which the path would be more than `tolerance` m off (Douglas and Peucker, 1973); both ends always.
 #[must_use]
 pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
     let Some(last) = points.len().checked_sub(1) else {
@@ -136,11 +136,11 @@ pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
         .collect()
 }
 
-/// Points on a way, at most `spacing` m apart, ends and corners included, each with its heading; at most `most`.
+/// Points on a path, at most `spacing` m apart, ends and corners included, each with its heading; at most `most`.
 #[must_use]
 pub fn spaced(points: &[Point2<f64>], spacing: f64, most: usize) -> Vec<(Point2<f64>, f64)> {
     let mut poses = Vec::new();
-    for (_, a, b) in steps(points) {
+    for (_, a, b) in segments(points) {
         let step = b - a;
         let heading = step.y.atan2(step.x);
         let count = (step.norm() / spacing).ceil().clamp(1.0, most as f64) as usize;
@@ -183,11 +183,11 @@ mod tests {
 
     #[test]
     fn a_search_that_is_bounded_does_not_jump_ahead() {
-        // The way comes back beside itself.
-        let way = [(0.0, 0.0), (4.0, 0.0), (4.0, 0.5), (0.0, 0.5)].map(|(x, y)| Point2::new(x, y));
+        // The path comes back beside itself.
+        let path = [(0.0, 0.0), (4.0, 0.0), (4.0, 0.5), (0.0, 0.5)].map(|(x, y)| Point2::new(x, y));
         let place = Point2::new(0.2, 0.4);
-        assert!(nearest(&way, place, 0.0, f64::INFINITY).unwrap().along > 8.0);
-        assert!(nearest(&way, place, 0.0, 1.5).unwrap().along < 0.3);
+        assert!(nearest(&path, place, 0.0, f64::INFINITY).unwrap().along > 8.0);
+        assert!(nearest(&path, place, 0.0, 1.5).unwrap().along < 0.3);
     }
 
     #[test]
@@ -201,7 +201,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_simplified_way_is_nowhere_far_from_the_whole(
+        fn a_simplified_path_is_nowhere_far_from_the_whole(
             points in prop::collection::vec((-3.0..3.0, -3.0..3.0).prop_map(|(x, y)| Point2::new(x, y)), 1..40),
         ) {
             let few = simplified(&points, 0.5);

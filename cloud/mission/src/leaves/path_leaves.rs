@@ -50,7 +50,7 @@ impl Pursuit {
     }
 }
 
-/// SUCCESS if the way left on `path` is shorter than `proximity_threshold`.
+/// SUCCESS if what is left of `path` is shorter than `proximity_threshold`.
 #[derive(Default)]
 pub struct IsGoalNearby(Pursuit);
 

@@ -1,4 +1,4 @@
-//! Does the robot get on? Without enough way or turn in time, a drive has failed (Nav2's PoseProgressChecker).
+//! Does the robot get on? Without enough distance or turn in time, a drive has failed (Nav2's PoseProgressChecker).
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::time::Stamp;
@@ -20,9 +20,11 @@ impl Progress {
     /// Whether the robot has been without progress for too long.
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
-        let (way, turn) = ctx.config.progress;
+        let (distance, turn) = ctx.config.progress;
         match self.anchor {
-            Some((since, anchor)) if anchor.distance(&pose) < way && wrap_angle(pose.yaw - anchor.yaw).abs() < turn => {
+            Some((since, anchor))
+                if anchor.distance(&pose) < distance && wrap_angle(pose.yaw - anchor.yaw).abs() < turn =>
+            {
                 ctx.now.secs_since(since) > ctx.config.progress_secs
             }
             _ => {

@@ -13,7 +13,7 @@ use zenav_planning::Planner;
 /// What is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// How a way is looked for.
+    /// How a path is looked for.
     Planner,
     /// How it is followed.
     Controller,

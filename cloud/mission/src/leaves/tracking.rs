@@ -11,7 +11,7 @@ use crate::context::Context;
 use crate::route::RouteData;
 use zenav_behaviour_tree::{LeafIo, Value};
 
-/// So far ahead on the way it is looked where the robot is, m.
+/// How far ahead on the path the robot is looked for, m.
 const AHEAD: f64 = 2.0;
 /// A goal to pass counts as passed so far before it, m.
 const AT_VIA: f64 = 0.1;

@@ -83,7 +83,7 @@ pub struct RouteData {
     pub points: Vec<Point2<f64>>,
     /// Length, m.
     pub length: f64,
-    /// Goals that it passes on the way, in order.
+    /// Goals that it passes, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<GoalPoint>,
     /// The place that the goal is, where it was named.
