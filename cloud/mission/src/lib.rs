@@ -76,8 +76,6 @@ mod requests;
 pub mod robot;
 pub mod route;
 pub mod store;
-#[cfg(test)]
-mod tests;
 pub mod trees;
 
 pub use config::MissionConfig;

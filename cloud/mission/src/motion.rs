@@ -73,6 +73,8 @@ struct ActivePlan {
     /// When the robot was last heard to have it.
     confirmed: Stamp,
     held: bool,
+    /// Whether the robot has accepted this trajectory: then a refusal is of a renewal.
+    was_taken: bool,
 }
 
 /// Keeps the plan in force.
@@ -114,6 +116,7 @@ impl MotionKeeper {
             published: long_ago,
             confirmed: long_ago,
             held: false,
+            was_taken: true,
         });
     }
 
@@ -189,6 +192,7 @@ impl MotionKeeper {
             published: now,
             confirmed: now,
             held: false,
+            was_taken: false,
         });
         self.changed = true;
         self.was_begun_for_leg = true;
@@ -227,8 +231,12 @@ impl MotionKeeper {
         Some(current.plan.clone())
     }
 
-    /// The robot has refused the plan: what was in force before still is, if it drove. Whether there is such.
+    /// The robot has refused the plan: what was in force before still is, if it drove, be it the same trajectory. Whether there is such.
     pub fn revert(&mut self) -> bool {
+        if let Some(current) = self.current.as_mut().filter(|current| current.was_taken) {
+            current.status = PlanStatus::Taken;
+            return true;
+        }
         let previous = self.previous.take();
         self.changed |= previous.is_some();
         let reverts = previous.is_some();
@@ -265,6 +273,7 @@ impl MotionKeeper {
             Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
                 current.confirmed = now;
                 if matches!(current.status, PlanStatus::Sent | PlanStatus::Taken) {
+                    current.was_taken = true;
                     current.status = if progress.finished {
                         PlanStatus::Finished
                     } else {
@@ -308,7 +317,7 @@ impl ActivePlan {
         let ours = self.plan.trajectory_id;
         match &event.kind {
             EventKind::PlanAccepted { trajectory_id, .. } if *trajectory_id == ours => {
-                self.confirmed = now;
+                (self.confirmed, self.was_taken) = (now, true);
                 if self.status == PlanStatus::Sent {
                     self.status = PlanStatus::Taken;
                 }
@@ -414,13 +423,13 @@ mod tests {
 
     #[test]
     fn what_lies_ahead_is_found_and_what_lies_behind_is_not() {
-        let (way, space) = (straight(), space(&[(4.0, 0.2)]));
-        let Recheck::Blocked(ahead) = recheck(&way, &space, 0.0) else {
+        let (path, space) = (straight(), space(&[(4.0, 0.2)]));
+        let Recheck::Blocked(ahead) = recheck(&path, &space, 0.0) else {
             panic!("missed")
         };
         assert!((5.5..7.6).contains(&ahead), "{ahead}");
-        assert_eq!(recheck(&way, &space, 9.0), Recheck::Free);
-        assert_eq!(recheck(&way, &self::space(&[(4.0, 0.3)]), 0.0), Recheck::Free);
+        assert_eq!(recheck(&path, &space, 9.0), Recheck::Free);
+        assert_eq!(recheck(&path, &self::space(&[(4.0, 0.3)]), 0.0), Recheck::Free);
     }
 
     #[test]

@@ -2,6 +2,9 @@
 //!
 //! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
 //! links' delay stands for everything from scan to plan.
+//!
+//! [`ClosedLoop::tick`] is the whole; who wants to see what goes over the wire, or to have a part fail, takes the turns one by one:
+//! [`ClosedLoop::advance`], [`ClosedLoop::step_mission`], [`ClosedLoop::carry_out`].
 
 use std::sync::Arc;
 
@@ -9,12 +12,10 @@ use zenav_cloud::motion;
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
 use zenav_mapping::{Mapper, MappingSettings};
-use zenav_mission::{Answer, Ask, Effect, Mission, MissionConfig, NoAnswer, Restored};
+use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::{
-    GoalRequest, GoalState, Heartbeat, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal,
-};
+use zenav_protocol::messages::{GoalState, Heartbeat, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
@@ -56,17 +57,23 @@ enum Down {
 
 /// Everything, in one thread.
 pub struct ClosedLoop {
-    simulation: Simulation,
-    pilot: Pilot,
-    mapper: Mapper,
+    /// The world; its robot 0 is driven.
+    pub simulation: Simulation,
+    /// The robot's side.
+    pub pilot: Pilot,
+    /// For the robot's next tick, from anybody but the mission.
+    pub inbox: Inbox,
+    /// The mapper.
+    pub mapper: Mapper,
+    /// The mission, while one runs.
+    pub mission: Option<Mission>,
+    /// For the mission's next step.
+    pub inputs: zenav_mission::Inputs,
     /// The motion worker's copy of the map.
     replica: MapReplica,
     worker: MotionWorker,
-    mission: Mission,
     up: Link<Up>,
     down: Link<Down>,
-    /// For the mission's next step.
-    inputs: zenav_mission::Inputs,
     replies: Vec<Result<MissionReply, Refusal>>,
     /// The newest state of each goal.
     goal: Option<GoalState>,
@@ -96,13 +103,14 @@ impl ClosedLoop {
         Self {
             simulation,
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
+            inbox: Inbox::default(),
             mapper,
             replica: MapReplica::new(),
             worker: MotionWorker::new(Arc::clone(&config.mission.zones), Default::default()),
-            mission: Mission::new(config.mission, Restored::fresh()),
+            mission: Some(Mission::new(config.mission, Restored::fresh())),
+            inputs: zenav_mission::Inputs::default(),
             up: Link::new(0.5 * config.cloud_delay, config.seed),
             down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
-            inputs: zenav_mission::Inputs::default(),
             replies: Vec::new(),
             goal: None,
             ticks: 0,
@@ -110,26 +118,44 @@ impl ClosedLoop {
         }
     }
 
-    /// Hands the mission a goal at its next step.
-    pub fn submit(&mut self, request: GoalRequest) {
+    /// Asks the mission at its next step; the answer bears the client that is returned.
+    pub fn ask(&mut self, request: MissionRequest) -> Client {
         self.clients += 1;
-        self.inputs
-            .requests
-            .push((zenav_mission::Client(self.clients), MissionRequest::Goal(request)));
+        let client = Client(self.clients);
+        self.inputs.requests.push((client, request));
+        client
+    }
+
+    /// Has another mission run from now on: it is told what a new process is told of the map.
+    pub fn start(&mut self, mission: Mission) {
+        self.mission = Some(mission);
+        self.inputs = zenav_mission::Inputs {
+            map_info: Some(self.mapper.info()),
+            ..zenav_mission::Inputs::default()
+        };
     }
 
     /// One control tick.
     pub fn tick(&mut self) {
+        self.advance();
+        for effect in self.step_mission() {
+            self.carry_out(effect);
+        }
+    }
+
+    /// One control tick of world, robot and mapper. Returns what the robot gave out.
+    pub fn advance(&mut self) -> Outbox {
         self.simulation.step();
+        self.ticks += 1;
         let now = self.simulation.now();
         let outbox = self.step_edge(now);
         self.simulation.drive(0, outbox.wheels);
-        self.step_cloud(now);
-        self.ticks += 1;
+        self.deliver(now);
+        outbox
     }
 
     fn step_edge(&mut self, now: Stamp) -> Outbox {
-        let mut inbox = Inbox::default();
+        let mut inbox = std::mem::take(&mut self.inbox);
         for message in self.down.receive(now) {
             match message {
                 Down::Plan(plan) => inbox.plans.push(*plan),
@@ -137,18 +163,18 @@ impl ClosedLoop {
                 Down::Request(ticket, request) => inbox.requests.push((zenav_edge::Ticket(ticket.0), request)),
             }
         }
-        let mut outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
-        for publication in outbox.publications.drain(..) {
-            self.up.send(now, Up::Publication(publication));
+        let outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
+        for publication in &outbox.publications {
+            self.up.send(now, Up::Publication(publication.clone()));
         }
-        for (ticket, answer) in outbox.replies.drain(..) {
-            self.up
-                .send(now, Up::Answer(zenav_mission::Ticket(ticket.0), answer_of(answer)));
+        for (ticket, answer) in &outbox.replies {
+            let answer = answer_of(answer.clone());
+            self.up.send(now, Up::Answer(zenav_mission::Ticket(ticket.0), answer));
         }
         outbox
     }
 
-    fn step_cloud(&mut self, now: Stamp) {
+    fn deliver(&mut self, now: Stamp) {
         for message in self.up.receive(now) {
             match message {
                 Up::Answer(ticket, answer) => self.inputs.answers.push((ticket, answer)),
@@ -168,15 +194,23 @@ impl ClosedLoop {
             self.inputs.map_patches.push(patch);
             self.inputs.map_info = Some(self.mapper.info());
         }
-        if self.ticks.is_multiple_of(TICKS_A_STEP) {
-            let inputs = std::mem::take(&mut self.inputs);
-            for effect in self.mission.step(now, inputs) {
-                self.carry_out(now, effect);
-            }
-        }
     }
 
-    fn carry_out(&mut self, now: Stamp, effect: Effect) {
+    /// The mission's step, where one is due. Returns what it wants to have done.
+    pub fn step_mission(&mut self) -> Vec<Effect> {
+        if self.ticks % TICKS_A_STEP != 1 {
+            return Vec::new();
+        }
+        let inputs = std::mem::take(&mut self.inputs);
+        let now = self.simulation.now();
+        self.mission
+            .as_mut()
+            .map_or_else(Vec::new, |mission| mission.step(now, inputs))
+    }
+
+    /// Carries an effect of the mission's out.
+    pub fn carry_out(&mut self, effect: Effect) {
+        let now = self.simulation.now();
         match effect {
             Effect::Heartbeat(heartbeat) => self.down.send(now, Down::Heartbeat(heartbeat)),
             Effect::Plan(plan) => self.down.send(now, Down::Plan(plan)),
@@ -232,6 +266,7 @@ impl ClosedLoop {
         let mut reply = self.mapper.reply();
         if request.action != MapAction::Get {
             reply.values.clear();
+            self.inputs.map_info = Some(reply.info.clone());
         }
         Answer::Map(Box::new(reply))
     }
@@ -257,12 +292,6 @@ impl ClosedLoop {
     /// What the mission has answered so far.
     pub fn replies(&self) -> &[Result<MissionReply, Refusal>] {
         &self.replies
-    }
-
-    /// The map so far.
-    #[must_use]
-    pub fn map(&self) -> OccupancyGrid {
-        self.mapper.grid()
     }
 }
 

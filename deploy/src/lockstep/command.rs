@@ -13,6 +13,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::topics::MissionRequest;
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::{RobotSpec, Simulation, World};
 
@@ -182,7 +183,10 @@ fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<ClosedLoop
 }
 
 /// The world as a map: its own, or every cell that something solid touches.
-fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
+///
+/// # Errors
+/// A world that is too large to be a map.
+pub fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     if let Some(map) = world.map() {
         return Ok(map.clone());
     }
@@ -219,14 +223,14 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
 
 fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport {
     let goal = Point2::new(args.goal[0], args.goal[1]);
-    stage.submit(GoalRequest {
+    stage.ask(MissionRequest::Goal(GoalRequest {
         id: Some("run".to_owned()),
         x: Some(goal.x),
         y: Some(goal.y),
         tolerance: Some(args.tolerance),
         profile: args.profile,
         ..GoalRequest::default()
-    });
+    }));
     let mut reason = None;
     let outcome = loop {
         stage.tick();

@@ -37,6 +37,8 @@ mod ports;
 mod progress;
 pub mod remote;
 mod selectors;
+#[cfg(test)]
+mod semantics;
 mod services;
 mod simple;
 mod smooth_path;

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalRequest, GoalsRequest, InfoRequest, OnBusy, Refusal};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
-
-use super::rig::{Rig, to};
 use zenav_space::Zones;
+
+use super::rig::{Rig, cancel, room, to};
 
 #[test]
 fn what_is_no_goal_is_answered_with_what_was_expected() {
@@ -106,14 +106,13 @@ fn what_is_no_goal_is_answered_with_what_was_expected() {
         ..GoalRequest::default()
     };
     assert!(matches!(rig.submit(nowhere), Err(Refusal::NotFound { .. })));
-    assert!(rig.kept.goals.is_empty());
+    assert!(rig.goals.is_empty());
     assert_eq!(rig.submit(ok).unwrap().state, GoalPhase::Accepted);
 }
 
 #[test]
 fn a_goal_in_a_wall_is_rejected_with_the_nearest_place_that_would_do() {
-    let mut rig = Rig::new();
-    rig.occupy(2.0, 2.0);
+    let mut rig = Rig::on(room(|at| (at.x - 2.05).abs() < 0.05 && (at.y - 2.05).abs() < 0.05));
     rig.run(1.0);
     match rig.submit(to(2.05, 2.05, "wall")) {
         Err(Refusal::Rejected {
@@ -162,7 +161,7 @@ fn a_repeated_goal_is_the_same_goal_and_another_content_is_refused() {
     rig.run(1.0);
     assert_eq!(rig.submit(to(1.0, 0.0, "a")).unwrap().state, GoalPhase::Active);
     assert!(matches!(rig.submit(to(2.0, 0.0, "a")), Err(Refusal::Rejected { .. })));
-    assert!(rig.run_until(20.0, |rig| rig.state("a").is_end()));
+    rig.success_of("a", 20.0);
     assert_eq!(rig.submit(to(1.0, 0.0, "a")).unwrap().state, GoalPhase::Succeeded);
     let plans = rig.plans.len();
     rig.run(2.0);
@@ -185,24 +184,15 @@ fn a_busy_mission_queues_preempts_or_refuses_as_asked() {
         ..to(1.0, 0.0, "d")
     })
     .unwrap();
-    assert_eq!(rig.state("a"), GoalPhase::Canceled);
-    assert_eq!(rig.state("d"), GoalPhase::Active, "it goes before the one that waits");
-    assert!(rig.run_until(60.0, |rig| rig.state("b").is_end()));
-    assert_eq!(
-        (rig.state("b"), rig.state("d")),
-        (GoalPhase::Succeeded, GoalPhase::Succeeded)
-    );
+    assert_eq!(rig.phase("a"), GoalPhase::Canceled);
+    assert_eq!(rig.phase("d"), GoalPhase::Active, "it goes before the one that waits");
+    rig.success_of("b", 60.0);
+    assert_eq!(rig.phase("d"), GoalPhase::Succeeded);
 }
 
 #[test]
 fn a_repeated_cancel_gets_its_first_answer_and_an_unknown_goal_is_not_found() {
     let mut rig = Rig::new();
-    let cancel = |id: Option<&str>, request: &str| {
-        MissionRequest::Cancel(CancelRequest {
-            id: id.map(str::to_owned),
-            request_id: Some(request.to_owned()),
-        })
-    };
     assert!(matches!(rig.answer(cancel(None, "r0")), Err(Refusal::NotFound { .. })));
     assert!(matches!(
         rig.answer(cancel(Some("x"), "r0")),
@@ -212,12 +202,11 @@ fn a_repeated_cancel_gets_its_first_answer_and_an_unknown_goal_is_not_found() {
     let first = rig.answer(cancel(None, "r1")).unwrap();
     assert!(matches!(&first, MissionReply::Cancel(reply) if reply.id == "a" && reply.state == GoalPhase::Canceled));
     rig.submit(to(4.0, 0.0, "b")).unwrap();
-    rig.kill();
     rig.start();
     assert_eq!(rig.answer(cancel(None, "r1")).unwrap(), first, "also after a restart");
-    assert_eq!(rig.state("b"), GoalPhase::Active);
+    assert_eq!(rig.phase("b"), GoalPhase::Active);
     rig.answer(cancel(Some("b"), "r2")).unwrap();
-    assert_eq!(rig.state("b"), GoalPhase::Canceled);
+    assert_eq!(rig.phase("b"), GoalPhase::Canceled);
 }
 
 #[test]

@@ -4,10 +4,9 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use zenav_protocol::messages::*;
-use zenav_protocol::topics::MissionRequest;
+use zenav_protocol::messages::{GoalRequest, RemoteAction, RemoteReply, RemoteRequest, RemoteStatus};
 
-use super::rig::Rig;
+use super::rig::{GRIPPER, Rig, cancel, tree};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <RemoteAction name="Grab" server="kitchen/gripper" item="{item}" weight="{weight}" force="2.5"/>
@@ -58,10 +57,8 @@ impl Gripper {
 
 fn submit(rig: &mut Rig) {
     let goal = GoalRequest {
-        id: Some("g".into()),
-        tree: Some(TREE.into()),
         blackboard: [("item".to_owned(), "cup".into())].into(),
-        ..GoalRequest::default()
+        ..tree(TREE, "g")
     };
     rig.submit(goal).unwrap();
 }
@@ -71,8 +68,7 @@ fn it_is_asked_until_it_has_ended_with_its_inputs_and_its_outputs_are_written() 
     let mut rig = Rig::new();
     let gripper = Gripper::of(&mut rig, 4);
     submit(&mut rig);
-    assert!(rig.run_until(10.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.state("g"), GoalPhase::Succeeded, "{:?}", rig.goal("g").reason);
+    rig.success_of("g", 10.0);
     let gripper = gripper.borrow();
     assert_eq!(gripper.asked.len(), 1, "one execution");
     let asked = gripper.asked.values().next().unwrap();
@@ -93,8 +89,7 @@ fn its_failure_is_the_goal_s_with_its_own_words() {
     let gripper = Gripper::of(&mut rig, 1);
     gripper.borrow_mut().fails = true;
     submit(&mut rig);
-    assert!(rig.run_until(10.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.goal("g").reason.as_deref(), Some("Grab: closes"));
+    assert_eq!(rig.end_of("g", 10.0).reason.as_deref(), Some("Grab: closes"));
 }
 
 #[test]
@@ -103,11 +98,7 @@ fn a_canceled_goal_stops_it() {
     let gripper = Gripper::of(&mut rig, usize::MAX);
     submit(&mut rig);
     rig.run(2.0);
-    let cancel = CancelRequest {
-        id: None,
-        request_id: None,
-    };
-    rig.answer(MissionRequest::Cancel(cancel)).unwrap();
+    rig.answer(cancel(None, "c1")).unwrap();
     rig.run(1.0);
     let gripper = gripper.borrow();
     assert_eq!(gripper.canceled, gripper.asked.keys().cloned().collect::<Vec<_>>());
@@ -124,8 +115,7 @@ fn a_restart_asks_on_for_the_same_execution() {
         rig.run(2.0);
         rig.start();
     }
-    assert!(rig.run_until(30.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.state("g"), GoalPhase::Succeeded);
+    rig.success_of("g", 30.0);
     assert_eq!(gripper.borrow().asked.len(), 1, "one execution");
 }
 
@@ -133,7 +123,6 @@ fn a_restart_asks_on_for_the_same_execution() {
 fn nobody_there_is_a_failure_that_names_the_key() {
     let mut rig = Rig::new();
     submit(&mut rig);
-    assert!(rig.run_until(30.0, |rig| rig.state("g").is_end()));
-    let reason = rig.goal("g").reason.clone().unwrap();
-    assert!(reason.contains("kitchen/gripper"), "{reason}");
+    let reason = rig.end_of("g", 30.0).reason.unwrap();
+    assert!(reason.contains(GRIPPER), "{reason}");
 }

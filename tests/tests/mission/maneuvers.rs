@@ -2,47 +2,35 @@
 
 use std::collections::BTreeSet;
 
-use zenav_protocol::messages::*;
-use zenav_protocol::topics::MissionRequest;
+use zenav_mission::Ask;
+use zenav_protocol::messages::{BehaviourAction, GoalPhase};
 
-use super::rig::Rig;
-use crate::io::Ask;
+use super::rig::{Rig, tree};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <Spin spin_dist="1.0"/><BackUp backup_dist="0.3" backup_speed="0.05"/><DriveOnHeading dist_to_travel="0.4" speed="0.2"/>
     <DriveToFree clearance="0.2" within="1.5"/></Sequence></BehaviorTree></root>"#;
 
-fn begin() -> Rig {
-    let mut rig = Rig::new();
-    let goal = GoalRequest {
-        id: Some("g".into()),
-        tree: Some(TREE.into()),
-        ..GoalRequest::default()
-    };
-    rig.answer(MissionRequest::Goal(goal)).unwrap();
-    rig
-}
-
 /// Executions that the robot was asked to begin, in order, each once.
-fn begun(rig: &Rig) -> Vec<(String, BehaviourAction)> {
+fn begun(rig: &Rig) -> Vec<BehaviourAction> {
     let mut seen = BTreeSet::new();
     let asked = rig.asked.iter().filter_map(|ask| match ask {
-        Ask::Behaviour(request) => Some((request.id.clone(), request.action.clone())),
+        Ask::Behaviour(request) => Some(request),
         _ => None,
     });
     asked
-        .filter(|(id, action)| !matches!(action, BehaviourAction::Report) && seen.insert(id.clone()))
+        .filter(|request| !matches!(request.action, BehaviourAction::Report) && seen.insert(&request.id))
+        .map(|request| request.action.clone())
         .collect()
 }
 
 #[test]
 fn each_is_asked_of_the_robot_by_an_id_of_its_own_with_what_its_ports_say() {
-    let mut rig = begin();
-    assert!(rig.run_until(30.0, |rig| rig.state("g").is_end()));
-    assert_eq!(rig.state("g"), GoalPhase::Succeeded);
-    let actions: Vec<BehaviourAction> = begun(&rig).into_iter().map(|(_, action)| action).collect();
+    let mut rig = Rig::new();
+    rig.submit(tree(TREE, "g")).unwrap();
+    rig.success_of("g", 30.0);
     assert_eq!(
-        actions,
+        begun(&rig),
         [
             BehaviourAction::Spin { angle: 1.0 },
             BehaviourAction::Drive {
@@ -59,19 +47,26 @@ fn each_is_asked_of_the_robot_by_an_id_of_its_own_with_what_its_ports_say() {
             },
         ]
     );
+    assert!((rig.pose().yaw - 1.0).abs() < 0.1 && (rig.driven() - 0.7).abs() < 0.1);
 }
 
 #[test]
 fn a_restart_asks_on_for_the_same_execution() {
-    let mut rig = begin();
-    rig.behaviours_run = true;
-    rig.run(3.0);
-    rig.kill();
+    let mut rig = Rig::new();
+    rig.submit(tree(TREE, "g")).unwrap();
+    let backs_up = |rig: &Rig| begun(rig).len() == 2;
+    assert!(rig.run_until(10.0, backs_up));
     rig.run(1.0);
+    rig.kill();
+    rig.run(0.5);
     rig.start();
-    rig.run(3.0);
-    assert_eq!(begun(&rig).len(), 1, "{:?}", begun(&rig));
-    rig.behaviours_run = false;
-    assert!(rig.run_until(30.0, |rig| rig.state("g").is_end()));
-    assert_eq!((rig.state("g"), begun(&rig).len()), (GoalPhase::Succeeded, 4));
+    rig.run(2.0);
+    assert!(
+        backs_up(&rig) && rig.phase("g") == GoalPhase::Active,
+        "{:?}",
+        begun(&rig)
+    );
+    rig.success_of("g", 30.0);
+    assert_eq!(begun(&rig).len(), 4);
+    assert!((rig.driven() - 0.7).abs() < 0.1, "nothing is done twice");
 }

@@ -1,23 +1,37 @@
 //! Claims about single nodes that look at a robot, its paths and its goals: a test a row of Nav2's semantics.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 use std::time::Duration;
 
 use nalgebra::Point2;
+use zenav_behaviour_tree::{
+    Category, Limits, NodeSpec, PortSpec, PortType, Registry, Status, Tree, Value, check, simulate,
+};
+use zenav_mapping::{Mapper, MappingSettings};
 use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, Event, EventKind, GuardZone, InfoReply, LeaseState, Link, MapRef, Mode, PoseEstimate,
+};
 use zenav_protocol::time::Stamp;
 
-use super::rig::{Rig, model};
+use super::parse_path;
 use crate::MissionConfig;
 use crate::context::Context;
 use crate::io::{Answer, Ask};
-use crate::leaves::parse_path;
 use crate::records::Restored;
-use crate::trees::build;
-use zenav_behaviour_tree::{Status, Tree, Value};
+use crate::trees::{build, registry};
 
 use Status::{Failure, Running, Success};
+
+const SPEC: GridSpec = GridSpec {
+    origin: Point2::new(-5.0, -5.0),
+    resolution: 0.1,
+    width: 128,
+    height: 128,
+};
 
 /// One node, and a robot that is put where a test wants it.
 struct Stand {
@@ -31,15 +45,23 @@ struct Stand {
 
 impl Stand {
     fn new(node: &str) -> Stand {
-        let rig = Rig::new();
-        Stand::on(node, &rig)
+        Stand::on(node, &zenav_fixtures::free_map(SPEC))
     }
 
-    /// With a rig's map.
-    fn on(node: &str, rig: &Rig) -> Stand {
+    /// With a map.
+    fn on(node: &str, map: &OccupancyGrid) -> Stand {
         let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
         let mut ctx = Context::new(config, &Restored::fresh());
-        ctx.map.observe(Stamp(1), Some(rig.map.clone()), &[rig.patch()]);
+        let (settings, name) = (
+            MappingSettings {
+                resolution: SPEC.resolution,
+                ..MappingSettings::default()
+            },
+            MapRef::default(),
+        );
+        let mut mapper = Mapper::with_stored(settings, name, map, Vec::new(), 1);
+        let patches: Vec<_> = std::iter::from_fn(|| mapper.take_patch()).collect();
+        ctx.map.observe(Stamp(1), Some(mapper.info()), &patches);
         ctx.robot.step(Stamp(1), &mut ctx.asks).unwrap();
         let (ticket, ask) = ctx.asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::EdgeInfo(_)));
@@ -48,7 +70,7 @@ impl Stand {
             version: "0".into(),
             schema: zenav_protocol::SCHEMA_VERSION,
             robot: "tiago".into(),
-            model: Some(model()),
+            model: Some(zenav_fixtures::robot("tiago")),
             ..InfoReply::default()
         };
         ctx.asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(info))));
@@ -189,24 +211,23 @@ fn truncate_path_cuts_its_end_and_leaves_at_least_a_point() {
 
 #[test]
 fn validate_path_fails_where_the_body_does_not_fit_and_lists_the_places() {
-    let mut rig = Rig::new();
-    rig.occupy(3.0, 0.2);
+    let map = zenav_fixtures::map_where(SPEC, |at| (at.x - 3.05).abs() < 0.05 && (at.y - 0.25).abs() < 0.05);
     let node = r#"<ValidatePath path="{path}" collision_poses="{bad}" stop_at_first_collision="false"/>"#;
-    let mut stand = Stand::on(node, &rig).with("path", "[[0,0],[5,0]]");
+    let mut stand = Stand::on(node, &map).with("path", "[[0,0],[5,0]]");
     assert_eq!(stand.now(), Failure);
     let places: Vec<Point2<f64>> = serde_json::from_str(&stand.entry("bad")).unwrap();
     assert!(
         places.len() > 3 && places.iter().all(|place| (place.x - 3.0).abs() < 0.5),
         "{places:?}"
     );
-    let mut beside = Stand::on(node, &rig).with("path", "[[0,-0.5],[5,-0.5]]");
+    let mut beside = Stand::on(node, &map).with("path", "[[0,-0.5],[5,-0.5]]");
     assert_eq!(beside.now(), Success);
     let mut ahead =
-        Stand::on(r#"<ValidatePath path="{path}" max_lookahead_distance="1.5"/>"#, &rig).with("path", "[[0,0],[5,0]]");
+        Stand::on(r#"<ValidatePath path="{path}" max_lookahead_distance="1.5"/>"#, &map).with("path", "[[0,0],[5,0]]");
     assert_eq!(ahead.now(), Success, "far ahead");
     assert_eq!(ahead.at(1.5, 0.0).now(), Failure);
     for (way, answer) in [("[[0,0],[5,0]]", Failure), ("[[0,-0.5],[5,-0.5]]", Success)] {
-        let mut older = Stand::on(r#"<IsPathValid path="{path}"/>"#, &rig).with("path", way);
+        let mut older = Stand::on(r#"<IsPathValid path="{path}"/>"#, &map).with("path", way);
         assert_eq!(older.now(), answer, "by its name in older releases");
     }
 }
@@ -363,4 +384,35 @@ fn poses_batteries_and_transforms_are_told() {
     assert_eq!(Stand::new(r#"<ToggleCollisionMonitor enable="false"/>"#).now(), Failure);
     let mut here = Stand::new(r#"<GetCurrentPose current_pose="{p}"/>"#);
     assert_eq!((here.at(1.0, 2.0).now(), here.entry("p").as_str()), (Success, "1;2;0"));
+}
+
+#[test]
+fn every_node_of_nav2_can_stand_in_a_mission_tree_with_all_its_ports() {
+    fn nodes<C>(registry: &Registry<C>) -> String {
+        let specs = registry.specs().filter(|spec| spec.category != Category::SubTree);
+        let node = |spec: &NodeSpec| {
+            let value = |port: &PortSpec| match &port.default {
+                Some(default) => default.clone(),
+                None if matches!(port.kind, PortType::Script) => "1 == 1".to_owned(),
+                None => format!("{{{}_{}}}", spec.id, port.name),
+            };
+            let ports: String = spec
+                .ports
+                .iter()
+                .map(|port| format!(" {}=\"{}\"", port.name, value(port)))
+                .collect();
+            let children = "<AlwaysSuccess/>".repeat(spec.children.0);
+            format!("<{0}{ports}>{children}</{0}>", spec.id)
+        };
+        specs.map(node).collect()
+    }
+    let text = format!(
+        "<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\"><Sequence>{}</Sequence></BehaviorTree></root>",
+        nodes(&simulate::registry())
+    );
+    let none = &mut |_: &str, _: &str| Err("none".to_owned());
+    let summary = check::<Context>("all.xml", text.as_bytes(), registry(), none, Limits::default());
+    let count = summary.unwrap_or_else(|errors| panic!("{errors}")).trees["Main"];
+    assert!(count > 120, "{count}");
+    build(&text).unwrap_or_else(|error| panic!("{error}"));
 }

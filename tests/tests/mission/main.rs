@@ -1,0 +1,12 @@
+//! A mission with the robot's real side, mapper and motion worker in a simulated room: claims about what it does to the robot.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+mod drives;
+mod goals;
+mod kitchen;
+mod maneuvers;
+mod nav2_trees;
+mod remote;
+mod rig;
+mod survival;
