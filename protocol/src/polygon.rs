@@ -34,6 +34,15 @@ pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
     edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
 }
 
+/// Whether a polygon turns left at every corner, with corners in counter-clockwise order.
+#[must_use]
+pub fn is_convex(corners: &[Point2<f64>]) -> bool {
+    let following = corners.iter().cycle().skip(2);
+    edges(corners)
+        .zip(following)
+        .all(|(edge, next)| cross(edge.b - edge.a, next - edge.b) > 0.0)
+}
+
 /// Whether a point lies inside a polygon (crossing number; points on the boundary may count as either).
 #[must_use]
 pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {

@@ -5,6 +5,7 @@ use thiserror::Error;
 
 use crate::config_text::{Expected, OutOfBounds, check_all, line_of};
 use crate::id::Id;
+use crate::polygon::is_convex;
 use crate::robot::{Footprint, RobotModel};
 use crate::sensors::{DEFAULT_LIDAR, GpsModel};
 use crate::settings::Settings as _;
@@ -88,18 +89,9 @@ impl RobotModel {
 
     fn check_footprint(&self) -> Result<(), OutOfBounds> {
         if let Footprint::Polygon(corners) = &self.footprint {
-            let edges: Vec<_> = corners
-                .iter()
-                .zip(corners.iter().cycle().skip(1))
-                .map(|(a, b)| b - a)
-                .collect();
-            let convex = edges
-                .iter()
-                .zip(edges.iter().cycle().skip(1))
-                .all(|(a, b)| a.x * b.y - a.y * b.x > 0.0);
             let around_base =
                 self.footprint.distance(Point2::origin()) == 0.0 && self.footprint.inscribed_radius() > 0.0;
-            if corners.len() < 3 || corners.len() > 64 || !convex || !around_base {
+            if corners.len() < 3 || corners.len() > 64 || !is_convex(corners) || !around_base {
                 return Err(OutOfBounds {
                     key: "footprint.polygon".to_owned(),
                     problem: "does not enclose the base: expected 3 to 64 corners of a convex polygon around the base, counter-clockwise"

@@ -11,7 +11,7 @@ use crate::sensors::random::{Stream, stream};
 use crate::sensors::{Moment, Sensor, sensors};
 
 /// One robot: chassis and sensors.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Body {
     model: RobotModel,
     /// How it moves.
@@ -54,7 +54,7 @@ impl Body {
 
     /// Measures what is due, when everybody has moved.
     pub fn sense(&mut self, around: Surroundings<'_>, now: Stamp) {
-        self.chassis.settle(&self.model, around, now);
+        self.chassis.settle(around, now);
         let moment = Moment {
             now,
             chassis: &self.chassis,

@@ -1,7 +1,7 @@
 //! Which things are near, the nearest first? A tree of boxes over short runs of neighbours.
 //!
 //! Split at the median along the longer side (Bentley 1975), so that a box holds what is close together; both children of a node lie
-//! side by side in memory. A walk goes front to back, so that whoever walks can leave out what is hidden or too far.
+//! side by side in memory. A walk goes front to back, so that a lidar leaves out what is hidden or too far; clearances use parry's tree.
 
 use nalgebra::Point2;
 
@@ -102,55 +102,6 @@ impl<T: Bounded> BoxTree<T> {
                 waiting[depth] = (node.first + 1 - nearer as u32, views[1 - nearer]);
                 waiting[depth + 1] = (node.first + nearer as u32, views[nearer]);
                 depth += 2;
-            }
-        }
-    }
-
-    /// The thing with the least `distance`, where it is less than `limit`: `(distance, thing)`. Boxes farther than the best so far
-    /// are left out; `reach` is by how much `distance` may be less than that from `from`.
-    pub fn nearest<N>(
-        &self,
-        from: Point2<f64>,
-        reach: f64,
-        limit: f64,
-        distance: impl Fn(&T) -> (f64, N),
-    ) -> Option<(f64, N)> {
-        let mut search = Search {
-            reach,
-            limit,
-            distance,
-            best: None,
-        };
-        self.walk(from, &mut search);
-        search.best.map(|best| (search.limit, best))
-    }
-}
-
-/// A search for the nearest thing.
-struct Search<N, D> {
-    reach: f64,
-    /// The least distance so far, m.
-    limit: f64,
-    distance: D,
-    best: Option<N>,
-}
-
-impl<T, N, D: Fn(&T) -> (f64, N)> Visitor<T> for Search<N, D> {
-    type View = f64;
-
-    fn look(&self, pair: [&Apart; 2]) -> [f64; 2] {
-        pair.map(|apart| apart.squared)
-    }
-
-    fn enters(&self, squared: &f64) -> bool {
-        squared.sqrt() - self.reach < self.limit
-    }
-
-    fn meet(&mut self, things: &[T]) {
-        for thing in things {
-            let (distance, what) = (self.distance)(thing);
-            if distance < self.limit {
-                (self.limit, self.best) = (distance, Some(what));
             }
         }
     }
@@ -267,15 +218,6 @@ mod tests {
             tree.walk(from, &mut within);
             let met = within.met;
             prop_assert_eq!(met, dots.iter().filter(|dot| (dot.0 - from).norm() <= radius).count());
-        }
-
-        #[test]
-        fn the_nearest_is_the_nearest_of_all(dots in dots(), x in -6.0..6.0, y in -6.0..6.0, limit in 0.0..12.0) {
-            let from = Point2::new(x, y);
-            let distance = |dot: &Dot| ((dot.0 - from).norm(), ());
-            let expected = dots.iter().map(|dot| distance(dot).0).fold(f64::INFINITY, f64::min);
-            let found = BoxTree::new(dots).nearest(from, 0.0, limit, distance).map(|(distance, ())| distance);
-            prop_assert_eq!(found, (expected < limit).then_some(expected));
         }
     }
 }

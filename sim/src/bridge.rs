@@ -13,10 +13,3 @@ pub(crate) fn vector(point: Point2<f64>) -> Vector {
 pub(crate) fn around(center: Point2<f64>, radius: f64) -> Aabb {
     Aabb::from_half_extents(vector(center), Vector::new(radius, radius))
 }
-
-/// Squared distance from a point to a box; zero inside.
-pub(crate) fn squared_distance(point: Point2<f64>, mins: Vector, maxs: Vector) -> f64 {
-    let x = (mins.x - point.x).max(point.x - maxs.x).max(0.0);
-    let y = (mins.y - point.y).max(point.y - maxs.y).max(0.0);
-    x * x + y * y
-}

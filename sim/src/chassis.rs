@@ -4,13 +4,14 @@
 //! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall.
 //! Exact distances are only computed where the last known clearance does not already rule contact out.
 
-use nalgebra::Vector2;
+use parry2d_f64::math::Vector;
+use parry2d_f64::query;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{BatteryModel, Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
-use crate::clearance::{Nearest, Placed};
+use crate::clearance::Placed;
 use crate::crowd::Crowd;
 use crate::motors::Motors;
 use crate::scene::Scene;
@@ -73,14 +74,21 @@ pub struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// The nearest solid to a footprint. Exact.
+    /// Distance from a footprint to the nearest solid, m; infinite where there is none. Exact.
     #[must_use]
-    pub fn nearest(&self, placed: &Placed<'_>) -> Nearest {
-        let nearest = self
-            .crowd
-            .nearest(placed, self.own, f64::INFINITY)
-            .unwrap_or(Nearest::NONE);
-        self.scene.nearest(placed, nearest.distance).unwrap_or(nearest)
+    pub fn clearance(&self, placed: &Placed) -> f64 {
+        let moving = self.crowd.nearest(placed, self.own);
+        moving
+            .map_or(f64::INFINITY, |(distance, _)| distance)
+            .min(self.scene.distance(placed))
+    }
+
+    /// Where a footprint touches the nearest solid; `None` where nothing is near, and inside of a solid.
+    fn contact(&self, placed: &Placed) -> Option<query::Contact> {
+        let moving = self.crowd.nearest(placed, self.own);
+        let moving = moving.and_then(|(_, solid)| solid.contact(placed, RELEASE));
+        let both = moving.into_iter().chain(self.scene.contact(placed, RELEASE));
+        both.min_by(|a, b| a.dist.total_cmp(&b.dist))
     }
 }
 
@@ -96,9 +104,10 @@ pub struct Moved {
 }
 
 /// Wheels, footprint and battery of one robot.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Chassis {
     motors: Motors,
+    footprint: Placed,
     floor: Pcg64Mcg,
     reach: f64,
     inscribed: f64,
@@ -130,6 +139,7 @@ impl Chassis {
         );
         Self {
             motors: Motors::at_rest(),
+            footprint: Placed::footprint(&model.footprint, map_from_base),
             floor,
             reach,
             inscribed,
@@ -149,6 +159,12 @@ impl Chassis {
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.truth
+    }
+
+    /// The footprint where the robot is.
+    #[must_use]
+    pub fn outline(&self) -> Placed {
+        self.footprint.at(self.truth.map_from_base)
     }
 
     /// Charge left, 0 to 1.
@@ -195,7 +211,7 @@ impl Chassis {
         let share = if wheels == [0.0; 2] {
             1.0
         } else {
-            self.roll(model, around, [twist, turning], secs, now)
+            self.roll(around, [twist, turning], secs, now)
         };
         let secs_moving = secs * share;
         for (sum, speed) in moved.wheels.iter_mut().zip(wheels) {
@@ -229,14 +245,7 @@ impl Chassis {
 
     /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move. `turning` is what the
     /// wheels would do without slip: slip is a random walk, it has a way but no speed.
-    fn roll(
-        &mut self,
-        model: &RobotModel,
-        around: Surroundings<'_>,
-        [twist, turning]: [Twist2; 2],
-        secs: f64,
-        now: Stamp,
-    ) -> f64 {
+    fn roll(&mut self, around: Surroundings<'_>, [twist, turning]: [Twist2; 2], secs: f64, now: Stamp) -> f64 {
         let pieces = (self.speed_of_outline(twist) * secs / self.inscribed)
             .ceil()
             .clamp(1.0, 1000.0);
@@ -249,11 +258,11 @@ impl Chassis {
                 self.truth.map_from_base = here.advance(twist, piece);
                 continue;
             }
-            let exact = |pose: Pose2| around.nearest(&Placed::new(&model.footprint, pose));
+            let exact = |pose: Pose2| around.clearance(&self.footprint.at(pose));
             let next = here.advance(twist, piece);
-            let there = exact(next).distance;
+            let there = exact(next);
             // Touching already, a robot may still turn on the spot or move away.
-            let before = exact(here).distance;
+            let before = exact(here);
             if there > SKIN || there >= before {
                 self.clearance = there;
                 self.truth.map_from_base = next;
@@ -264,33 +273,27 @@ impl Chassis {
             let halvings = if before <= 2.0 * SKIN { 0 } else { HALVINGS };
             for _ in 0..halvings {
                 let middle = 0.5 * (free + taken);
-                if exact(here.advance(twist, middle * piece)).distance > SKIN {
+                if exact(here.advance(twist, middle * piece)) > SKIN {
                     free = middle;
                 } else {
                     taken = middle;
                 }
             }
             self.truth.map_from_base = here.advance(twist, free * piece);
-            let nearest = exact(self.truth.map_from_base);
-            self.clearance = nearest.distance;
-            self.touch(nearest, turning, now);
+            self.clearance = exact(self.truth.map_from_base);
+            self.touch(around, turning, now);
             return (f64::from(done) + free) / pieces;
         }
         1.0
     }
 
-    fn touch(&mut self, nearest: Nearest, twist: Twist2, now: Stamp) {
-        let toward = nearest.on_solid.coords;
-        let bearing = toward.y.atan2(toward.x);
+    fn touch(&mut self, around: Surroundings<'_>, twist: Twist2, now: Stamp) {
+        let contact = around.contact(&self.outline());
+        // What holds the whole robot touches it nowhere: then straight ahead.
+        let (at, normal) = contact.map_or((Vector::ZERO, Vector::X), |found| (found.point1, found.normal1));
+        let bearing = at.y.atan2(at.x);
         self.bearing = Some(bearing);
-        let gap = nearest.on_solid - nearest.on_body;
-        let normal = if gap.norm() > 0.0 {
-            gap.normalize()
-        } else {
-            Vector2::new(bearing.cos(), bearing.sin())
-        };
-        let at = nearest.on_body;
-        let own_speed = Vector2::new(twist.v - twist.w * at.y, twist.w * at.x).dot(&normal);
+        let own_speed = Vector::new(twist.v - twist.w * at.y, twist.w * at.x).dot(normal);
         self.truth.hardest_contact = self.truth.hardest_contact.max(own_speed);
         if self.touching {
             return;
@@ -305,16 +308,16 @@ impl Chassis {
     }
 
     /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.
-    pub fn settle(&mut self, model: &RobotModel, around: Surroundings<'_>, now: Stamp) {
-        let nearest = around.nearest(&Placed::new(&model.footprint, self.truth.map_from_base));
-        self.clearance = nearest.distance;
-        self.truth.clearance = nearest.distance;
-        self.truth.min_clearance = self.truth.min_clearance.min(nearest.distance);
-        if nearest.distance <= CONTACT {
-            self.touch(nearest, self.truth.twist, now);
+    pub fn settle(&mut self, around: Surroundings<'_>, now: Stamp) {
+        let clearance = around.clearance(&self.outline());
+        self.clearance = clearance;
+        self.truth.clearance = clearance;
+        self.truth.min_clearance = self.truth.min_clearance.min(clearance);
+        if clearance <= CONTACT {
+            self.touch(around, self.truth.twist, now);
         } else {
             self.bearing = None;
-            if nearest.distance > RELEASE {
+            if clearance > RELEASE {
                 self.touching = false;
             }
         }

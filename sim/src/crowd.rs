@@ -4,11 +4,13 @@
 //! is taken off every bound, so that searches stay exact.
 
 use nalgebra::Point2;
+use parry2d_f64::bounding_volume::Aabb;
 use parry2d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
+use parry2d_f64::query::PointQuery as _;
 use zenav_protocol::geometry::Pose2;
 
 use crate::bridge;
-use crate::clearance::{Nearest, Placed};
+use crate::clearance::Placed;
 use crate::shape::Solid;
 
 /// Everything that moves, indexed.
@@ -84,26 +86,28 @@ impl Crowd {
         self.change(index, |solid| solid.place(pose));
     }
 
-    /// The solid nearest to a footprint, but for one, where one is nearer than `limit`, m. Exact.
+    /// The solid nearest to a form, but for one, and how far it is, m. Exact.
     #[must_use]
-    pub fn nearest(&self, placed: &Placed<'_>, but: usize, limit: f64) -> Option<Nearest> {
+    pub fn nearest(&self, placed: &Placed, but: usize) -> Option<(f64, &Solid)> {
+        let own = placed.bounds();
         let bound = |node: &BvhNode, _best: f64| {
-            bridge::squared_distance(placed.center(), node.mins(), node.maxs()).sqrt() - placed.reach() - self.drift
+            Aabb::new(node.mins() - own.maxs, node.maxs() - own.mins).distance_to_origin() - self.drift
         };
         let leaf = |leaf: u32, _best: f64| {
             let index = leaf as usize;
             let solid = self.solids.get(index).filter(|_| index != but)?;
-            let nearest = placed.to_solid(solid);
-            Some((nearest.distance, nearest))
+            Some((solid.distance(placed), solid))
         };
-        self.tree.find_best(limit, bound, leaf).map(|(_, (_, nearest))| nearest)
+        self.tree
+            .find_best(f64::INFINITY, bound, leaf)
+            .map(|(_, nearest)| nearest)
     }
 
     /// Calls `visit` with every solid that reaches within `radius` of a point, m, and with some that do not.
     pub fn near(&self, center: Point2<f64>, radius: f64, mut visit: impl FnMut(usize, &Solid)) {
-        let limit = (radius + self.drift) * (radius + self.drift);
+        let center = bridge::vector(center);
         self.tree.traverse(|node: &BvhNode| {
-            if bridge::squared_distance(center, node.mins(), node.maxs()) > limit {
+            if node.aabb().distance_to_local_point(center, true) > radius + self.drift {
                 return TraversalAction::Prune;
             }
             if let Some(index) = node.leaf_data().map(|leaf| leaf as usize)
@@ -141,10 +145,10 @@ mod tests {
                 crowd.place(index, *pose);
             }
             let footprint = Footprint::Radius(0.2);
-            let placed = Placed::new(&footprint, at);
+            let placed = Placed::footprint(&footprint, at);
             let others = crowd.solids().iter().enumerate().filter(|(index, _)| *index != but);
-            let least = others.map(|(_, solid)| placed.to_solid(solid).distance).fold(f64::INFINITY, f64::min);
-            let found = crowd.nearest(&placed, but, f64::INFINITY).map_or(f64::INFINITY, |nearest| nearest.distance);
+            let least = others.map(|(_, solid)| solid.distance(&placed)).fold(f64::INFINITY, f64::min);
+            let found = crowd.nearest(&placed, but).map_or(f64::INFINITY, |(distance, _)| distance);
             prop_assert_eq!(found, least);
         }
     }

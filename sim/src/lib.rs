@@ -7,10 +7,10 @@
 //! | [`world_check`] | which values may a world hold? |
 //! | [`shape`] | what are solids made of? (edges and discs) |
 //! | [`outline`] | which edges bound the occupied cells of a map? |
-//! | [`boxes`] | which things are near, the nearest first? |
-//! | [`scene`] | what never moves, and what of it is near? |
+//! | [`boxes`] | which things are near, the nearest first? (for lidars) |
+//! | [`scene`] | what never moves, and how far is it? |
 //! | [`crowd`] | which movers and robots are near? |
-//! | [`clearance`] | how far is a footprint from a solid? |
+//! | [`clearance`] | how far is a form from another, and where do they touch? (parry) |
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
 //! | [`motors`] | what do wheels and motors make of a command? |
 //! | [`sensors`] | what do encoders, gyro, compass and GPS measure, and when? |

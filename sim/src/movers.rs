@@ -236,14 +236,12 @@ impl Mover {
 
 /// Whether a disc goes straight between two places and stays off what stands.
 fn is_open(scene: &Scene, from: Point2<f64>, to: Point2<f64>, reach: f64) -> bool {
-    let disc = Footprint::Radius(reach + MARGIN);
+    let disc = Placed::footprint(&Footprint::Radius(reach + MARGIN), Pose2::IDENTITY);
     // Samples two margins apart: in between the disc is at most a margin nearer to anything than at one of them.
     let steps = ((to - from).norm() / (2.0 * MARGIN)).ceil().clamp(1.0, MAX_SAMPLES);
     (0..=steps as u32).all(|step| {
         let at = from + (to - from) * (f64::from(step) / steps);
-        scene
-            .nearest(&Placed::new(&disc, Pose2::new(at.x, at.y, 0.0)), MARGIN)
-            .is_none_or(|nearest| nearest.distance > 0.0)
+        !scene.touches(&disc.at(Pose2::new(at.x, at.y, 0.0)))
     })
 }
 
@@ -351,8 +349,8 @@ mod tests {
         let disc = Footprint::Radius(0.2);
         for at in &places {
             assert!(at.x.abs() <= 3.0 && at.y.abs() <= 3.0);
-            let nearest = scene.nearest(&Placed::new(&disc, Pose2::new(at.x, at.y, 0.0)), f64::INFINITY);
-            assert!(nearest.is_none_or(|nearest| nearest.distance > 0.0), "{at}");
+            let placed = Placed::footprint(&disc, Pose2::new(at.x, at.y, 0.0));
+            assert!(scene.distance(&placed) > 0.0, "{at}");
         }
         assert!(places.iter().any(|at| at.x > 1.0) && places.iter().any(|at| at.x < -1.0));
     }

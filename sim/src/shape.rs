@@ -3,9 +3,15 @@
 //! Everything that a lidar sees or a footprint touches is one of the two: polygons and map cells are their edges.
 
 use nalgebra::Point2;
+use parry2d_f64::query::Contact;
+use parry2d_f64::shape::SharedShape;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::polygon::is_convex;
 pub use zenav_protocol::polygon::{Edge, contains, cross, crossings, doubled_area, edges};
 use zenav_protocol::robot::Footprint;
+
+use crate::bridge;
+use crate::clearance::Placed;
 
 /// A round solid, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,11 +40,35 @@ impl From<&Footprint> for Shape {
     }
 }
 
+impl Shape {
+    /// The form as parry has it: a solid one where it is convex, otherwise its outline.
+    #[must_use]
+    pub fn form(&self) -> SharedShape {
+        match self {
+            Self::Disc(radius) => SharedShape::ball(*radius),
+            Self::Polygon(corners) => {
+                let points = || corners.iter().map(|corner| bridge::vector(*corner));
+                let solid = is_convex(corners).then(|| SharedShape::convex_polyline_unmodified(points().collect()));
+                let outline = || SharedShape::polyline(points().chain(points().take(1)).collect(), None);
+                solid.flatten().unwrap_or_else(outline)
+            }
+        }
+    }
+
+    /// No part of it is farther from its origin, m.
+    fn reach(&self) -> f64 {
+        match self {
+            Self::Disc(radius) => *radius,
+            Self::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
+        }
+    }
+}
+
 /// A solid that can move: its form and where it is now, in world coordinates.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Solid {
     shape: Shape,
-    center: Point2<f64>,
+    placed: Placed,
     reach: f64,
     edges: Vec<Edge>,
 }
@@ -47,15 +77,11 @@ impl Solid {
     /// A form at a pose.
     #[must_use]
     pub fn new(shape: Shape, pose: Pose2) -> Self {
-        let reach = match &shape {
-            Shape::Disc(radius) => *radius,
-            Shape::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
-        };
         let mut solid = Self {
-            shape,
-            center: pose.position(),
-            reach,
+            placed: Placed::new(shape.form(), pose),
+            reach: shape.reach(),
             edges: Vec::new(),
+            shape,
         };
         solid.place(pose);
         solid
@@ -63,7 +89,7 @@ impl Solid {
 
     /// Puts the form at a pose.
     pub fn place(&mut self, pose: Pose2) {
-        self.center = pose.position();
+        self.placed = self.placed.at(pose);
         self.edges.clear();
         if let Shape::Polygon(corners) = &self.shape {
             let (sin, cos) = pose.yaw.sin_cos();
@@ -78,7 +104,7 @@ impl Solid {
     /// Where its origin is, m.
     #[must_use]
     pub fn center(&self) -> Point2<f64> {
-        self.center
+        self.placed.center()
     }
 
     /// No part of it is farther from its origin, m.
@@ -98,20 +124,26 @@ impl Solid {
     pub fn disc(&self) -> Option<Disc> {
         match self.shape {
             Shape::Disc(radius) => Some(Disc {
-                center: self.center,
+                center: self.center(),
                 radius,
             }),
             Shape::Polygon(_) => None,
         }
     }
 
-    /// Whether a point lies inside.
+    /// Distance from a form, m; zero too when one holds the other.
     #[must_use]
-    pub fn contains(&self, point: Point2<f64>) -> bool {
-        match self.shape {
-            Shape::Disc(radius) => (point - self.center).norm_squared() <= radius * radius,
-            Shape::Polygon(_) => crossings(self.edges.iter().copied(), point),
+    pub fn distance(&self, placed: &Placed) -> f64 {
+        if !self.placed.is_convex() && crossings(self.edges.iter().copied(), placed.center()) {
+            return 0.0;
         }
+        placed.distance(&self.placed)
+    }
+
+    /// Where a form touches it, or would within a distance, m; see [`Placed::contact`].
+    #[must_use]
+    pub fn contact(&self, placed: &Placed, within: f64) -> Option<Contact> {
+        placed.contact(&self.placed, within)
     }
 }
 
@@ -138,7 +170,9 @@ mod tests {
             Shape::Polygon(l_shape()),
             Pose2::new(5.0, 5.0, std::f64::consts::FRAC_PI_2),
         );
-        assert!(solid.contains(Point2::new(4.5, 6.5)) && solid.contains(Point2::new(3.5, 5.5)));
-        assert!(!solid.contains(Point2::new(3.5, 6.5)));
+        let dot = Placed::new(SharedShape::ball(0.1), Pose2::IDENTITY);
+        let distance = |x, y| solid.distance(&dot.at(Pose2::new(x, y, 0.0)));
+        assert_eq!((distance(4.5, 6.5), distance(3.5, 5.5)), (0.0, 0.0));
+        assert!((distance(3.5, 6.5) - 0.4).abs() < 1e-12);
     }
 }

@@ -261,10 +261,7 @@ impl World {
         if self.is_solid(map_from_base.position()) {
             return 0.0;
         }
-        let placed = Placed::new(footprint, map_from_base);
-        self.scene
-            .nearest(&placed, f64::INFINITY)
-            .map_or(f64::INFINITY, |nearest| nearest.distance)
+        self.scene.distance(&Placed::footprint(footprint, map_from_base))
     }
 }
 

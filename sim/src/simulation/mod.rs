@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::Point2;
+use parry2d_f64::query::PointQuery as _;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::readings::Readings;
@@ -19,6 +20,7 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::body::Body;
+use crate::bridge;
 use crate::chassis::{CONTACT, Surroundings, Truth};
 use crate::clearance::Placed;
 use crate::crowd::Crowd;
@@ -141,7 +143,7 @@ impl Simulation {
             crowd: &self.crowd,
             own: usize::MAX,
         };
-        if world.is_solid(start.position()) || around.nearest(&Placed::new(&model.footprint, start)).distance <= CONTACT
+        if world.is_solid(start.position()) || around.clearance(&Placed::footprint(&model.footprint, start)) <= CONTACT
         {
             return Err(SimError::Occupied {
                 robot: id,
@@ -225,17 +227,18 @@ impl Simulation {
             let Some(solid) = crowd.solids().get(index) else {
                 continue;
             };
-            let robots = bodies
+            let reach = stride + CONTACT + solid.reach();
+            let center = bridge::vector(solid.center());
+            let near: Vec<(f64, Placed)> = bodies
                 .iter()
-                .map(|body| Placed::new(&body.model().footprint, body.chassis.truth().map_from_base));
-            let near: Vec<(Placed<'_>, f64)> = robots
-                .filter(|placed| placed.at_least_to(solid) <= stride + CONTACT)
-                .map(|placed| (placed, placed.to_solid(solid).distance))
+                .map(|body| body.chassis.outline())
+                .filter(|placed| placed.bounds().distance_to_local_point(center, true) <= reach)
+                .map(|placed| (solid.distance(&placed), placed))
                 .collect();
             // Half of what counts as contact: a robot that was run into knows it.
             let blocked = |solid: &Solid| {
-                near.iter().any(|(placed, before)| {
-                    let distance = placed.to_solid(solid).distance;
+                near.iter().any(|(before, placed)| {
+                    let distance = solid.distance(placed);
                     distance <= 0.5 * CONTACT && distance < *before
                 })
             };
@@ -318,6 +321,6 @@ impl Simulation {
             crowd: &self.crowd,
             own,
         };
-        around.nearest(&Placed::new(footprint, map_from_base)).distance
+        around.clearance(&Placed::footprint(footprint, map_from_base))
     }
 }

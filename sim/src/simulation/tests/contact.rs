@@ -122,18 +122,14 @@ proptest! {
 impl Simulation {
     /// Clearance computed anew from everything else, one by one.
     fn clearance_without(&self, robot: usize) -> f64 {
-        let placed = Placed::new(&self.model(robot).footprint, self.truth(robot).map_from_base);
+        let placed = Placed::footprint(&self.model(robot).footprint, self.truth(robot).map_from_base);
         let solids = self
             .crowd
             .solids()
             .iter()
             .enumerate()
             .filter(|(index, _)| *index != self.movers.len() + robot)
-            .map(|(_, solid)| placed.to_solid(solid).distance);
-        let fixed = self
-            .scene
-            .nearest(&placed, f64::INFINITY)
-            .map(|nearest| nearest.distance);
-        solids.chain(fixed).fold(f64::INFINITY, f64::min)
+            .map(|(_, solid)| solid.distance(&placed));
+        solids.fold(self.scene.distance(&placed), f64::min)
     }
 }
