@@ -136,6 +136,17 @@ impl Trajectory {
         Self { points, lengths }
     }
 
+    /// This trajectory, and after its end another one, which begins where this one ends.
+    #[must_use]
+    pub fn then(&self, next: &Self) -> Self {
+        let (later, known) = (self.end_time() - next.start_time(), usize::from(!self.is_empty()));
+        let shifted = next.iter().skip(known).map(|point| TrajectoryPoint {
+            t: point.t + later,
+            ..*point
+        });
+        self.iter().copied().chain(shifted).collect()
+    }
+
     /// Its first time, s; zero without points.
     #[must_use]
     pub fn start_time(&self) -> f64 {

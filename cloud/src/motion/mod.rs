@@ -285,6 +285,7 @@ mod tests {
             model,
             map: found.map,
             path: path.clone(),
+            via: Vec::new(),
             start: question.start,
             start_velocity: Twist2::ZERO,
             goal_yaw: Some(0.0),

@@ -8,14 +8,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
 use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, UnknownPlanner};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
-    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal, SmoothReply, SmoothRequest,
-    TrajectoryReply, TrajectoryRequest,
+    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal, SmoothReply,
+    SmoothRequest, TrajectoryReply, TrajectoryRequest,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
-use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
+use zenav_protocol::trajectory::Trajectory;
+use zenav_smoothing::{Outcome, SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{SpaceCache, UnknownPolicy, Zones};
 
 /// Robots and maps that searches are kept for.
@@ -23,6 +24,8 @@ const MAX_REPLANNERS: usize = 4;
 /// Most corner points of a given path, and most poses to pass.
 const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
+/// A path passes a point that is so near to it, m.
+const PASSED: f64 = 0.05;
 
 /// Settings of a motion worker's libraries.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -272,10 +275,11 @@ impl MotionWorker {
             && request
                 .path
                 .iter()
+                .chain(&request.via)
                 .all(|point| point.x.is_finite() && point.y.is_finite());
-        if !finite || request.path.len() > MAX_POINTS {
+        if !finite || request.path.len() > MAX_POINTS || request.via.len() > MAX_VIA {
             return Err(Refusal::bad_request(format!(
-                "expected finite numbers and at most {MAX_POINTS} points"
+                "expected finite numbers, at most {MAX_POINTS} points, and at most {MAX_VIA} to stop at"
             )));
         }
         let model = checked(&request.model)?;
@@ -285,26 +289,87 @@ impl MotionWorker {
             });
         };
         let space = self.spaces.get(map, &model.footprint, policy(request.unknown_is_free));
-        let query = SmoothQuery {
-            path: &request.path,
-            start: request.start,
-            start_velocity: request.start_velocity,
-            goal_yaw: request.goal_yaw,
-            profile: request.profile,
-        };
-        let smoothed = smooth(
-            &space,
-            &query,
-            &model,
-            &self.settings.smoothing,
-            Some(&cancel.smoothing),
-            clock,
-        );
-        Ok(SmoothReply {
+        let mut reply = SmoothReply {
             map: map.map().clone(),
-            trajectory: smoothed.sampled(SAMPLE_PERIOD),
-            statistics: smoothed.statistics,
-        })
+            trajectory: Trajectory::default(),
+            statistics: PlanStatistics::default(),
+        };
+        let (mut start, mut start_velocity) = (request.start, request.start_velocity);
+        let pieces = pieces(&request.path, &request.via);
+        for (index, path) in pieces.iter().enumerate() {
+            let query = SmoothQuery {
+                path,
+                start,
+                start_velocity,
+                goal_yaw: request.goal_yaw.filter(|_| index + 1 == pieces.len()),
+                profile: request.profile,
+            };
+            let settings = &self.settings.smoothing;
+            let smoothed = smooth(&space, &query, &model, settings, Some(&cancel.smoothing), clock);
+            let trajectory = smoothed.sampled(SAMPLE_PERIOD);
+            reply.statistics = sum(reply.statistics, smoothed.statistics);
+            let Some(last) = trajectory.last() else {
+                reply.trajectory = trajectory;
+                return Ok(reply);
+            };
+            (start, start_velocity) = (last.pose(), Twist2::ZERO);
+            reply.trajectory = reply.trajectory.then(&trajectory);
+        }
+        Ok(reply)
+    }
+}
+
+/// A path cut at the points to stop at. One that the path does not pass, and one at its beginning or end, is left out.
+fn pieces(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
+    let mut pieces = Vec::new();
+    let mut rest = path.to_vec();
+    for stop in via {
+        let passes = |leg: &[Point2<f64>]| {
+            let along = leg[1] - leg[0];
+            let share = ((stop - leg[0]).dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+            (leg[0] + along * share - stop).norm() < PASSED
+        };
+        let Some(leg) = rest.windows(2).position(passes) else {
+            continue;
+        };
+        let ahead = [&[*stop], &rest[leg + 1..]].concat();
+        let is_end = |end: Option<&Point2<f64>>| end.is_none_or(|end| (end - stop).norm() < PASSED);
+        if is_end(rest.first()) || is_end(rest.last()) {
+            continue;
+        }
+        rest.truncate(leg + 1);
+        rest.push(*stop);
+        pieces.push(std::mem::replace(&mut rest, ahead));
+    }
+    pieces.push(rest);
+    pieces
+}
+
+/// Of one piece and the next: times, lengths and energies add up, the least clearance counts, and the status of the first that is not smooth.
+fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatistics {
+    if before.status.is_empty() {
+        return piece;
+    }
+    let least = before
+        .min_clearance
+        .into_iter()
+        .chain(piece.min_clearance)
+        .reduce(f64::min);
+    let status = if before.status == Outcome::Smoothed.to_string() {
+        piece.status
+    } else {
+        before.status
+    };
+    PlanStatistics {
+        corridor_ms: before.corridor_ms + piece.corridor_ms,
+        geometry_ms: before.geometry_ms + piece.geometry_ms,
+        timing_ms: before.timing_ms + piece.timing_ms,
+        length: before.length + piece.length,
+        duration: before.duration + piece.duration,
+        energy_j: before.energy_j + piece.energy_j,
+        min_clearance: least,
+        status,
+        ..piece
     }
 }
 
@@ -337,10 +402,10 @@ fn checked(model: &RobotModel) -> Result<RobotModel, Refusal> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 mod tests {
-    use zenav_protocol::geometry::Twist2;
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply};
     use zenav_protocol::time::Stamp;
+    use zenav_protocol::trajectory::TrajectoryPoint;
 
     use super::*;
 
@@ -405,6 +470,31 @@ mod tests {
             Ok(MotionReply::Trajectory(reply)) => reply,
             other => panic!("{other:?}"),
         }
+    }
+
+    #[test]
+    fn a_trajectory_stops_at_the_poses_that_it_is_to_pass_and_cuts_no_corner_there() {
+        let mut request = request("tiago", "astar");
+        request.plan.via = vec![
+            Pose2::new(1.0, 3.0, 0.0),
+            Pose2::new(2.0, 3.0, 0.0),
+            Pose2::new(2.0, 1.0, 0.0),
+        ];
+        let reply = ask(&hall(1.5), &request, &Cancel::default()).smooth.unwrap();
+        let mut from = 0.0;
+        for stop in request.plan.via.iter().chain([&request.plan.goal]) {
+            let is_there = |point: &&TrajectoryPoint| {
+                point.t > from && (point.position() - stop.position()).norm() < 1e-3 && point.v.abs() < 1e-6
+            };
+            from = reply
+                .trajectory
+                .iter()
+                .find(is_there)
+                .unwrap_or_else(|| panic!("{stop:?}"))
+                .t;
+        }
+        assert!(reply.trajectory.windows(2).all(|pair| pair[0].t < pair[1].t));
+        assert!((reply.statistics.duration - from).abs() < 0.2, "{:?}", reply.statistics);
     }
 
     #[test]

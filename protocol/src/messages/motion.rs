@@ -96,6 +96,7 @@ impl TrajectoryRequest {
             model: self.plan.model.clone(),
             map,
             path,
+            via: self.plan.via.iter().map(Pose2::position).collect(),
             start: self.plan.start,
             start_velocity: self.start_velocity,
             goal_yaw: self.goal_yaw,
@@ -222,6 +223,9 @@ pub struct SmoothRequest {
     pub map: MapRef,
     /// Corner points, map frame, start and goal included.
     pub path: Vec<Point2<f64>>,
+    /// Points of the path to stop at on the way, in order, map frame: elsewhere its corners may be cut.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub via: Vec<Point2<f64>>,
     /// Pose at the start.
     pub start: Pose2,
     /// Velocity at the start.

@@ -263,6 +263,7 @@ impl FollowPath {
         self.stop_search(ctx);
         let request = RouteRequest {
             given: data.points.clone(),
+            via: data.via.clone(),
             ..RouteRequest::to(data.goal)
         };
         self.search = Some(Search::new(ctx, request, None, ctx.now));

@@ -176,7 +176,9 @@ impl SyncLeaf for ConcatenatePaths {
         for part in parts {
             points.extend(part.points);
             via.extend(part.via);
+            via.push(part.goal);
         }
+        via.pop();
         points.dedup();
         let joined = RouteData {
             via,

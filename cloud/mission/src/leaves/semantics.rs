@@ -52,13 +52,14 @@ impl Stand {
     fn on(node: &str, map: &OccupancyGrid) -> Stand {
         let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
         let mut ctx = Context::new(config, &Restored::fresh());
-        let (settings, name) = (
-            MappingSettings {
-                resolution: SPEC.resolution,
-                ..MappingSettings::default()
-            },
-            MapRef::default(),
-        );
+        let settings = MappingSettings {
+            resolution: SPEC.resolution,
+            ..MappingSettings::default()
+        };
+        let name = MapRef {
+            id: "m".into(),
+            revision: 0,
+        };
         let mut mapper = Mapper::with_stored(settings, name, map, Vec::new(), 1);
         let patches: Vec<_> = std::iter::from_fn(|| mapper.take_patch()).collect();
         ctx.map.observe(Stamp(1), Some(mapper.info()), &patches);

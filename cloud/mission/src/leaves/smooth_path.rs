@@ -70,6 +70,7 @@ impl Leaf<Context> for SmoothPath {
             model,
             map,
             path: data.points.clone(),
+            via: data.via.iter().map(|goal| Point2::new(goal.x, goal.y)).collect(),
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: data.goal.yaw,

@@ -217,6 +217,12 @@ impl Search {
                 model,
                 map,
                 path: path.clone(),
+                via: self
+                    .request
+                    .via
+                    .iter()
+                    .map(|goal| Point2::new(goal.x, goal.y))
+                    .collect(),
                 start: begin.pose,
                 start_velocity: begin.twist,
                 goal_yaw,
