@@ -183,10 +183,7 @@ fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<ClosedLoop
 }
 
 /// The world as a map: its own, or every cell that something solid touches.
-///
-/// # Errors
-/// A world that is too large to be a map.
-pub fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
+fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     if let Some(map) = world.map() {
         return Ok(map.clone());
     }

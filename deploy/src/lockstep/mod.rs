@@ -11,4 +11,4 @@ mod command;
 mod delay;
 
 pub use closed_loop::{ClosedLoop, ClosedLoopConfig};
-pub use command::{RunArgs, run, true_map};
+pub use command::{RunArgs, run};

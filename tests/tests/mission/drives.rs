@@ -197,6 +197,8 @@ fn a_stopped_robot_gets_no_plan_until_it_is_let_go() {
 fn a_robot_that_does_not_get_on_fails_the_drive() {
     let mut rig = Rig::new();
     rig.wheels = Some([0.0; 2]);
+    rig.config.progress_secs = 3.0;
+    rig.start();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     let goal = rig.end_of("a", 240.0);
     assert_eq!(goal.state, GoalPhase::Aborted);
@@ -212,7 +214,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
         goal.legs
     );
     let took = goal.legs[0].ended.unwrap().secs_since(goal.legs[0].started);
-    assert!((80.0..220.0).contains(&took), "{took}");
+    assert!((80.0..170.0).contains(&took), "{took}");
 }
 
 #[test]
@@ -290,7 +292,7 @@ fn a_replan_that_comes_late_still_begins_on_the_motion_that_it_replaces() {
 
 #[test]
 fn requests_that_change_the_map_carry_the_epoch() {
-    let mut rig = Rig::within("kitchen", false);
+    let mut rig = Rig::within("kitchen");
     rig.submit(tree("kitchen", "k")).unwrap();
     rig.run(5.0);
     assert_eq!(rig.map_actions(), [MapAction::Reset]);
@@ -298,7 +300,7 @@ fn requests_that_change_the_map_carry_the_epoch() {
 
 #[test]
 fn a_goal_beyond_a_growing_map_is_driven_to_through_the_unknown() {
-    let mut rig = Rig::within("empty", false);
+    let mut rig = Rig::within("empty");
     rig.run(1.0);
     rig.submit(to(9.0, 0.0, "a")).unwrap();
     let goal = rig.success_of("a", 60.0);

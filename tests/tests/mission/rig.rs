@@ -120,11 +120,9 @@ impl Rig {
         rig
     }
 
-    /// In a shipped world, whose map may be known.
-    pub fn within(world: &str, is_known: bool) -> Self {
-        let world = World::shipped(world).unwrap();
-        let map = is_known.then(|| zenav::lockstep::true_map(&world).unwrap());
-        Self::of(world, map, 0.1)
+    /// In a shipped world without a map.
+    pub fn within(world: &str) -> Self {
+        Self::of(World::shipped(world).unwrap(), None, 0.1)
     }
 
     fn of(world: World, known_map: Option<OccupancyGrid>, delay: f64) -> Self {

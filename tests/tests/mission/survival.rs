@@ -59,7 +59,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
         rig.run(0.5);
         rig.dies_after_writes = Some(write);
         let mut acknowledged: BTreeMap<String, GoalRequest> = BTreeMap::new();
-        let goals = [to(2.0, 0.0, "a"), to(2.0, 1.0, "b"), to(1.0, 0.0, "c")];
+        let goals = [to(0.8, 0.0, "a"), to(0.8, 0.5, "b"), to(0.4, 0.0, "c")];
         for goal in &goals {
             let client = rig.ask(MissionRequest::Goal(goal.clone()));
             rig.run(0.1);
