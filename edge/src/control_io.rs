@@ -3,9 +3,10 @@
 use std::mem::discriminant;
 
 use zenav_protocol::messages::{
-    Battery, Bump, Correction, EdgeState, Event, Gps, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate,
-    Refusal, Scan, Teleop,
+    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate, Refusal,
+    Scan, Teleop,
 };
+use zenav_protocol::readings::KindReading;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 /// Identifies a request, so that its reply finds the asker.
@@ -54,8 +55,8 @@ pub enum Publication {
     Odometry(Odometry),
     /// Gyro and compass.
     Imu(Imu),
-    /// Position by satellites or beacons.
-    Gps(Gps),
+    /// A reading of any other sensor.
+    Sensor(KindReading),
     /// Bumper contact.
     Bump(Bump),
     /// Battery charge and energy drawn.
@@ -77,6 +78,7 @@ impl Publication {
         match (self, newer) {
             (Self::Marker(old), Self::Marker(new)) => old.name == new.name,
             (Self::Scan(old, _), Self::Scan(new, _)) => old == new,
+            (Self::Sensor(old), Self::Sensor(new)) => discriminant(old) == discriminant(new),
             _ => discriminant(self) == discriminant(newer),
         }
     }

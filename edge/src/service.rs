@@ -14,8 +14,9 @@ use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
-    Battery, Bump, EdgeState, Event, Gps, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
+    Battery, Bump, EdgeState, Event, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
 };
+use zenav_protocol::readings::KindReading;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::settings::Settings as _;
 use zenav_protocol::topics::{self, EdgeRequest, Topic};
@@ -195,7 +196,7 @@ struct Publishers {
     scans: BTreeMap<String, Publisher<Scan>>,
     odometry: Publisher<Odometry>,
     imu: Publisher<Imu>,
-    gps: Publisher<Gps>,
+    kinds: KindPublishers,
     bump: Publisher<Bump>,
     battery: Publisher<Battery>,
     pose: Publisher<PoseEstimate>,
@@ -204,6 +205,29 @@ struct Publishers {
     marker: Publisher<Marker>,
     clock: Option<Publisher<SimClock>>,
 }
+
+macro_rules! kind_publishers {
+    ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
+        /// One publisher a row of the table of sensors.
+        struct KindPublishers {
+            $($kind: Publisher<zenav_protocol::sensors::$Reading>,)*
+        }
+
+        impl KindPublishers {
+            fn new(bus: &Bus, robot: &[&str]) -> Result<Self, BusError> {
+                Ok(Self { $($kind: bus.publisher(&topics::$TOPIC, robot)?,)* })
+            }
+
+            fn put(&self, reading: &KindReading) {
+                match reading {
+                    $(KindReading::$Reading(message) => self.$kind.put(message),)*
+                }
+            }
+        }
+    };
+}
+
+zenav_protocol::sensor_kinds!(kind_publishers []);
 
 impl Publishers {
     fn new(bus: &Bus, robot: &str, model: &RobotModel, gives_the_time: bool) -> Result<Self, BusError> {
@@ -220,7 +244,7 @@ impl Publishers {
             scans: scans.collect::<Result<_, BusError>>()?,
             odometry: bus.publisher(&topics::ODOMETRY, robot)?,
             imu: bus.publisher(&topics::IMU, robot)?,
-            gps: bus.publisher(&topics::GPS, robot)?,
+            kinds: KindPublishers::new(bus, robot)?,
             bump: bus.publisher(&topics::BUMP, robot)?,
             battery: bus.publisher(&topics::BATTERY, robot)?,
             pose: bus.publisher(&topics::POSE, robot)?,
@@ -246,7 +270,7 @@ impl Publishers {
                 }
                 Publication::Odometry(message) => self.odometry.put(message),
                 Publication::Imu(message) => self.imu.put(message),
-                Publication::Gps(message) => self.gps.put(message),
+                Publication::Sensor(reading) => self.kinds.put(reading),
                 Publication::Bump(message) => self.bump.put(message),
                 Publication::Battery(message) => self.battery.put(message),
                 Publication::Pose(message) => self.pose.put(message),

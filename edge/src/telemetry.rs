@@ -67,7 +67,7 @@ impl Telemetry {
             velocity,
         }));
         out.extend(readings.imu.clone().map(Publication::Imu));
-        out.extend(readings.gps.clone().map(Publication::Gps));
+        out.extend(readings.of_kinds().into_iter().map(Publication::Sensor));
         let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;

@@ -4,69 +4,93 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::sensors::Sweep;
 use crate::sensors::lidar::none_one_or_many;
-use crate::sensors::{Battery, Bump, Gps, Imu};
+use crate::sensors::{Battery, Bump, Imu};
 use crate::time::Stamp;
 
-/// Raw readings of one control tick. What did not come since the last tick is `None`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Readings {
-    /// Now, on the edge's own clock.
-    pub stamp: Stamp,
-    /// Angles of the left and right wheel since start, rad.
-    pub wheels: [f64; 2],
-    /// Gyro and compass.
-    pub imu: Option<Imu>,
-    /// Position by GPS or beacons, map frame.
-    pub gps: Option<Gps>,
-    /// Finished lidar sweeps, at most one per lidar. On the wire `sweep`: `null`, a sweep, or a list of sweeps.
-    #[serde(rename = "sweep", default, with = "none_one_or_many")]
-    pub sweeps: Vec<Sweep>,
-    /// Contact sensor.
-    pub bump: Bump,
-    /// Energy.
-    pub battery: Battery,
-}
-
-impl Readings {
-    /// Nothing measured yet: wheels at zero, no contact, a full battery.
-    #[must_use]
-    pub fn new(stamp: Stamp) -> Self {
-        Self {
-            stamp,
-            wheels: [0.0; 2],
-            imu: None,
-            gps: None,
-            sweeps: Vec::new(),
-            bump: Bump::none(stamp),
-            battery: Battery {
-                stamp,
-                charge: 1.0,
-                drawn_j: 0.0,
-            },
+macro_rules! readings {
+    ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
+        /// Raw readings of one control tick. What did not come since the last tick is `None`.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        pub struct Readings {
+            /// Now, on the edge's own clock.
+            pub stamp: Stamp,
+            /// Angles of the left and right wheel since start, rad.
+            pub wheels: [f64; 2],
+            /// Gyro and compass.
+            pub imu: Option<Imu>,
+            $(
+                $(#[doc = $doc])*
+                $(#[serde $serde])*
+                pub $kind: Option<$crate::sensors::$Reading>,
+            )*
+            /// Finished lidar sweeps, at most one per lidar. On the wire `sweep`: `null`, a sweep, or a list of sweeps.
+            #[serde(rename = "sweep", default, with = "none_one_or_many")]
+            pub sweeps: Vec<Sweep>,
+            /// Contact sensor.
+            pub bump: Bump,
+            /// Energy.
+            pub battery: Battery,
         }
-    }
 
-    /// These readings and later ones as those of one tick: nothing that was sensed in between is lost.
-    #[must_use]
-    pub fn followed_by(self, mut later: Self) -> Self {
-        let bump = if self.bump.pressed && !later.bump.pressed {
-            self.bump
-        } else {
-            later.bump
-        };
-        for sweep in self.sweeps {
-            if !later.sweeps.iter().any(|newer| newer.lidar == sweep.lidar) {
-                later.sweeps.push(sweep);
+        impl Readings {
+            /// Nothing measured yet: wheels at zero, no contact, a full battery.
+            #[must_use]
+            pub fn new(stamp: Stamp) -> Self {
+                Self {
+                    stamp,
+                    wheels: [0.0; 2],
+                    imu: None,
+                    $($kind: None,)*
+                    sweeps: Vec::new(),
+                    bump: Bump::none(stamp),
+                    battery: Battery {
+                        stamp,
+                        charge: 1.0,
+                        drawn_j: 0.0,
+                    },
+                }
+            }
+
+            /// These readings and later ones as those of one tick: nothing that was sensed in between is lost.
+            #[must_use]
+            pub fn followed_by(self, mut later: Self) -> Self {
+                let bump = if self.bump.pressed && !later.bump.pressed {
+                    self.bump
+                } else {
+                    later.bump
+                };
+                for sweep in self.sweeps {
+                    if !later.sweeps.iter().any(|newer| newer.lidar == sweep.lidar) {
+                        later.sweeps.push(sweep);
+                    }
+                }
+                Self {
+                    imu: later.imu.or(self.imu),
+                    $($kind: later.$kind.or(self.$kind),)*
+                    bump,
+                    ..later
+                }
+            }
+
+            /// What sensors of the table's kinds measured since the last tick.
+            #[must_use]
+            pub fn of_kinds(&self) -> Vec<KindReading> {
+                [$(self.$kind.clone().map(KindReading::$Reading)),*].into_iter().flatten().collect()
             }
         }
-        Self {
-            imu: later.imu.or(self.imu),
-            gps: later.gps.or(self.gps),
-            bump,
-            ..later
+
+        /// Reading of a sensor of one of the table's kinds.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum KindReading {
+            $(
+                $(#[doc = $doc])*
+                $Reading($crate::sensors::$Reading),
+            )*
         }
-    }
+    };
 }
+
+crate::sensor_kinds!(readings []);
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
@@ -78,8 +102,6 @@ mod tests {
         Readings {
             stamp,
             wheels: [ms as f64, 0.0],
-            imu: None,
-            gps: None,
             sweeps: sweep
                 .map(|range| Sweep::new(stamp, vec![range, f32::INFINITY]))
                 .into_iter()
@@ -89,11 +111,7 @@ mod tests {
                 pressed,
                 bearing: None,
             },
-            battery: Battery {
-                stamp,
-                charge: 1.0,
-                drawn_j: 0.0,
-            },
+            ..Readings::new(stamp)
         }
     }
 

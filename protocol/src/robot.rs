@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use crate::config_text::Pair;
+use crate::config_text::{OutOfBounds, Pair};
 pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
 pub use crate::gains::ControllerGains;
@@ -17,44 +17,64 @@ use crate::sensors::DEFAULT_LIDAR;
 pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
 use crate::wall_following::WallFollowing;
 
-/// A robot: what its file says.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotModel {
-    /// Name of the model.
-    pub name: String,
-    /// Outline on the floor.
-    pub footprint: Footprint,
-    /// Wheels and motors.
-    pub drive: Drive,
-    /// The lidar named [`DEFAULT_LIDAR`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub lidar: Option<LidarModel>,
-    /// Further lidars by name. [`Self::all_lidars`] lists them all.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub lidars: BTreeMap<String, LidarModel>,
-    /// Wheel encoders.
-    #[serde(default)]
-    pub encoders: EncoderModel,
-    /// Gyro and compass.
-    #[serde(default)]
-    pub imu: ImuModel,
-    /// GPS or beacons, where there are any.
-    #[serde(default)]
-    pub gps: Option<GpsModel>,
-    /// Battery.
-    #[serde(default)]
-    pub battery: BatteryModel,
-    /// Motors, and what they move.
-    #[serde(default)]
-    pub motors: MotorModel,
-    /// Gains of the trackers.
-    #[serde(default)]
-    pub controller: ControllerGains,
-    /// Distances, speeds and gains of the wall follower.
-    #[serde(default)]
-    pub wall_following: WallFollowing,
+macro_rules! robot_model {
+    ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
+        /// A robot: what its file says.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct RobotModel {
+            /// Name of the model.
+            pub name: String,
+            /// Outline on the floor.
+            pub footprint: Footprint,
+            /// Wheels and motors.
+            pub drive: Drive,
+            /// The lidar named [`DEFAULT_LIDAR`].
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub lidar: Option<LidarModel>,
+            /// Further lidars by name. [`Self::all_lidars`] lists them all.
+            #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+            pub lidars: BTreeMap<String, LidarModel>,
+            /// Wheel encoders.
+            #[serde(default)]
+            pub encoders: EncoderModel,
+            /// Gyro and compass.
+            #[serde(default)]
+            pub imu: ImuModel,
+            $(
+                $(#[doc = $doc])*
+                #[serde(default)]
+                $(#[serde $serde])*
+                pub $kind: Option<$crate::sensors::$Model>,
+            )*
+            /// Battery.
+            #[serde(default)]
+            pub battery: BatteryModel,
+            /// Motors, and what they move.
+            #[serde(default)]
+            pub motors: MotorModel,
+            /// Gains of the trackers.
+            #[serde(default)]
+            pub controller: ControllerGains,
+            /// Distances, speeds and gains of the wall follower.
+            #[serde(default)]
+            pub wall_following: WallFollowing,
+        }
+
+        impl RobotModel {
+            /// The first value that no sensor of a kind of the table has.
+            pub(crate) fn check_kinds(&self) -> Result<(), OutOfBounds> {
+                $(
+                    let model = self.$kind.as_ref();
+                    model.map_or(Ok(()), |model| model.check()).map_err(|error| error.within(stringify!($kind)))?;
+                )*
+                Ok(())
+            }
+        }
+    };
 }
+
+crate::sensor_kinds!(robot_model []);
 
 /// Outline on the floor, in the base frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

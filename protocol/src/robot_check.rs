@@ -7,7 +7,7 @@ use crate::config_text::{Expected, OutOfBounds, check_all, line_of};
 use crate::id::Id;
 use crate::polygon::is_convex;
 use crate::robot::{Footprint, RobotModel};
-use crate::sensors::{DEFAULT_LIDAR, GpsModel};
+use crate::sensors::DEFAULT_LIDAR;
 use crate::settings::Settings as _;
 
 /// Most lidars of one robot.
@@ -71,12 +71,11 @@ impl RobotModel {
         self.check_footprint()?;
         self.drive.check().map_err(|error| error.within("drive"))?;
         self.check_lidars()?;
-        let gps = self.gps.as_ref().map_or(Ok(()), GpsModel::check);
+        self.check_kinds()?;
         let reach = self.footprint.circumscribed_radius();
         for (table, check) in [
             ("encoders", self.encoders.check()),
             ("imu", self.imu.check()),
-            ("gps", gps),
             ("battery", self.battery.check()),
             ("motors", self.motors.check()),
             ("controller", self.controller.check()),

@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use crate::codec::Encoding;
 use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
     ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree,
@@ -216,6 +216,16 @@ macro_rules! encoding {
 }
 
 macro_rules! key_table {
+    // The topics of the table of sensors, between those that are written here.
+    ([{ $($before:tt)* } sensors { $($after:tt)* } $($rest:tt)*]
+     $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
+        $(use crate::sensors::$Reading;)*
+
+        key_table! {
+            topics { $($before)* $($TOPIC: $Reading = $key, Edge, Qos::Latest, 4 * KIB;)* $($after)* }
+            $($rest)*
+        }
+    };
     (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $max:expr $(, $encoding:ident)?;)* }
      $(part $server:ident, $Request:ident => $Reply:ident {
         $($part_ask:ident, $variant:ident: $part_request:ty => $part_reply:ty = $part_pattern:literal, $part_max:expr $(, $part_encoding:ident)?;)*
@@ -278,15 +288,16 @@ macro_rules! ask {
     };
 }
 
-key_table! {
-    topics {
+crate::sensor_kinds!(key_table [
+    {
         READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, 256 * KIB;
         WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, KIB;
         SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
         LIDAR_SCAN: Scan = "zenav/{robot}/edge/scan/{lidar}", Edge, Qos::Latest, 256 * KIB;
         ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
         IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
-        GPS: Gps = "zenav/{robot}/edge/gps", Edge, Qos::Latest, 4 * KIB;
+    }
+    sensors {
         BUMP: Bump = "zenav/{robot}/edge/bump", Edge, Qos::Latest, 4 * KIB;
         BATTERY: Battery = "zenav/{robot}/edge/battery", Edge, Qos::Latest, 4 * KIB;
         POSE: PoseEstimate = "zenav/{robot}/edge/pose", Edge, Qos::Latest, 4 * KIB;
@@ -327,7 +338,7 @@ key_table! {
         MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }
-}
+]);
 
 /// Whoever does a tree's `RemoteAction` serves a key of its own, which is the one chunk here; it is no key of the stack's.
 pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {

@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use zenav_protocol::codec::{CodecError, Encoding, decode, encode};
 use zenav_protocol::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Gps, Heartbeat, Imu, InfoReply, InfoRequest,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
     ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan,
@@ -35,23 +35,24 @@ fn round_trips<T: Serialize + DeserializeOwned>(json: &str) -> Result<[String; 2
 }
 
 macro_rules! messages {
-    ($($name:ident)*) => {
+    ([$($name:ident)*]
+     $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         fn round_trips_of(name: &str, json: &str) -> Result<[String; 2], CodecError> {
             match name {
                 $(stringify!($name) => round_trips::<$name>(json),)*
+                $(stringify!($Reading) => round_trips::<zenav_protocol::sensors::$Reading>(json),)*
                 _ => panic!("`{name}` is no message: add it to `messages!`"),
             }
         }
     };
 }
 
-messages! {
+zenav_protocol::sensor_kinds!(messages [
     Readings
     WheelSpeeds
     Scan
     Odometry
     Imu
-    Gps
     Bump
     Battery
     PoseEstimate
@@ -100,7 +101,7 @@ messages! {
     RemoteRequest
     RemoteReply
     Refusal
-}
+]);
 
 #[test]
 fn every_message_looks_as_it_always_did() {

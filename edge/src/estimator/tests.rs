@@ -1,7 +1,6 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
-use zenav_protocol::messages::{Battery, Bump};
 
 use super::measurement_buffer::WINDOW;
 use super::*;
@@ -32,21 +31,8 @@ fn stamp(tick: usize) -> Stamp {
 fn readings(tick: usize, wheels: [f64; 2]) -> Readings {
     let stamp = stamp(tick);
     Readings {
-        stamp,
         wheels,
-        imu: None,
-        gps: None,
-        sweeps: Vec::new(),
-        bump: Bump {
-            stamp,
-            pressed: false,
-            bearing: None,
-        },
-        battery: Battery {
-            stamp,
-            charge: 1.0,
-            drawn_j: 0.0,
-        },
+        ..Readings::new(stamp)
     }
 }
 

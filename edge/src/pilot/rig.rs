@@ -130,14 +130,12 @@ impl Rig {
             Sweep::new(self.now, (0..lidar.beams).map(range).collect())
         });
         Readings {
-            stamp: self.now,
             wheels: self.wheels,
             imu: Some(Imu {
                 stamp: self.now,
                 yaw_rate: self.velocity.w,
                 yaw: Some(self.pose.yaw),
             }),
-            gps: None,
             sweeps: sweep.into_iter().collect(),
             bump: Bump {
                 stamp: self.now,
@@ -149,6 +147,7 @@ impl Rig {
                 charge: self.charge,
                 drawn_j: 0.0,
             },
+            ..Readings::new(self.now)
         }
     }
 

@@ -8,7 +8,7 @@ use zenav_protocol::time::Stamp;
 
 use super::random::gauss;
 use super::timing::{Delay, Schedule, is_lost};
-use super::{Moment, Sensor, stepped};
+use super::{Moment, Sensor, Simulate, stepped};
 
 /// GPS or beacons.
 #[derive(Clone, Debug)]
@@ -50,6 +50,12 @@ impl GpsReceiver {
             y: stepped(y, self.model.resolution),
             std_dev: self.model.noise,
         })
+    }
+}
+
+impl Simulate for GpsModel {
+    fn simulate(&self, rng: Pcg64Mcg) -> Box<dyn Sensor> {
+        Box::new(GpsReceiver::new(self.clone(), rng))
     }
 }
 

@@ -6,7 +6,6 @@
 pub mod battery;
 pub mod bump;
 pub mod encoders;
-pub mod gps;
 pub mod imu;
 pub mod lidar;
 pub mod random;
@@ -14,6 +13,7 @@ pub mod timing;
 
 use std::fmt::Debug;
 
+use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::readings::Readings;
@@ -69,6 +69,30 @@ impl Clone for Box<dyn Sensor> {
     }
 }
 
+/// A model of [`sensor_kinds!`](zenav_protocol::sensor_kinds!): what simulates it?
+pub trait Simulate {
+    /// A sensor before its first reading, with its own random stream.
+    fn simulate(&self, rng: Pcg64Mcg) -> Box<dyn Sensor>;
+}
+
+/// Each kind's file has the name of its row.
+macro_rules! simulated {
+    ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
+        $(pub mod $kind;)*
+
+        fn of_kinds(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
+            let mut sensors = Vec::new();
+            $(
+                let rng = || stream(seed, id, Stream::Kind(stringify!($kind)));
+                sensors.extend(model.$kind.as_ref().map(|model| model.simulate(rng())));
+            )*
+            sensors
+        }
+    };
+}
+
+zenav_protocol::sensor_kinds!(simulated []);
+
 /// All sensors of a robot.
 #[must_use]
 pub fn sensors(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
@@ -82,9 +106,7 @@ pub fn sensors(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
         Box::new(bump::Bumper),
         Box::new(battery::BatteryGauge(model.battery.clone())),
     ];
-    if let Some(gps) = &model.gps {
-        sensors.push(Box::new(gps::GpsReceiver::new(gps.clone(), stream(Stream::Gps))));
-    }
+    sensors.extend(of_kinds(id, model, seed));
     for (index, (name, lidar)) in model.all_lidars().enumerate() {
         let source = if index == 0 { Stream::Lidar } else { Stream::Named(name) };
         sensors.push(Box::new(lidar::Lidar::new(name, lidar.clone(), stream(source))));

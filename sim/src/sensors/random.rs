@@ -15,11 +15,11 @@ pub enum Stream<'a> {
     Encoders,
     /// Inertial unit.
     Imu,
-    /// GPS or beacons.
-    Gps,
     /// No sensor, but the floor: slip of the wheels.
     Slip,
-    /// Any other sensor, by name.
+    /// A sensor of a kind of which a robot has one or none.
+    Kind(&'a str),
+    /// A further lidar, by name.
     Named(&'a str),
 }
 
@@ -31,9 +31,10 @@ pub fn stream(seed: u64, robot: &Id, source: Stream<'_>) -> Pcg64Mcg {
         Stream::Lidar => name,
         Stream::Encoders => name.wrapping_add(1),
         Stream::Imu => name.wrapping_add(2),
-        Stream::Gps => name.wrapping_add(3),
+        Stream::Kind("gps") => name.wrapping_add(3),
         Stream::Slip => name.wrapping_add(4),
-        // No robot's name holds a slash.
+        // No name holds a slash.
+        Stream::Kind(kind) => fnv(fnv(name, "//"), kind),
         Stream::Named(sensor) => fnv(fnv(name, "/"), sensor),
     };
     generator(seed, name)
@@ -80,14 +81,18 @@ mod tests {
     fn streams_of_robots_and_sensors_differ() {
         let id = |name: &str| Id::new(name).unwrap();
         let first = |robot: &str, sensor, seed| gauss(&mut stream(seed, &id(robot), sensor), 1.0);
-        assert_eq!(first("a", Stream::Gps, 1), first("a", Stream::Gps, 1));
-        assert_ne!(first("a", Stream::Gps, 1), first("b", Stream::Gps, 1));
-        assert_ne!(first("a", Stream::Gps, 1), first("a", Stream::Imu, 1));
-        assert_ne!(first("a", Stream::Gps, 1), first("a", Stream::Gps, 2));
+        assert_eq!(first("a", Stream::Kind("gps"), 1), first("a", Stream::Kind("gps"), 1));
+        assert_ne!(first("a", Stream::Kind("gps"), 1), first("b", Stream::Kind("gps"), 1));
+        assert_ne!(first("a", Stream::Kind("gps"), 1), first("a", Stream::Imu, 1));
+        assert_ne!(first("a", Stream::Kind("gps"), 1), first("a", Stream::Kind("gps"), 2));
         assert_ne!(
             first("a", Stream::Named("rear"), 1),
             first("a", Stream::Named("front"), 1)
         );
         assert_ne!(first("a", Stream::Named("rear"), 1), first("a", Stream::Lidar, 1));
+        assert_ne!(
+            first("a", Stream::Named("rear"), 1),
+            first("a", Stream::Kind("rear"), 1)
+        );
     }
 }
