@@ -11,6 +11,7 @@ use clap::ValueEnum;
 use tokio::task::JoinSet;
 use zenav_cloud::{dispatch, mapping, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
+use zenav_mission::MissionConfig;
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -203,10 +204,7 @@ impl Parts {
             let name = format!("motion-{worker}");
             let bus = BusConfig::service(&name, &deployment.bus.connect);
             let zones = Arc::clone(&zones);
-            let settings = motion::MotionSettings {
-                planning: deployment.planning.settings.clone(),
-                smoothing: deployment.smoothing,
-            };
+            let settings = deployment.motion();
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
                 let clock = Clock::follow(&bus)?;
                 motion::run(bus, clock, worker, zones, settings, shutdown)
@@ -223,22 +221,17 @@ impl Parts {
     /// Bad zones.
     pub fn missions(&mut self, deployment: &Deployment, world: &World, robots: &[Id]) -> Result<(), Failure> {
         let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
-        let config = |id: &Id| {
-            let mut config = zenav_mission::MissionConfig::new(
-                id.clone(),
-                deployment.mission.holder.clone(),
-                deployment.robot_dir(id).join("mission.redb"),
-            );
-            config.places = places.clone();
-            config.planner.clone_from(&deployment.planning.run.planner);
-            config.latency_budget = deployment.mission.latency_budget_secs;
-            config.plan_valid = deployment.mission.plan_valid_secs;
-            config.profile = deployment.mission.profile;
-            config.zones = Arc::clone(&zones);
-            config
+        let config = |id: &Id| MissionConfig {
+            robot: id.clone(),
+            holder: deployment.mission.run.holder.clone(),
+            store: deployment.robot_dir(id).join("mission.redb"),
+            places: places.clone(),
+            zones: Arc::clone(&zones),
+            planner: deployment.planning.run.planner.clone(),
+            settings: deployment.mission.settings.clone(),
         };
-        let configs: Vec<zenav_mission::MissionConfig> = robots.iter().map(config).collect();
-        let name = format!("missions-{}", deployment.mission.holder);
+        let configs: Vec<MissionConfig> = robots.iter().map(config).collect();
+        let name = format!("missions-{}", deployment.mission.run.holder);
         let bus = BusConfig::service(&name, &deployment.bus.connect);
         self.spawn(name, bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
@@ -289,7 +282,7 @@ impl Parts {
                 self.mapping(deployment, id);
             }
         }
-        if wanted(CloudPart::Mission) && deployment.mission.enabled {
+        if wanted(CloudPart::Mission) && deployment.mission.run.enabled {
             self.missions(deployment, world, &robots)?;
             for (group, robots) in deployment.group_ids()? {
                 self.dispatch(deployment, world, group, robots);
@@ -330,7 +323,8 @@ impl Parts {
     }
 }
 
-fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
+/// A robot of a deployment.
+pub(crate) fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
     edge.settings = section.edge.clone();

@@ -268,7 +268,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
 pub fn cloud(args: &CloudArgs) -> Outcome {
     let mut deployment = args.part.deployment()?;
     if let Some(holder) = &args.holder {
-        deployment.mission.holder.clone_from(holder);
+        deployment.mission.run.holder.clone_from(holder);
     }
     let world = files::world(&deployment.simulation.world)?;
     let worker = args

@@ -8,25 +8,20 @@ use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::robot::Footprint;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan};
-use crate::local_obstacles::MEMORY_RANGE;
+use crate::settings::{BlindSpotGridSettings, EdgeSettings};
 
-/// A cell with a return is free again when beams of this many scans have passed through it: thin legs are hit only now and then.
-const DOUBT: u8 = 10;
-/// Size of a cell, m.
-const CELL: f64 = 0.05;
-/// Cells a side, a power of two: more than twice the memory range.
-const SIDE: i32 = 1 << SIDE_BITS;
+/// Cells a side, a power of two.
+pub(crate) const SIDE: i32 = 1 << SIDE_BITS;
 const SIDE_BITS: u32 = 7;
 const CELLS: usize = (SIDE * SIDE) as usize;
-/// Beams are traced up to this distance before their return, m.
-const SHORT: f64 = 0.02;
-/// Free at the start beyond the circumscribed circle, m.
-const AT_START: f64 = 0.16;
 
 /// Floor that is known to be free, in a ring buffer around the robot.
 #[derive(Clone, Debug)]
 pub struct BlindSpotGrid {
     view: FieldOfView,
+    settings: BlindSpotGridSettings,
+    /// Beams are traced up to this distance from the lidar, m.
+    range: f64,
     /// Radius of the disc that is taken to be free at the start, m.
     reach: f64,
     /// `None` before the first scan.
@@ -63,20 +58,24 @@ struct Cell {
 const NOWHERE: Cell = Cell {
     at: 0x8000_8000,
     looked: 0,
-    doubt: DOUBT,
+    doubt: u8::MAX,
 };
 
 impl BlindSpotGrid {
     /// Nothing is known but the disc that the robot needs to turn at its start.
     #[must_use]
-    pub(crate) fn new(view: FieldOfView, footprint: &Footprint) -> Self {
+    pub(crate) fn new(view: FieldOfView, footprint: &Footprint, settings: &EdgeSettings) -> Self {
+        let range = settings.local_obstacles.range;
+        let settings = settings.blind_spot_grid;
         let reach = match footprint {
             // A disc turns where it stands.
             Footprint::Radius(_) => 0.0,
-            Footprint::Polygon(_) => footprint.circumscribed_radius() + AT_START,
+            Footprint::Polygon(_) => footprint.circumscribed_radius() + settings.start_margin,
         };
         Self {
             view,
+            settings,
+            range,
             reach,
             cells: None,
             sweep: 0,
@@ -96,9 +95,10 @@ impl BlindSpotGrid {
         }
         self.sweep = self.sweep.wrapping_add(1);
         let (laser, sweep) = (scan.laser(), self.sweep);
+        let (size, most) = (self.settings.cell, self.range);
         let base = scan.odom_from_base * Point2::origin();
-        let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach));
-        let stride = ((CELL / MEMORY_RANGE / scan.lidar.angle_increment()) as usize).max(1);
+        let cells = self.cells.get_or_insert_with(|| at_start(base, self.reach, size));
+        let stride = ((size / most / scan.lidar.angle_increment()) as usize).max(1);
         let at = |beam: usize| scan.ranges.get(beam).copied().unwrap_or(0.0);
         let walked = scan.rays.iter().enumerate().step_by(stride);
         for (nth, (beam, ray)) in walked.enumerate() {
@@ -112,27 +112,27 @@ impl BlindSpotGrid {
                 continue;
             }
             // From column to column, or from row to row.
-            let step = CELL / ray.x.abs().max(ray.y.abs());
-            let (dx, dy) = (fixed(ray.x * step), fixed(ray.y * step));
+            let step = size / ray.x.abs().max(ray.y.abs());
+            let (dx, dy) = (fixed(ray.x * step, size), fixed(ray.y * step, size));
             let steps = |range: f64| (range / step) as u32;
             // Beams are dense near the lidar: every other one begins where its neighbour alone would leave cells out.
-            let begin = steps(MEMORY_RANGE).checked_shr(nth.trailing_zeros() + 1).unwrap_or(0);
-            let mut x = fixed(laser.x) + i64::from(begin) * dx;
-            let mut y = fixed(laser.y) + i64::from(begin) * dy;
-            for _ in begin..steps((range - SHORT).min(MEMORY_RANGE)) {
+            let begin = steps(most).checked_shr(nth.trailing_zeros() + 1).unwrap_or(0);
+            let mut x = fixed(laser.x, size) + i64::from(begin) * dx;
+            let mut y = fixed(laser.y, size) + i64::from(begin) * dy;
+            for _ in begin..steps((range - self.settings.return_margin).min(most)) {
                 look_through(cells, locate(x, y), sweep);
                 (x, y) = (x + dx, y + dy);
             }
         }
         for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
-            if range >= scan.lidar.range_min && range <= MEMORY_RANGE {
-                let (at, index) = place(laser + ray * range);
+            if range >= scan.lidar.range_min && range <= most {
+                let (at, index) = place(laser + ray * range, size);
                 if let Some(cell) = cells.get_mut(index) {
                     *cell = Cell {
                         at,
                         looked: sweep,
-                        doubt: DOUBT,
+                        doubt: self.settings.free_after,
                     };
                 }
             }
@@ -145,7 +145,7 @@ impl BlindSpotGrid {
         if !self.in_blind_spot(place) {
             return Floor::InSight;
         }
-        let (at, index) = self::place(odom_from_base * place);
+        let (at, index) = self::place(odom_from_base * place, self.settings.cell);
         let cell = self.cells.as_ref().and_then(|cells| cells.get(index));
         match cell.filter(|cell| cell.at == at) {
             None => Floor::Unknown,
@@ -157,7 +157,7 @@ impl BlindSpotGrid {
     /// Whether driving straight ahead (back, for a negative speed) leads into the blind spot.
     #[must_use]
     pub fn leads_into_blind_spot(&self, v: f64) -> bool {
-        v != 0.0 && self.in_blind_spot(Point2::new(v.signum() * 2.0 * MEMORY_RANGE, 0.0))
+        v != 0.0 && self.in_blind_spot(Point2::new(v.signum() * 2.0 * self.range, 0.0))
     }
 
     /// Whether a place (base frame of a robot at `odom_from_base`) is in the blind spot and not known to be free.
@@ -174,14 +174,14 @@ impl BlindSpotGrid {
 }
 
 /// A grid with the disc free that the robot needs to turn at its start.
-fn at_start(base: Point2<f64>, radius: f64) -> Box<[Cell; CELLS]> {
+fn at_start(base: Point2<f64>, radius: f64, cell: f64) -> Box<[Cell; CELLS]> {
     let mut cells = Box::new([NOWHERE; CELLS]);
-    let steps = (radius / CELL).ceil() as i32;
+    let steps = (radius / cell).ceil() as i32;
     for i in -steps..=steps {
         for j in -steps..=steps {
-            let off = Vector2::new(f64::from(i), f64::from(j)) * CELL;
+            let off = Vector2::new(f64::from(i), f64::from(j)) * cell;
             if off.norm() <= radius {
-                look_through(&mut cells, place(base + off), 0);
+                look_through(&mut cells, place(base + off, cell), 0);
             }
         }
     }
@@ -203,9 +203,9 @@ fn look_through(cells: &mut [Cell; CELLS], (at, index): Place, sweep: u16) {
 /// The lap of the ring buffer that a place belongs to, and its index there.
 type Place = (u32, usize);
 
-/// A coordinate in cells, fixed-point with 16 fractional bits: stepping needs no float rounding.
-fn fixed(coordinate: f64) -> i64 {
-    (coordinate * (65536.0 / CELL)) as i64
+/// A coordinate (m) in cells of a size, fixed-point with 16 fractional bits: stepping needs no float rounding.
+fn fixed(coordinate: f64, cell: f64) -> i64 {
+    (coordinate * (65536.0 / cell)) as i64
 }
 
 fn locate(x: i64, y: i64) -> Place {
@@ -215,8 +215,8 @@ fn locate(x: i64, y: i64) -> Place {
     (u32::from(east) << 16 | u32::from(north), index as usize)
 }
 
-fn place(point: Point2<f64>) -> Place {
-    locate(fixed(point.x), fixed(point.y))
+fn place(point: Point2<f64>, cell: f64) -> Place {
+    locate(fixed(point.x, cell), fixed(point.y, cell))
 }
 
 #[cfg(test)]
@@ -235,7 +235,11 @@ mod tests {
     }
 
     fn grid(lidar: &LidarModel, footprint: &Footprint) -> BlindSpotGrid {
-        BlindSpotGrid::new(FieldOfView::new([lidar], footprint), footprint)
+        BlindSpotGrid::new(
+            FieldOfView::new([lidar], footprint),
+            footprint,
+            &EdgeSettings::default(),
+        )
     }
 
     fn jackal() -> RobotModel {

@@ -16,11 +16,6 @@ use crate::passive_safety::{LEAST_CLEARANCE, Motion, approaches, closing_speed, 
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
 
-/// Scaled to less than this share of the wanted twist, the motion counts as stopped.
-const STOPPED: f64 = 0.02;
-/// Scaled to more than this share of the wanted twist, the motion counts as clear.
-const CLEAR: f64 = 0.95;
-
 /// Judges every twist before it goes to the wheels.
 #[derive(Clone, Debug)]
 pub struct CollisionMonitor {
@@ -93,8 +88,8 @@ impl CollisionMonitor {
         let moving = self.model.drive.surface_speed(wanted) > 1e-3 || !wanted.is_finite();
         let zone = match share {
             _ if !moving => GuardZone::Clear,
-            share if share < STOPPED => GuardZone::Stop,
-            share if share < CLEAR => GuardZone::Slow,
+            share if share < self.settings.stop_share => GuardZone::Stop,
+            share if share < self.settings.clear_share => GuardZone::Slow,
             _ => GuardZone::Clear,
         };
         let twist = if share <= 0.0 || !wanted.is_finite() {

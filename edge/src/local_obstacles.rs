@@ -14,16 +14,7 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
-use crate::settings::EdgeSettings;
-
-/// Remembered points beyond this distance are dropped, m.
-pub(crate) const MEMORY_RANGE: f64 = 3.0;
-/// Most points remembered.
-const MEMORY_POINTS: usize = 2048;
-/// After this long without a scan somebody may have entered the blind spot, s.
-const SILENCE: f64 = 0.5;
-/// Least spacing of remembered points, m.
-const SPACING: f64 = 0.02;
+use crate::settings::{EdgeSettings, LocalObstacleSettings};
 
 /// Obstacle points around the robot.
 #[derive(Clone, Debug)]
@@ -34,8 +25,7 @@ pub struct LocalObstacles {
     remembered: VecDeque<Point2<f64>>,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
-    /// Top speed of the robot, m/s.
-    top_speed: f64,
+    settings: LocalObstacleSettings,
 }
 
 /// What one lidar sees.
@@ -50,9 +40,15 @@ struct LidarView {
 }
 
 impl LocalObstacles {
-    /// Nothing seen yet. Nothing is taken to move faster than the robot itself can.
+    /// Nothing seen yet, default settings.
     #[must_use]
     pub fn new(model: &RobotModel) -> Self {
+        Self::with_settings(model, &EdgeSettings::default())
+    }
+
+    /// Nothing seen yet.
+    #[must_use]
+    pub fn with_settings(model: &RobotModel, settings: &EdgeSettings) -> Self {
         let view = FieldOfView::new(model.all_lidars().map(|(_, lidar)| lidar), &model.footprint);
         let lidars = model.all_lidars().map(|(name, lidar)| LidarView {
             name: name.to_owned(),
@@ -63,18 +59,11 @@ impl LocalObstacles {
         Self {
             lidars: lidars.collect(),
             remembered: VecDeque::new(),
-            moving: MovingObstacles::new(model, view.clone(), model.drive.top_speed()),
-            blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint),
+            moving: MovingObstacles::new(model, view.clone(), settings),
+            blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint, settings),
             view,
-            top_speed: model.drive.top_speed(),
+            settings: settings.local_obstacles.clone(),
         }
-    }
-
-    /// The same with other tunables than the defaults.
-    #[must_use]
-    pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
-        self.moving = self.moving.with_settings(settings, self.top_speed);
-        self
     }
 
     /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep of an unknown lidar, with
@@ -96,10 +85,11 @@ impl LocalObstacles {
             return false;
         };
         if self.view.has_blind_spot() {
-            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > SILENCE) {
+            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > self.settings.scan_gap) {
                 self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
-            remember(&mut self.remembered, seen, &self.view, scan.odom_from_base.inverse());
+            let base_from_odom = scan.odom_from_base.inverse();
+            remember(&mut self.remembered, seen, &self.view, base_from_odom, &self.settings);
         }
         seen.clear();
         let laser = scan.laser();
@@ -173,19 +163,20 @@ fn remember(
     seen: &[Point2<f64>],
     view: &FieldOfView,
     base_from_odom: Isometry2<f64>,
+    settings: &LocalObstacleSettings,
 ) {
     let blind = |point: &Point2<f64>| {
         let place = base_from_odom * point;
-        view.in_blind_spot(place) && place.coords.norm_squared() < MEMORY_RANGE * MEMORY_RANGE
+        view.in_blind_spot(place) && place.coords.norm_squared() < settings.range * settings.range
     };
     remembered.retain(blind);
     let mut last = Point2::new(f64::INFINITY, 0.0);
     for point in seen.iter().filter(|point| blind(point)) {
-        if (point - last).norm_squared() < SPACING * SPACING {
+        if (point - last).norm_squared() < settings.spacing * settings.spacing {
             continue;
         }
         last = *point;
-        if remembered.len() == MEMORY_POINTS {
+        if remembered.len() >= settings.max_points {
             remembered.pop_front();
         }
         remembered.push_back(*point);

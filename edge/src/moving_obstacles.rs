@@ -21,8 +21,6 @@ use crate::settings::{EdgeSettings, MovingObstacleSettings};
 
 /// Beams through neighbouring points are at most this far apart, in beams.
 const APART: usize = 8;
-/// Least spacing of the points of moving obstacles, m.
-const SPACING: f64 = 0.02;
 /// Most places kept where something moved.
 const MOVED_PLACES: usize = 48;
 /// Most places kept where an obstacle entered the blind spot.
@@ -87,31 +85,23 @@ struct DepartedRun {
 }
 
 impl MovingObstacles {
-    /// No scan yet; nothing moves faster than `fastest`, m/s.
+    /// No scan yet.
     #[must_use]
-    pub(crate) fn new(model: &RobotModel, view: FieldOfView, fastest: f64) -> Self {
-        let detectors = model.all_lidars().map(|(_, lidar)| Detector::new(lidar, fastest));
+    pub(crate) fn new(model: &RobotModel, view: FieldOfView, settings: &EdgeSettings) -> Self {
+        let top_speed = model.drive.top_speed();
+        let fastest = settings.passive_safety.speed_in_view(top_speed);
+        let detectors = model
+            .all_lidars()
+            .map(|(_, lidar)| Detector::new(lidar, settings, fastest));
         Self {
             detectors: detectors.collect(),
             view,
-            settings: MovingObstacleSettings::default(),
+            settings: settings.moving_obstacles.clone(),
             fastest,
-            fastest_out_of_sight: fastest,
+            fastest_out_of_sight: settings.passive_safety.speed_out_of_sight(top_speed),
             circumscribed_radius: model.footprint.circumscribed_radius(),
-            occluded: RecentPlaces::new(OCCLUDED_PLACES),
+            occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
         }
-    }
-
-    /// The same with other tunables than the defaults, for a robot with this top speed, m/s.
-    #[must_use]
-    pub(crate) fn with_settings(mut self, settings: &EdgeSettings, top_speed: f64) -> Self {
-        self.settings = settings.moving_obstacles.clone();
-        self.fastest = settings.passive_safety.speed_in_view(top_speed);
-        self.fastest_out_of_sight = settings.passive_safety.speed_out_of_sight(top_speed);
-        for detector in &mut self.detectors {
-            (detector.settings, detector.fastest) = (self.settings.clone(), self.fastest);
-        }
-        self
     }
 
     /// Obstacles beyond this distance from the lidar are not followed into the blind spot, m.
@@ -179,18 +169,18 @@ impl MovingObstacles {
 }
 
 impl Detector {
-    fn new(lidar: &LidarModel, fastest: f64) -> Self {
+    fn new(lidar: &LidarModel, settings: &EdgeSettings, fastest: f64) -> Self {
         Self {
             lidar: lidar.clone(),
-            reprojection: ScanReprojection::new(lidar),
-            settings: MovingObstacleSettings::default(),
+            reprojection: ScanReprojection::new(lidar, settings.scan_reprojection),
+            settings: settings.moving_obstacles.clone(),
             fastest,
             free: Vec::new(),
             references: VecDeque::new(),
             points: Vec::new(),
             departed: Vec::new(),
             appeared: Vec::new(),
-            moved: RecentPlaces::new(MOVED_PLACES),
+            moved: RecentPlaces::new(MOVED_PLACES, settings.moving_obstacles.place_spacing),
         }
     }
 
@@ -229,9 +219,9 @@ impl Detector {
             }
         }
         self.end_run(&mut begun, laser);
-        thin(&mut self.points);
+        thin(&mut self.points, self.settings.spacing);
         let evident = self.points.len();
-        thin(&mut still);
+        thin(&mut still, self.settings.spacing);
         self.points.append(&mut still);
         self.keep_reference(scan);
         evident
@@ -355,11 +345,11 @@ impl Detector {
     }
 }
 
-/// Drops points close to the one before.
-fn thin(points: &mut Vec<Point2<f64>>) {
+/// Drops points nearer than this, m, to the one before.
+fn thin(points: &mut Vec<Point2<f64>>, spacing: f64) {
     let mut last = Point2::new(f64::INFINITY, 0.0);
     points.retain(|point| {
-        let keeps = (point - last).norm_squared() >= SPACING * SPACING;
+        let keeps = (point - last).norm_squared() >= spacing * spacing;
         if keeps {
             last = *point;
         }
@@ -376,7 +366,10 @@ mod tests {
 
     fn none_yet(model: &RobotModel, fastest: f64) -> MovingObstacles {
         let view = FieldOfView::new(model.first_lidar(), &model.footprint);
-        MovingObstacles::new(model, view, fastest)
+        let mut settings = EdgeSettings::default();
+        settings.passive_safety.speed_in_view = Some(fastest);
+        settings.passive_safety.speed_out_of_sight = Some(fastest);
+        MovingObstacles::new(model, view, &settings)
     }
 
     /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.

@@ -5,9 +5,6 @@ use std::collections::VecDeque;
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::time::Stamp;
 
-/// Least distance between two places, m.
-const APART: f64 = 0.1;
-
 /// Where something was, and when.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecentPlace {
@@ -30,21 +27,25 @@ impl RecentPlace {
 pub struct RecentPlaces {
     places: VecDeque<RecentPlace>,
     most: usize,
+    /// Least distance between two places, m.
+    spacing: f64,
 }
 
 impl RecentPlaces {
-    /// Empty, for at most `most` places.
+    /// Empty, for at most `most` places at least `spacing` m apart.
     #[must_use]
-    pub fn new(most: usize) -> Self {
+    pub fn new(most: usize, spacing: f64) -> Self {
         Self {
             places: VecDeque::new(),
             most,
+            spacing,
         }
     }
 
     /// Something is at a place (odometry frame) now.
     pub fn note(&mut self, place: Point2<f64>, stamp: Stamp) {
-        if let Some(known) = self.places.iter_mut().find(|known| known.is_within(APART, place)) {
+        let spacing = self.spacing;
+        if let Some(known) = self.places.iter_mut().find(|known| known.is_within(spacing, place)) {
             *known = RecentPlace { place, stamp };
             return;
         }
@@ -88,7 +89,7 @@ mod tests {
 
     #[test]
     fn the_newest_of_neighbours_is_kept_and_the_first_of_too_many_is_not() {
-        let mut places = RecentPlaces::new(2);
+        let mut places = RecentPlaces::new(2, 0.1);
         for (x, secs) in [(0.0, 1.0), (0.05, 2.0), (1.0, 3.0)] {
             places.note(Point2::new(x, 0.0), Stamp::from_secs(secs));
         }

@@ -110,6 +110,8 @@ impl Pilot {
             });
         }
         let odom_from_base = self.estimator.odom_from_base();
+        let footprint = &self.config.model.footprint;
+        let unseen = self.config.settings.maneuvers.unseen_clearance;
         let escape = |clearance, within| {
             let points: Vec<_> = self.obstacles.in_base(odom_from_base).collect();
             let is_free = |base_from_there: Pose2, twist, secs| {
@@ -117,9 +119,9 @@ impl Pilot {
                 self.collision_monitor
                     .free_time(twist, secs, &self.obstacles, there)
                     .is_none()
-                    && !drives_into_unknown(&self.config.model.footprint, &self.obstacles, there, twist, secs)
+                    && !drives_into_unknown(footprint, &self.obstacles, unseen, there, twist, secs)
             };
-            nearest_free(&self.config.model.footprint, &points, clearance, within, is_free)
+            nearest_free(footprint, &points, clearance, within, is_free)
         };
         let maneuver = Maneuver::begin(
             &request.id,

@@ -8,14 +8,7 @@ use std::f32::consts::{FRAC_PI_2, PI};
 use nalgebra::{Isometry2, Point2};
 use zenav_protocol::robot::LidarModel;
 
-/// A beam passes through a place when it and this many neighbours on either side are longer by the free depth.
-const NEIGHBOURS: usize = 2;
-/// Free depth, m, beyond the noise of ranges.
-const DEPTH: f64 = 0.03;
-/// Free depth in standard deviations of a range.
-const DEPTH_SIGMAS: f64 = 4.0;
-/// Free depth for each metre of range: heading errors and the spacing of beams.
-const DEPTH_PER_METRE: f64 = 0.01;
+use crate::settings::ScanReprojectionSettings;
 
 /// The beams of a lidar, and the points of a scan seen among them.
 #[derive(Clone, Debug)]
@@ -35,10 +28,11 @@ pub(crate) struct ScanReprojection {
     distances: Vec<f32>,
     /// How much longer a beam is that passes through a return, m.
     pub(crate) depth: f64,
+    settings: ScanReprojectionSettings,
 }
 
 impl ScanReprojection {
-    pub(crate) fn new(lidar: &LidarModel) -> Self {
+    pub(crate) fn new(lidar: &LidarModel, settings: ScanReprojectionSettings) -> Self {
         let angles = (0..lidar.beams).map(|beam| lidar.angle_min() + beam as f64 * lidar.angle_increment());
         Self {
             along: angles.map(|angle| (angle.cos() as f32, angle.sin() as f32)).unzip(),
@@ -48,16 +42,18 @@ impl ScanReprojection {
             points: (vec![0.0; lidar.beams], vec![0.0; lidar.beams]),
             bearings: vec![0.0; lidar.beams],
             distances: vec![0.0; lidar.beams],
-            depth: DEPTH + DEPTH_SIGMAS * lidar.noise,
+            depth: settings.depth + settings.depth_sigmas * lidar.noise,
+            settings,
         }
     }
 
     /// Up to which range each beam of a scan saw free space, m.
     pub(crate) fn free_ranges(&self, ranges: &[f32], free: &mut Vec<f32>) {
-        let (depth, scale) = (self.depth as f32, (1.0 / (1.0 + DEPTH_PER_METRE)) as f32);
+        let neighbours = self.settings.neighbours;
+        let (depth, scale) = (self.depth as f32, (1.0 / (1.0 + self.settings.depth_per_metre)) as f32);
         free.clear();
         free.extend((0..ranges.len()).map(|beam| {
-            let beams = beam.saturating_sub(NEIGHBOURS)..(beam + NEIGHBOURS + 1).min(ranges.len());
+            let beams = beam.saturating_sub(neighbours)..(beam + neighbours + 1).min(ranges.len());
             let least = ranges.get(beams).unwrap_or_default().iter();
             // NaN counts as no range.
             let went = |range: &f32| if *range > 0.0 { *range } else { 0.0 };
@@ -153,7 +149,8 @@ mod tests {
                 })
                 .unzip();
             let there_from_here = Isometry2::new(Vector2::new(shift.0, shift.1), shift.2);
-            let mut reprojection = ScanReprojection::new(&lidar);
+            let settings = ScanReprojectionSettings::default();
+            let mut reprojection = ScanReprojection::new(&lidar, settings);
             let mut free = Vec::new();
             reprojection.free_ranges(&there, &mut free);
             reprojection.reproject(&there_from_here, &here);
@@ -164,14 +161,14 @@ mod tests {
                 prop_assert!((reprojection.point(nth).unwrap() - point).norm() < 1e-5);
                 let bearing = (point.y.atan2(point.x) - lidar.angle_min()) / lidar.angle_increment() + 0.5;
                 let distance = point.coords.norm();
-                let free_depth = distance + DEPTH + DEPTH_SIGMAS * lidar.noise + DEPTH_PER_METRE * distance;
+                let free_depth = distance + settings.depth + settings.depth_sigmas * lidar.noise + settings.depth_per_metre * distance;
                 let last = (lidar.beams - 1) as f64;
                 let at = if name == "neato" { bearing.floor().min(last) } else { bearing.floor() };
                 if (bearing - bearing.round()).abs() < 1e-3 {
                     continue;
                 }
                 let beams: Vec<f64> = (0..lidar.beams)
-                    .filter(|beam| (*beam as f64 - at).abs() <= NEIGHBOURS as f64)
+                    .filter(|beam| (*beam as f64 - at).abs() <= settings.neighbours as f64)
                     .map(|beam| f64::from(there[beam]))
                     .collect();
                 if beams.iter().any(|range| (range - free_depth).abs() < 1e-4) {

@@ -6,6 +6,8 @@
 
 use zenav_protocol::config_text::OutOfBounds;
 
+use crate::blind_spot_grid::SIDE;
+
 zenav_protocol::settings! {
     /// All tunables of an edge.
     pub struct EdgeSettings {
@@ -27,6 +29,12 @@ zenav_protocol::settings! {
         pub collision_monitor: CollisionMonitorSettings;
         /// Passive safety: the limits that the collision monitor applies.
         pub passive_safety: PassiveSafetySettings;
+        /// Local obstacle memory.
+        pub local_obstacles: LocalObstacleSettings;
+        /// Floor known to be free in the lidars' blind spot.
+        pub blind_spot_grid: BlindSpotGridSettings;
+        /// Scan reprojection: through which places did the beams of another scan pass?
+        pub scan_reprojection: ScanReprojectionSettings;
         /// Detection of moving obstacles.
         pub moving_obstacles: MovingObstacleSettings;
         /// Pose estimator.
@@ -34,6 +42,13 @@ zenav_protocol::settings! {
         /// Telemetry.
         pub telemetry: TelemetrySettings;
     }
+    check = |edge: &EdgeSettings| {
+        let (range, most) = (edge.local_obstacles.range, edge.blind_spot_grid.range());
+        match range <= most {
+            true => Ok(()),
+            false => Err(OutOfBounds::unlike("local_obstacles.range", range, format!("at most {most:.2}, what `blind_spot_grid.cell` covers"))),
+        }
+    };
 }
 
 zenav_protocol::settings! {
@@ -109,6 +124,9 @@ zenav_protocol::settings! {
         pub turn_tolerance: f64 = 0.02, "rad", 0.001..=0.5;
         /// Remaining distance at which a drive is done.
         pub distance_tolerance: f64 = 0.005, "m", 0.001..=0.5;
+        /// Floor known to be free around the outline where a drive to a free place leads into the blind spot: more than the collision
+        /// monitor requires.
+        pub unseen_clearance: f64 = 0.1, "m", 0.0..=1.0;
     }
 }
 
@@ -121,6 +139,20 @@ zenav_protocol::settings! {
         pub blocked_timeout: f64 = 1.0, "s", 0.1..=60.0;
         /// A wall shorter than this is approached only where there is no longer one: a pillar is no wall.
         pub short_wall: f64 = 0.5, "m", 0.0..=10.0;
+        /// A wall bends where a return is farther from its chord than this …
+        pub bend: f64 = 0.02, "m", 0.001..=0.5;
+        /// … and than this many standard deviations of the lidar.
+        pub bend_sigmas: f64 = 4.0, "", 0.0..=20.0;
+        /// Another wall is approached only if it is nearer by this.
+        pub nearer_wall: f64 = 0.1, "m", 0.0..=5.0;
+        /// A wall this near to where the approached one was is the same.
+        pub same_wall: f64 = 0.3, "m", 0.01..=5.0;
+        /// Heading error that ends an approach.
+        pub astray: f64 = 0.6, "rad", 0.05..=3.2;
+        /// The path ahead is clear when it is free for this many target distances.
+        pub clear_ahead: f64 = 2.0, "", 0.5..=20.0;
+        /// The distance to keep changes by at most this share of the speed.
+        pub widening: f64 = 0.6, "", 0.01..=5.0;
         /// A wall this many times farther than any distance that is kept is lost.
         pub lost_factor: f64 = 1.4, "", 1.0..=10.0;
         /// A bump ends when an operator has driven the robot this far from the contact.
@@ -145,6 +177,10 @@ zenav_protocol::settings! {
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
         /// In contact, the robot must move away from what it touches at this share of its speed at least.
         pub departure_share: f64 = 0.2, "", 0.0..=1.0;
+        /// Scaled to less than this share of the wanted twist, the motion counts as stopped.
+        pub stop_share: f64 = 0.02, "", 0.0..=0.5;
+        /// Scaled to more than this share of it, the motion counts as clear.
+        pub clear_share: f64 = 0.95, "", 0.5..=1.0;
     }
 }
 
@@ -175,6 +211,50 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
+    /// Local obstacle memory.
+    pub struct LocalObstacleSettings {
+        /// Points that have left the field of view are remembered, and beams traced through the blind-spot grid, within this distance.
+        pub range: f64 = 3.0, "m", 0.5..=50.0;
+        /// Least spacing of remembered points.
+        pub spacing: f64 = 0.02, "m", 0.001..=0.5;
+        /// Most points remembered; the oldest is dropped first.
+        pub max_points: usize = 2048, "", 1..=100_000;
+        /// After this long without a scan somebody may have entered the blind spot.
+        pub scan_gap: f64 = 0.5, "s", 0.05..=10.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Floor known to be free in the lidars' blind spot. The grid has 128 cells a side.
+    #[derive(Copy)]
+    pub struct BlindSpotGridSettings {
+        /// Side of a cell.
+        pub cell: f64 = 0.05, "m", 0.02..=0.5;
+        /// A cell with a return is free again when beams of this many scans have passed through it: thin legs are hit only now and then.
+        pub free_after: u8 = 10, "scans", 1..=255;
+        /// Beams are traced up to this distance before their return.
+        pub return_margin: f64 = 0.02, "m", 0.0..=0.5;
+        /// Floor taken to be free at the start, beyond the circumscribed circle; a round robot turns where it stands and needs none.
+        pub start_margin: f64 = 0.16, "m", 0.0..=2.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Scan reprojection: through which places did the beams of another scan pass?
+    #[derive(Copy)]
+    pub struct ScanReprojectionSettings {
+        /// A beam passes through a place when it and this many neighbours on either side are longer by the free depth.
+        pub neighbours: usize = 2, "beams", 0..=20;
+        /// Free depth beyond the noise of ranges.
+        pub depth: f64 = 0.03, "m", 0.0..=1.0;
+        /// Free depth in standard deviations of a range.
+        pub depth_sigmas: f64 = 4.0, "", 0.0..=20.0;
+        /// Free depth for each metre of range: heading errors and the spacing of beams.
+        pub depth_per_metre: f64 = 0.01, "m/m", 0.0..=0.2;
+    }
+}
+
+zenav_protocol::settings! {
     /// Detection of moving obstacles.
     pub struct MovingObstacleSettings {
         /// Returns beyond this range are ignored.
@@ -201,6 +281,10 @@ zenav_protocol::settings! {
         pub memory: f64 = 10.0, "s", 0.0..=600.0;
         /// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one.
         pub reappearance_tolerance: f64 = 0.1, "m", 0.0..=2.0;
+        /// Least spacing of the points of moving obstacles.
+        pub spacing: f64 = 0.02, "m", 0.001..=0.5;
+        /// Least spacing of the places that are kept where something moved or entered the blind spot.
+        pub place_spacing: f64 = 0.1, "m", 0.01..=1.0;
     }
 }
 
@@ -246,6 +330,14 @@ zenav_protocol::settings! {
     }
 }
 
+impl BlindSpotGridSettings {
+    /// The largest distance that the grid covers around the robot, m: a bit less than half its width.
+    #[must_use]
+    pub fn range(&self) -> f64 {
+        0.48 * f64::from(SIDE) * self.cell
+    }
+}
+
 impl PassiveSafetySettings {
     /// Assumed speed of moving obstacles in view, m/s, for a robot with this top speed.
     #[must_use]
@@ -284,6 +376,7 @@ mod tests {
                 r#"{"passive_safety": {"speed_out_of_sight": -1.0}}"#,
                 "passive_safety.speed_out_of_sight",
             ),
+            (r#"{"local_obstacles": {"range": 5.0}}"#, "local_obstacles.range"),
             (
                 r#"{"collision_monitor": {"scan_timeout": 60.0}}"#,
                 "collision_monitor.scan_timeout",

@@ -12,10 +12,16 @@ crate::settings! {
         pub identify_wall_distance: f64 = 0.75, "m", 0.05..=5.0;
         /// Neighbouring returns that make a wall: fewer are noise.
         pub wall_min_points: usize = 5, "", 2..=100;
+        /// Neighbouring returns farther apart than this belong to different walls.
+        pub wall_gap: f64 = 0.15, "m", 0.01..=2.0;
+        /// A return that stands out from a wall by less belongs to the wall.
+        pub wall_roughness: f64 = 0.05, "m", 0.0..=0.5;
         /// Heading error within which a wall that was searched is approached.
         pub search_tolerance: f64 = 0.1, "rad", 0.01..=0.5;
         /// Approach: speed for each metre left.
         pub approach_gain: f64 = 0.8, "1/s", 0.05..=10.0;
+        /// Approach and turns on the spot: yaw rate for the angle left.
+        pub steering: f64 = 2.0, "1/s", 0.1..=20.0;
         /// Approach: least speed.
         pub least_speed: f64 = 0.05, "m/s", 0.01..=2.0;
         /// Greatest speed.
@@ -34,6 +40,12 @@ crate::settings! {
         pub wall_i: f64 = 0.2, "rad/(m s²)", 0.0..=50.0;
         /// Yaw rate for the rate of the distance error.
         pub wall_d: f64 = 8.0, "rad/m", 0.0..=200.0;
+        /// The distance error is summed up within this only.
+        pub wall_i_within: f64 = 0.1, "m", 0.0..=2.0;
+        /// Most that the integral may turn the robot by.
+        pub wall_i_most: f64 = 0.3, "rad/s", 0.0..=5.0;
+        /// Steepest heading towards the wall, as a sine.
+        pub wall_steepest: f64 = 0.45, "", 0.05..=1.0;
     }
 }
 

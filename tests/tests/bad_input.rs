@@ -361,6 +361,11 @@ fn a_file_with_an_unknown_key_is_refused_with_file_line_and_key() {
         (vec!["edge", "--world", "world.toml"], "world.toml", "colour"),
         (vec!["bt", "validate", "tree.xml"], "tree.xml", "wait_duraton"),
         (vec!["up", "deployment.toml"], "deployment.toml", "resolutoin"),
+        (
+            [&run[..], &["--deployment", "deployment.toml"]].concat(),
+            "deployment.toml",
+            "resolutoin",
+        ),
     ] {
         let output = deployment.zenav(&arguments);
         let said = String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout);

@@ -222,9 +222,14 @@ impl Context {
             return;
         };
         let replaces = self.motion.was_begun_for_leg;
-        let plan = self
-            .motion
-            .begin(draft, &self.goal.id, epoch, based_on, self.config.plan_valid, self.now);
+        let plan = self.motion.begin(
+            draft,
+            &self.goal.id,
+            epoch,
+            based_on,
+            self.config.settings.plan_valid,
+            self.now,
+        );
         self.goal.feedback.plans += 1;
         self.goal.feedback.replans += u64::from(replaces);
         if let Some(leg) = self.goal.legs.last_mut() {
@@ -238,7 +243,9 @@ impl Context {
     /// Renews the plan in force.
     pub fn renew(&mut self) {
         if let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on())
-            && let Some(plan) = self.motion.renew(epoch, based_on, self.config.plan_valid, self.now)
+            && let Some(plan) = self
+                .motion
+                .renew(epoch, based_on, self.config.settings.plan_valid, self.now)
         {
             self.plans.push(plan);
         }
@@ -252,10 +259,12 @@ impl Context {
             let twist = self.robot.velocity();
             let limits = zenav_smoothing::timing::Limits::of(model);
             let valid_for = 0.5 + 1.4 * limits.braking_time(twist);
-            if let Some(plan) = self
-                .motion
-                .hold(epoch, based_on, valid_for.min(self.config.plan_valid), self.now)
-            {
+            if let Some(plan) = self.motion.hold(
+                epoch,
+                based_on,
+                valid_for.min(self.config.settings.plan_valid),
+                self.now,
+            ) {
                 self.plans.push(plan);
             }
         }

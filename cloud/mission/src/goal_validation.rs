@@ -162,12 +162,12 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         return Ok(());
     };
     let Some(spec) = ctx.map.spec() else { return Ok(()) };
-    let explore = ctx.config.explore;
-    let growing = ctx.config.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
+    let explore = ctx.config.settings.explore;
+    let growing = ctx.config.settings.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let position = ctx.robot.pose().map(|pose| pose.position());
     let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
     let places = points.iter().map(|goal| Point2::new(goal.x, goal.y));
-    let extent = if ctx.config.unknown_is_free {
+    let extent = if ctx.config.settings.unknown_is_free {
         Extent::of(&model.footprint, places.filter(near).collect())
     } else {
         Extent::default()

@@ -75,6 +75,7 @@ pub mod records;
 mod requests;
 pub mod robot;
 pub mod route;
+mod settings;
 pub mod store;
 pub mod trees;
 
@@ -82,3 +83,4 @@ pub use config::MissionConfig;
 pub use io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
 pub use orchestrator::Mission;
 pub use records::{Record, Restored};
+pub use settings::{MissionSettings, ObstacleSettings, ProgressSettings, RetrySettings};

@@ -18,8 +18,6 @@ use zenav_space::ConfigurationSpace;
 const SPACING: (f64, f64) = (0.05, 0.1);
 /// The path this near to the robot is not rechecked: what stands there is its collision monitor's business, m.
 const NEAR: f64 = 0.1;
-/// What the map has where the robot stands may be left for so far, m.
-const ESCAPE: f64 = 0.6;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
 /// A robot that says nothing of an accepted plan for this long has dropped it, s.
@@ -302,10 +300,10 @@ impl MotionKeeper {
 
     /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
     #[must_use]
-    pub fn recheck(&self, space: &ConfigurationSpace, from: f64) -> Recheck {
-        self.current
-            .as_ref()
-            .map_or(Recheck::Free, |current| recheck(&current.plan.trajectory, space, from))
+    pub fn recheck(&self, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
+        self.current.as_ref().map_or(Recheck::Free, |current| {
+            recheck(&current.plan.trajectory, space, from, escape)
+        })
     }
 }
 
@@ -344,9 +342,10 @@ impl ActivePlan {
     }
 }
 
-/// Rechecks a trajectory from plan time `from` on, with the true footprint.
+/// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that by the map stands in an obstacle may leave it for
+/// `escape` m.
 #[must_use]
-pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64) -> Recheck {
+pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
     let mut travelled = 0.0;
     let mut before: Option<Pose2> = None;
@@ -356,7 +355,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64) -
         travelled += before.map_or(0.0, |before: Pose2| before.distance(&pose));
         before = Some(pose);
         // A robot that by the map stands in something must be let out of it.
-        leaving = leaving && travelled < ESCAPE && space.footprint_clearance(pose) <= 0.0;
+        leaving = leaving && travelled < escape && space.footprint_clearance(pose) <= 0.0;
         if leaving {
             continue;
         }
@@ -424,23 +423,23 @@ mod tests {
     #[test]
     fn what_lies_ahead_is_found_and_what_lies_behind_is_not() {
         let (path, space) = (straight(), space(&[(4.0, 0.2)]));
-        let Recheck::Blocked(ahead) = recheck(&path, &space, 0.0) else {
+        let Recheck::Blocked(ahead) = recheck(&path, &space, 0.0, 0.6) else {
             panic!("missed")
         };
         assert!((5.5..7.6).contains(&ahead), "{ahead}");
-        assert_eq!(recheck(&path, &space, 9.0), Recheck::Free);
-        assert_eq!(recheck(&path, &self::space(&[(4.0, 0.3)]), 0.0), Recheck::Free);
+        assert_eq!(recheck(&path, &space, 9.0, 0.6), Recheck::Free);
+        assert_eq!(recheck(&path, &self::space(&[(4.0, 0.3)]), 0.0, 0.6), Recheck::Free);
     }
 
     #[test]
     fn a_robot_that_stands_in_something_is_let_out_of_it() {
-        assert_eq!(recheck(&straight(), &space(&[(-0.1, 0.1)]), 0.0), Recheck::Free);
+        assert_eq!(recheck(&straight(), &space(&[(-0.1, 0.1)]), 0.0, 0.6), Recheck::Free);
         assert!(matches!(
-            recheck(&straight(), &space(&[(-0.1, 0.1), (1.0, 0.0)]), 0.0),
+            recheck(&straight(), &space(&[(-0.1, 0.1), (1.0, 0.0)]), 0.0, 0.6),
             Recheck::Blocked(_)
         ));
         assert!(matches!(
-            recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0),
+            recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0, 0.6),
             Recheck::Blocked(_)
         ));
     }

@@ -249,8 +249,8 @@ impl Mission {
         }
         self.ctx.goal = ActiveGoal {
             id: id.clone(),
-            tolerance: request.tolerance.unwrap_or(self.ctx.config.tolerance),
-            profile: request.profile.unwrap_or(self.ctx.config.profile),
+            tolerance: request.tolerance.unwrap_or(self.ctx.config.settings.tolerance),
+            profile: request.profile.unwrap_or(self.ctx.config.settings.profile),
             feedback: goal.state.feedback.clone(),
             legs,
             leg_changes: 0,

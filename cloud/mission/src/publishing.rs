@@ -8,9 +8,6 @@ use super::io::Effect;
 use super::orchestrator::Mission;
 use super::records::{Record, RunningTree};
 
-/// Time between two publications of an unchanged status, s.
-const STATUS_PERIOD: f64 = 0.5;
-
 /// What was published last.
 #[derive(Default)]
 pub(super) struct Published {
@@ -107,7 +104,7 @@ impl Mission {
             return None;
         }
         self.published.status = Some(news);
-        self.published.next_status = self.ctx.now.plus_secs(STATUS_PERIOD);
+        self.published.next_status = self.ctx.now.plus_secs(self.ctx.config.settings.status_period);
         let nodes = running.map(|running| running.tree.report()).unwrap_or_default();
         let node = |node: NodeReport| NodeStatus {
             uid: u32::from(node.uid),

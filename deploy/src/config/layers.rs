@@ -12,6 +12,8 @@ use super::{Deployment, RobotSection};
 use crate::failure::Failure;
 use crate::files;
 
+/// The origin of what nobody has set.
+const DEFAULT: &str = "default";
 /// What environment variables that set values begin with.
 const PREFIX: &str = "ZENAV_";
 /// Names that changed in a typo beyond this many letters are not guessed.
@@ -22,18 +24,28 @@ const SLIPS: usize = 2;
 /// # Errors
 /// Exit code 3 for a missing file, 2 for a bad one, with the key and where it is written.
 pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
-    Ok(Layers::read(file, std::env::vars())?.deployment)
+    Ok(Layers::load(file)?.deployment)
 }
 
 /// A deployment, and what it was made from.
-pub(super) struct Layers {
-    pub(super) deployment: Deployment,
+pub(crate) struct Layers {
+    pub(crate) deployment: Deployment,
     file: Option<(PathBuf, String)>,
     /// Keys that are set by the environment.
     environment: BTreeMap<String, String>,
 }
 
 impl Layers {
+    /// As [`load`], with the origins.
+    pub(crate) fn load(file: Option<&Path>) -> Result<Self, Failure> {
+        Self::read(file, std::env::vars())
+    }
+
+    /// Whether the file or the environment sets a key.
+    pub(crate) fn sets(&self, key: &str) -> bool {
+        self.origin(key) != DEFAULT
+    }
+
     pub(super) fn read(
         path: Option<&Path>,
         variables: impl Iterator<Item = (String, String)>,
@@ -108,7 +120,7 @@ impl Layers {
         self.file
             .as_ref()
             .and_then(written)
-            .unwrap_or_else(|| "default".to_owned())
+            .unwrap_or_else(|| DEFAULT.to_owned())
     }
 }
 
@@ -263,17 +275,20 @@ mod tests {
             ("ZENAV_ROUTER__LISTEN", "[\"tcp/[::]:1\"]"),
             ("OTHER", "1"),
         ];
-        let layers = read("[mission]\nholder = \"a\"\nplan_valid_secs = 4\n", &variables).unwrap();
+        let layers = read("[mission]\nholder = \"a\"\nplan_valid = 4\n", &variables).unwrap();
         let deployment = &layers.deployment;
         assert_eq!(
-            (deployment.mission.holder.as_str(), deployment.mission.plan_valid_secs),
+            (
+                deployment.mission.run.holder.as_str(),
+                deployment.mission.settings.plan_valid
+            ),
             ("7", 4.0)
         );
         assert_eq!(deployment.robots["tiago"].model, "neato");
         assert_eq!(deployment.robots["tiago"].listen, "tcp/127.0.0.1:7450");
         assert_eq!(deployment.router.listen, ["tcp/[::]:1"]);
         assert_eq!(layers.origin("mission.holder"), "environment ZENAV_MISSION__HOLDER");
-        assert!(layers.origin("mission.plan_valid_secs").ends_with("mine.toml:3"));
+        assert!(layers.origin("mission.plan_valid").ends_with("mine.toml:3"));
         assert_eq!(layers.origin("mission.enabled"), "default");
     }
 }

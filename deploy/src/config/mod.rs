@@ -14,13 +14,15 @@ mod show;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use zenav_cloud::motion::MotionSettings;
 use zenav_edge::EdgeSettings;
 use zenav_mapping::MappingSettings;
+use zenav_mission::MissionSettings;
 use zenav_planning::PlanningSettings;
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{DrivingProfile, LostPolicy};
+use zenav_protocol::messages::LostPolicy;
 use zenav_protocol::settings;
 use zenav_protocol::settings::Settings as _;
 use zenav_smoothing::SmoothingSettings;
@@ -28,6 +30,7 @@ use zenav_smoothing::SmoothingSettings;
 use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
 
+pub(crate) use layers::Layers;
 pub use layers::load;
 pub use service::Service;
 pub use show::{ConfigArgs, run};
@@ -54,7 +57,7 @@ settings! {
         /// Zones of the map.
         pub zones: ZonesSection;
         /// The mission orchestrator.
-        pub mission: MissionSection;
+        pub mission: Service<MissionSection, MissionSettings>;
         /// What is kept on disk.
         pub data: DataSection;
     }
@@ -138,18 +141,12 @@ settings! {
 }
 
 settings! {
-    /// The mission orchestrator.
+    /// How the mission orchestrator is run.
     pub struct MissionSection {
         /// Whether it runs.
         pub enabled: bool = true;
         /// Its name as a lease holder.
         pub holder: String = "mission".to_owned();
-        /// How far ahead of the robot a replan starts.
-        pub latency_budget_secs: f64 = zenav_mission::config::LATENCY_BUDGET, "s", 0.0..=10.0;
-        /// Validity of a plan.
-        pub plan_valid_secs: f64 = 5.0, "s", 0.0..=60.0;
-        /// Driving profile of goals that name none: `fastest` or `economy`.
-        pub profile: DrivingProfile = DrivingProfile::Fastest;
     }
 }
 
@@ -181,6 +178,15 @@ impl Deployment {
             });
         }
         Ok(())
+    }
+
+    /// Settings of the motion workers.
+    #[must_use]
+    pub fn motion(&self) -> MotionSettings {
+        MotionSettings {
+            planning: self.planning.settings.clone(),
+            smoothing: self.smoothing,
+        }
     }
 
     /// Folder for a robot's files.

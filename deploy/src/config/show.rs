@@ -53,7 +53,7 @@ struct Origin {
 /// As [`load`](super::load).
 pub fn run(args: &ConfigArgs) -> Outcome {
     let ConfigCommand::Show { file, origin, output } = &args.command;
-    let layers = Layers::read(file.as_deref(), std::env::vars())?;
+    let layers = Layers::load(file.as_deref())?;
     if *origin {
         values(*output, &origins(&layers)?, |rows| {
             let cells: Vec<Vec<String>> = rows.iter().map(Origin::cells).collect();
@@ -122,14 +122,66 @@ impl Origin {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use zenav_protocol::robot::ControllerGains;
+    use zenav_protocol::wall_following::WallFollowing;
+
     use super::*;
+
+    /// `docs/settings.md`: what can be set, as it is declared.
+    fn reference() -> String {
+        let mut page = "# Settings\n\n\
+            Every setting with its unit, default and bounds. The first part is what a deployment file sets (`zenav up FILE`), the second what a robot file\n\
+            sets; [tuning](tuning.md) says how. This page is made from the declarations:\n\
+            `WRITE_DOCS=1 cargo test -p zenav --lib reference` writes it.\n"
+            .to_owned();
+        let robot_file = |section: &str, rows: Vec<Row>| rows.into_iter().map(|row| row.within(section)).collect();
+        let robots = RobotSection::rows().into_iter().map(|row| row.within("NAME").within("robots"));
+        let deployment = Deployment::rows().into_iter().filter(|row| row.key != "robots");
+        let parts: [(&str, Vec<Row>); 3] = [
+            ("Deployment file", deployment.chain(robots).collect()),
+            ("Robot file: trackers", robot_file("controller", ControllerGains::rows())),
+            ("Robot file: wall follower", robot_file("wall_following", WallFollowing::rows())),
+        ];
+        for (title, rows) in parts {
+            page += &format!("\n## {title}\n");
+            let mut section = None;
+            for row in rows {
+                let (within, name) = row.key.rsplit_once('.').unwrap_or(("", &row.key));
+                if section.as_deref() != Some(within) {
+                    page += &format!("\n### `[{within}]`\n\n| key | default | unit | bounds | does |\n|---|---|---|---|---|\n");
+                    section = Some(within.to_owned());
+                }
+                let default = match &row.default {
+                    Value::Null => "-".to_owned(),
+                    value => format!("`{value}`"),
+                };
+                let bounds = row.bounds.map_or_else(String::new, |bounds| bounds.to_string());
+                page += &format!("| `{name}` | {default} | {} | {bounds} | {} |\n", row.unit, row.doc);
+            }
+        }
+        page
+    }
+
+    #[test]
+    fn the_reference_shows_what_is_declared() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/settings.md");
+        if std::env::var_os("WRITE_DOCS").is_some() {
+            std::fs::write(path, reference()).unwrap();
+        }
+        let page = std::fs::read_to_string(path).unwrap();
+        assert!(page == reference(), "docs/settings.md is not what is declared; WRITE_DOCS=1 writes it");
+    }
 
     #[test]
     fn every_setting_stands_in_the_list_with_its_doc_and_the_file_that_is_printed_makes_the_same() {
         let layers = Layers::read(None, std::iter::empty()).unwrap();
         let origins = origins(&layers).unwrap();
         assert!(origins.iter().all(|row| !row.doc.is_empty() && row.origin == "default"));
-        for key in ["robots.tiago.listen", "mission.latency_budget_secs", "data.dir"] {
+        for key in [
+            "robots.tiago.edge.collision_monitor.hysteresis",
+            "mission.latency_budget",
+            "data.dir",
+        ] {
             assert!(origins.iter().any(|row| row.key == key), "{key}");
         }
         let unset = |row: &&Origin| row.value.is_null() && !row.default.is_null();

@@ -8,8 +8,8 @@
 
 use std::sync::Arc;
 
-use zenav_cloud::motion;
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
+use zenav_cloud::motion::{self, MotionSettings};
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Restored};
@@ -32,8 +32,10 @@ pub struct ClosedLoopConfig {
     pub edge: EdgeConfig,
     /// Its mission.
     pub mission: MissionConfig,
-    /// Side of a cell, m.
-    pub resolution: f64,
+    /// The mapper's settings.
+    pub mapping: MappingSettings,
+    /// The motion worker's settings.
+    pub motion: MotionSettings,
     /// The map to begin with.
     pub known_map: Option<OccupancyGrid>,
     /// From scan to plan, s.
@@ -85,17 +87,13 @@ impl ClosedLoop {
     /// Prepares a run; the simulation has one robot.
     #[must_use]
     pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
-        let settings = MappingSettings {
-            resolution: config.resolution,
-            ..MappingSettings::default()
-        };
         let map = MapRef {
             id: "lockstep".to_owned(),
             revision: 0,
         };
         let mapper = match &config.known_map {
-            Some(grid) => Mapper::with_stored(settings, map, grid, Vec::new(), 0),
-            None => Mapper::new(settings, map.id),
+            Some(grid) => Mapper::with_stored(config.mapping, map, grid, Vec::new(), 0),
+            None => Mapper::new(config.mapping, map.id),
         };
         let mut mapper = mapper.with_footprint(config.edge.model.footprint.clone());
         // Live scans go on into a known map: what moved since must be seen.
@@ -106,7 +104,7 @@ impl ClosedLoop {
             inbox: Inbox::default(),
             mapper,
             replica: MapReplica::new(),
-            worker: MotionWorker::new(Arc::clone(&config.mission.zones), Default::default()),
+            worker: MotionWorker::new(Arc::clone(&config.mission.zones), config.motion),
             mission: Some(Mission::new(config.mission, Restored::fresh())),
             inputs: zenav_mission::Inputs::default(),
             up: Link::new(0.5 * config.cloud_delay, config.seed),

@@ -6,19 +6,18 @@ use std::path::PathBuf;
 use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
-use zenav_edge::EdgeConfig;
 use zenav_mission::MissionConfig;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::id::Id;
+use zenav_protocol::id::{Id, InvalidId};
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, exit_code};
-use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::MissionRequest;
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
-use crate::components::places;
+use crate::components::{edge_config, places};
+use crate::config::Layers;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, value};
@@ -26,42 +25,43 @@ use crate::report::per_metre;
 
 /// The robot's name in a run.
 const ROBOT: &str = "robot";
-/// Side of a map's cell, m.
-const RESOLUTION: f64 = 0.05;
 /// Largest side of a known map, cells.
 const MAX_CELLS: f64 = 16_384.0;
 
 /// Arguments of `zenav run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// World file or shipped name
-    #[arg(long, default_value = "kitchen")]
-    world: String,
-    /// Robot file or shipped name
-    #[arg(long, default_value = "tiago")]
-    robot: String,
+    /// Deployment file: its settings, world and first robot; without it, the shipped one
+    #[arg(long, value_name = "FILE")]
+    deployment: Option<PathBuf>,
+    /// World file or shipped name, instead of the deployment's
+    #[arg(long)]
+    world: Option<String>,
+    /// A robot of the deployment by name, or a robot file or shipped name instead of its first robot's model
+    #[arg(long)]
+    robot: Option<String>,
     /// Goal, m in the world
     #[arg(long, num_args = 2, value_names = ["X", "Y"], allow_negative_numbers = true, required = true)]
     goal: Vec<f64>,
     /// Simulated time after which the run has failed, s
     #[arg(long, default_value_t = 100.0)]
     timeout: f64,
-    /// Seed of all noise and delays
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Distance that counts as reached, m
-    #[arg(long, default_value_t = 0.15)]
-    tolerance: f64,
+    /// Seed of all noise and delays, instead of the deployment's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Distance that counts as reached, m, instead of the deployment's
+    #[arg(long)]
+    tolerance: Option<f64>,
     /// Start with the true map
     #[arg(long)]
     known_map: bool,
-    /// File of keep-out and speed zones
+    /// File of keep-out and speed zones, instead of the deployment's
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
-    /// Mean delay from scan to plan, ms
+    /// Mean delay from scan to plan, ms; the latency budget is twice that where the deployment sets none
     #[arg(long, default_value_t = 100.0)]
     cloud_delay_ms: f64,
-    /// Driving profile, `fastest` or `economy`
+    /// Driving profile, `fastest` or `economy`, instead of the deployment's
     #[arg(long)]
     profile: Option<DrivingProfile>,
     /// Write the driven path as CSV `t,x,y,yaw,v,w`
@@ -130,7 +130,7 @@ pub fn run(args: &RunArgs) -> Outcome {
         ("--goal", args.goal[0]),
         ("--goal", args.goal[1]),
         ("--timeout", args.timeout),
-        ("--tolerance", args.tolerance),
+        ("--tolerance", args.tolerance.unwrap_or_default()),
         ("--cloud-delay-ms", args.cloud_delay_ms),
     ] {
         if !number.is_finite() || (name != "--goal" && number < 0.0) {
@@ -140,11 +140,22 @@ pub fn run(args: &RunArgs) -> Outcome {
             )));
         }
     }
-    let world = files::world(&args.world)?;
-    let model = files::robot(&args.robot)?;
-    let mut stage = stage(args, &world, &model)?;
+    let layers = Layers::load(args.deployment.as_deref())?;
+    let deployment = &layers.deployment;
+    let world = files::world(args.world.as_ref().unwrap_or(&deployment.simulation.world))?;
+    let config = closed_loop(args, &layers, &world)?;
+    let spec = RobotSpec {
+        id: config.edge.robot.clone(),
+        model: config.edge.model.clone(),
+        start: config.edge.start,
+    };
+    let seed = config.seed;
+    let tolerance = args.tolerance.unwrap_or(config.mission.settings.tolerance);
+    let simulation =
+        Simulation::new(&world, vec![spec], config.seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let mut stage = ClosedLoop::new(simulation, config);
     let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
-    let report = drive(args, &mut stage, &mut rows);
+    let report = drive(args, tolerance, seed, &mut stage, &mut rows);
     if let Some(file) = &args.trajectory {
         std::fs::write(file, rows).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
     }
@@ -157,38 +168,60 @@ pub fn run(args: &RunArgs) -> Outcome {
     })
 }
 
-fn stage(args: &RunArgs, world: &World, model: &RobotModel) -> Result<ClosedLoop, Failure> {
-    let id = Id::robot(ROBOT).map_err(|error| Failure::failed(error.to_string()))?;
-    let spec = RobotSpec {
-        id: id.clone(),
-        model: model.clone(),
-        start: world.start(),
-    };
-    let simulation =
-        Simulation::new(world, vec![spec], args.seed).map_err(|error| Failure::usage(error.to_string()))?;
-    let mut mission = MissionConfig::new(id.clone(), "lockstep", PathBuf::new());
-    mission.places = places(world);
-    mission.zones = files::zones(args.zones.as_deref())?;
-    mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
-    let known_map = args.known_map.then(|| true_map(world)).transpose()?;
-    let config = ClosedLoopConfig {
-        edge: EdgeConfig::new(id, model.clone(), world.start()),
-        mission,
-        resolution: known_map.as_ref().map_or(RESOLUTION, |map| map.spec().resolution),
+/// The parts of a run, with the deployment's settings.
+fn closed_loop(args: &RunArgs, layers: &Layers, world: &World) -> Result<ClosedLoopConfig, Failure> {
+    let deployment = &layers.deployment;
+    let failed = |error: InvalidId| Failure::failed(error.to_string());
+    let id = Id::robot(ROBOT).map_err(failed)?;
+    let named = args.robot.as_ref().and_then(|robot| deployment.robots.get(robot));
+    let mut section = named.or(deployment.robots.values().next()).cloned().unwrap_or_default();
+    if let (Some(robot), None) = (&args.robot, named) {
+        section.model.clone_from(robot);
+    }
+    let start = section
+        .start
+        .map_or_else(|| world.start(), |start| Pose2::new(start.x, start.y, start.yaw));
+    let mut mission = deployment.mission.settings.clone();
+    if !layers.sets("mission.latency_budget") {
+        mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
+    }
+    let mut mapping = deployment.mapping.settings.clone();
+    let known_map = args
+        .known_map
+        .then(|| true_map(world, mapping.resolution))
+        .transpose()?;
+    if let Some(map) = &known_map {
+        mapping.resolution = map.spec().resolution;
+    }
+    Ok(ClosedLoopConfig {
+        edge: edge_config(&id, &section, files::robot(&section.model)?, start),
+        mission: MissionConfig {
+            robot: id,
+            holder: "lockstep".to_owned(),
+            store: PathBuf::new(),
+            places: places(world),
+            zones: files::zones(args.zones.as_deref().or(deployment.zones.file.as_deref()))?,
+            planner: deployment.planning.run.planner.clone(),
+            settings: mission,
+        },
+        mapping,
+        motion: deployment.motion(),
         known_map,
         cloud_delay: 1e-3 * args.cloud_delay_ms,
-        seed: args.seed,
-    };
-    Ok(ClosedLoop::new(simulation, config))
+        seed: args.seed.unwrap_or(deployment.simulation.seed),
+    })
 }
 
 /// The world as a map: its own, or every cell that something solid touches.
-fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
+///
+/// # Errors
+/// A world that is too large to be a map.
+fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
     if let Some(map) = world.map() {
         return Ok(map.clone());
     }
     let (lower, upper) = world.bounds();
-    let cells = |length: f64| (length / RESOLUTION).ceil();
+    let cells = |length: f64| (length / resolution).ceil();
     let (width, height) = (cells(upper.x - lower.x), cells(upper.y - lower.y));
     if !(width <= MAX_CELLS && height <= MAX_CELLS) {
         return Err(Failure::usage(format!(
@@ -197,14 +230,14 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     }
     let spec = GridSpec {
         origin: lower,
-        resolution: RESOLUTION,
+        resolution,
         width: width as u32,
         height: height as u32,
     };
     let mut map = Grid::filled(spec, Occupancy::FREE);
     let cell = zenav_protocol::robot::Footprint::Polygon(
         [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
-            .map(|(x, y)| Point2::new(x * RESOLUTION, y * RESOLUTION))
+            .map(|(x, y)| Point2::new(x * resolution, y * resolution))
             .to_vec(),
     );
     for y in 0..spec.height {
@@ -218,13 +251,13 @@ fn true_map(world: &World) -> Result<OccupancyGrid, Failure> {
     Ok(map)
 }
 
-fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport {
+fn drive(args: &RunArgs, tolerance: f64, seed: u64, stage: &mut ClosedLoop, rows: &mut String) -> RunReport {
     let goal = Point2::new(args.goal[0], args.goal[1]);
     stage.ask(MissionRequest::Goal(GoalRequest {
         id: Some("run".to_owned()),
         x: Some(goal.x),
         y: Some(goal.y),
-        tolerance: Some(args.tolerance),
+        tolerance: Some(tolerance),
         profile: args.profile,
         ..GoalRequest::default()
     }));
@@ -238,7 +271,7 @@ fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport
         if truth.collisions > 0 {
             break RunOutcome::Collision;
         }
-        if (pose.position() - goal).norm() <= args.tolerance {
+        if (pose.position() - goal).norm() <= tolerance {
             break RunOutcome::Reached;
         }
         if let Some(Err(refusal)) = stage.replies().first() {
@@ -276,7 +309,7 @@ fn drive(args: &RunArgs, stage: &mut ClosedLoop, rows: &mut String) -> RunReport
         final_error_m: (truth.map_from_base.position() - goal).norm(),
         energy_j: truth.drawn_j,
         energy_per_m: per_metre(truth.drawn_j, truth.length),
-        seed: args.seed,
+        seed,
         cloud_delay_ms: args.cloud_delay_ms,
     }
 }

@@ -12,8 +12,6 @@ use crate::local_obstacles::LocalObstacles;
 
 /// Number of directions tried.
 const DIRECTIONS: u32 = 16;
-/// Clearance that must be known to be free around the outline in the blind spot, m: more than the collision monitor requires.
-const KEEP_OFF: f64 = 0.1;
 /// Spacing of the poses checked along a drive, m.
 const PLACES: f64 = 0.1;
 /// Spacing of the candidate places along a direction, m.
@@ -78,12 +76,13 @@ pub fn nearest_free(
     })
 }
 
-/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free: the collision monitor
-/// would stop it.
+/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free up to `clearance` m around
+/// the outline: the collision monitor would stop it.
 #[must_use]
 pub fn drives_into_unknown(
     footprint: &Footprint,
     obstacles: &LocalObstacles,
+    clearance: f64,
     odom_from_there: Pose2,
     twist: Twist2,
     secs: f64,
@@ -92,7 +91,7 @@ pub fn drives_into_unknown(
     if !floor.leads_into_blind_spot(twist.v) {
         return false;
     }
-    let reach = footprint.circumscribed_radius() + KEEP_OFF;
+    let reach = footprint.circumscribed_radius() + clearance;
     let places = (secs * twist.v.abs() / PLACES).ceil().clamp(1.0, 100.0);
     (1..=places as u32).any(|place| {
         let there = Pose2::IDENTITY.advance(twist, secs * f64::from(place) / places);

@@ -88,7 +88,7 @@ impl Pilot {
             maneuvers: Maneuvers::default(),
             events: EventLog::new(boot_id),
             estimator: Estimator::new(model, config.start, &settings.estimator),
-            obstacles: LocalObstacles::new(model).with_settings(settings),
+            obstacles: LocalObstacles::with_settings(model, settings),
             collision_monitor: CollisionMonitor::new(model, config.tick).with_settings(settings),
             active_plan: None,
             wall_following: model.wall_following.clone(),

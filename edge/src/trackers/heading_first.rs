@@ -1,6 +1,5 @@
 //! Heading-first law. Which twist drives through a list of waypoints, turning first? The go-to-goal law of the classic exercise:
-//! `w = Kw * alpha`, and `v = Kv * rho` once the bearing `alpha` is within a tenth of a radian; a waypoint nearer than 0.2 m is
-//! reached.
+//! `w = Kw * alpha`, and `v = Kv * rho` once the bearing `alpha` is small.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Twist2;
@@ -10,18 +9,13 @@ use super::waypoints::WaypointLaw;
 use super::{TrackerInput, bearing, capped};
 use crate::limiter::within_speed;
 
-/// Bearing within which the robot drives, rad.
-const ALIGNED: f64 = 0.1;
-/// A waypoint nearer than this is reached, m.
-const TOLERANCE: f64 = 0.2;
-
 /// Turns, then drives.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HeadingFirst;
 
 impl WaypointLaw for HeadingFirst {
-    fn threshold(&self, _: &ControllerGains) -> f64 {
-        TOLERANCE
+    fn threshold(&self, gains: &ControllerGains) -> f64 {
+        gains.heading_first.waypoint
     }
 
     fn twist(
@@ -33,7 +27,7 @@ impl WaypointLaw for HeadingFirst {
         gains: &ControllerGains,
     ) -> Twist2 {
         let alpha = bearing(&view.map_from_base, target);
-        let ahead = if alpha.abs() > ALIGNED {
+        let ahead = if alpha.abs() > gains.heading_first.aligned {
             0.0
         } else {
             (target - view.map_from_base.position()).norm()

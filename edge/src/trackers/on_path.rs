@@ -9,11 +9,6 @@ use zenav_protocol::trajectory::Trajectory;
 use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput, capped};
 use crate::limiter::within_speed;
 
-/// The end is reached within this, m.
-const REACHED: f64 = 0.05;
-/// Turning on the spot: yaw rate for the heading error, 1/s.
-const SPIN_GAIN: f64 = 2.0;
-
 /// What a law wants.
 #[derive(Clone, Copy, Debug)]
 pub enum Wanted {
@@ -67,13 +62,13 @@ impl<L: PathLaw> Tracker for OnPath<L> {
         self.projection.advance(&view.map_from_base);
         let left = self.projection.left();
         let to_end = (self.projection.end().pose().position() - view.map_from_base.position()).norm();
-        self.arrived |= left < REACHED && to_end < 2.0 * REACHED || left < 1e-6;
+        self.arrived |= left < gains.end_distance && to_end < 2.0 * gains.end_distance || left < 1e-6;
         if self.arrived {
             self.finished |= self.drive.surface_speed(view.velocity) < AT_REST;
             return Twist2::ZERO;
         }
         let wanted = match self.law.step(&self.projection, &self.drive, view, gains) {
-            Wanted::Turn(by) => Twist2::new(0.0, SPIN_GAIN * by),
+            Wanted::Turn(by) => Twist2::new(0.0, gains.spin_gain * by),
             Wanted::Drive(twist) => twist,
         };
         capped(&self.drive, within_speed(&self.drive, wanted), view.speed_cap)

@@ -8,15 +8,6 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use super::on_path::{PathLaw, Wanted};
 use super::{PathProjection, TrackerInput};
 
-/// The integral is held within this, m s.
-const WINDUP: f64 = 0.3;
-/// Least speed before the end, m/s.
-const LEAST_SPEED: f64 = 0.08;
-/// Heading error beyond which the robot turns on the spot, rad.
-const TURN_FIRST: f64 = 0.8;
-/// Deceleration towards the end, as a share of what the robot can.
-const BRAKING_SHARE: f64 = 0.5;
-
 /// PID on the cross-track error.
 #[derive(Clone, Debug, Default)]
 pub struct Pid {
@@ -31,7 +22,7 @@ impl PathLaw for Pid {
         view: &TrackerInput,
         gains: &ControllerGains,
     ) -> Wanted {
-        let path = projection.here();
+        let (law, path) = (&gains.pid, projection.here());
         // The direction of the path, not of a turn on the spot that it begins with.
         let ahead = projection.ahead(&view.map_from_base, 0.1) - path.position();
         let yaw = if ahead.norm() > 1e-6 {
@@ -40,14 +31,14 @@ impl PathLaw for Pid {
             path.yaw
         };
         let heading = wrap_angle(yaw - view.map_from_base.yaw);
-        if heading.abs() > TURN_FIRST {
+        if heading.abs() > law.turn_first {
             return Wanted::Turn(heading);
         }
         let aside = path.position() - view.map_from_base.position();
         let cross = -yaw.sin() * aside.x + yaw.cos() * aside.y;
-        self.integral = (self.integral + cross * view.dt).clamp(-WINDUP, WINDUP);
-        let braking = (2.0 * BRAKING_SHARE * drive.acceleration() * projection.left()).sqrt();
-        let v = path.v.abs().max(LEAST_SPEED).min(braking.max(LEAST_SPEED));
+        self.integral = (self.integral + cross * view.dt).clamp(-law.windup, law.windup);
+        let braking = (2.0 * law.braking_share * drive.acceleration() * projection.left()).sqrt();
+        let v = path.v.abs().max(law.least_speed).min(braking.max(law.least_speed));
         let rate = v.max(0.1) * heading.sin();
         let w = gains.pid_p * cross + gains.pid_i * self.integral + gains.pid_d * rate;
         Wanted::Drive(Twist2::new(v, w))

@@ -9,17 +9,6 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use super::on_path::{PathLaw, Wanted};
 use super::{PathProjection, TrackerInput, bearing};
 
-/// The point ahead is at least and at most this far, m.
-const LOOKAHEAD: (f64, f64) = (0.3, 0.9);
-/// Bends tighter than this are driven slower, radius in m.
-const TIGHT: f64 = 0.9;
-/// Slowest in a bend, m/s.
-const LEAST_SPEED: f64 = 0.1;
-/// The end is approached slower from here on, m.
-const APPROACH: f64 = 0.6;
-/// Bearing of the point ahead beyond which the robot turns on the spot, rad.
-const TURN_FIRST: f64 = 0.785;
-
 /// Pursues a point ahead.
 #[derive(Clone, Debug, Default)]
 pub struct PurePursuit {
@@ -34,18 +23,19 @@ impl PathLaw for PurePursuit {
         view: &TrackerInput,
         gains: &ControllerGains,
     ) -> Wanted {
-        let distance = (view.velocity.v.abs() * gains.lookahead_secs).clamp(LOOKAHEAD.0, LOOKAHEAD.1);
+        let law = &gains.pure_pursuit;
+        let distance = (view.velocity.v.abs() * gains.lookahead_secs).clamp(law.lookahead, law.lookahead_most);
         let target = projection.ahead(&view.map_from_base, distance);
         self.target = Some(target);
         let alpha = bearing(&view.map_from_base, target);
-        if alpha.abs() > TURN_FIRST {
+        if alpha.abs() > law.turn_first {
             return Wanted::Turn(alpha);
         }
         let reach = (target - view.map_from_base.position()).norm().max(1e-3);
         let curvature = 2.0 * alpha.sin() / reach;
-        let bend = (1.0 / (curvature.abs() * TIGHT).max(1e-9)).min(1.0);
-        let near = (projection.left() / APPROACH).min(1.0);
-        let v = (drive.top_speed() * bend).max(LEAST_SPEED) * near.max(LEAST_SPEED / drive.top_speed());
+        let bend = (1.0 / (curvature.abs() * law.slow_radius).max(1e-9)).min(1.0);
+        let near = (projection.left() / law.approach).min(1.0);
+        let v = (drive.top_speed() * bend).max(law.least_speed) * near.max(law.least_speed / drive.top_speed());
         Wanted::Drive(Twist2::new(v, v * curvature))
     }
 

@@ -6,29 +6,13 @@
 //! expiry, or still speeds up from rest. Nothing is ever caught up.
 
 use nalgebra::Point2;
+use zenav_protocol::gains::TimeLawGains;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{ControllerGains, Drive};
 use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use super::{AT_REST, Progress, Tracker, TrackerInput, capped};
 use crate::passive_safety::GENTLE;
-
-/// Lag along the track up to which plan time runs at full rate, and at which it stands, m.
-const LAG: (f64, f64) = (0.05, 0.20);
-/// Lead along the track beyond which the reference is moved up to the robot, m.
-const LEAD: f64 = 0.03;
-/// As `LAG`, for the error across the track, m.
-const OFF_TRACK: (f64, f64) = (0.10, 0.40);
-/// The same for the heading, rad.
-const TURN_LAG: (f64, f64) = (0.15, 0.60);
-/// Heading feedback while the robot hardly rolls, 1/s.
-const SPIN_GAIN: f64 = 2.0;
-/// Fastest correction at the end, m/s.
-const SETTLE_SPEED: f64 = 0.10;
-/// Errors at which the end counts as reached, m and rad.
-const SETTLED: (f64, f64) = (0.015, 0.03);
-/// Time to settle at the end; then where the robot stands is the end, s.
-const SETTLE_TIME: f64 = 2.0;
 
 /// Follows a trajectory.
 #[derive(Clone, Debug)]
@@ -67,8 +51,8 @@ impl TrajectoryTracker {
 
     /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
     /// drives back.
-    fn run_ahead(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
-        let lead = -goal.v.signum() * error.x - LEAD;
+    fn run_ahead(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2, law: &TimeLawGains) -> f64 {
+        let lead = -goal.v.signum() * error.x - law.lead;
         if lead > 0.0 && goal.v.abs() > 0.05 {
             (lead / goal.v.abs()).min(4.0 * view.dt)
         } else {
@@ -77,7 +61,7 @@ impl TrajectoryTracker {
     }
 
     /// How fast plan time runs, 0 to 1.
-    fn rate(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2) -> f64 {
+    fn rate(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2, law: &TimeLawGains) -> f64 {
         let falling = |value: f64, (full, none): (f64, f64)| ((none - value) / (none - full)).clamp(0.0, 1.0);
         let direction = if goal.v < 0.0 { -1.0 } else { 1.0 };
         let turn_lag = if goal.v.abs() < 0.05 {
@@ -85,9 +69,9 @@ impl TrajectoryTracker {
         } else {
             error.yaw.abs()
         };
-        let lagging = falling(direction * error.x, LAG)
-            .min(falling(error.y.abs(), OFF_TRACK))
-            .min(falling(turn_lag, TURN_LAG));
+        let lagging = falling(direction * error.x, (law.lag, law.lag_stop))
+            .min(falling(error.y.abs(), (law.cross, law.cross_stop)))
+            .min(falling(turn_lag, (law.turn, law.turn_stop)));
         let planned = self.drive.surface_speed(goal.twist());
         if planned < 1e-6 {
             return lagging;
@@ -101,16 +85,17 @@ impl TrajectoryTracker {
 
     /// At the end: closes what is left along and in heading; a differential drive cannot close what is left sideways.
     fn settle(&mut self, view: &TrackerInput, error: &Pose2, gains: &ControllerGains) -> Twist2 {
+        let law = &gains.time_law;
         self.settling += view.dt;
-        let near = error.x.abs() < SETTLED.0 && error.yaw.abs() < SETTLED.1;
+        let near = error.x.abs() < law.settle_distance && error.yaw.abs() < law.settle_angle;
         let at_rest = self.drive.surface_speed(view.velocity) < AT_REST;
-        if near || self.settling > SETTLE_TIME {
+        if near || self.settling > law.settle_secs {
             self.finished = at_rest;
             return Twist2::ZERO;
         }
         let wanted = Twist2::new(
-            onwards((gains.along_gain * error.x).min(SETTLE_SPEED), 0.0),
-            SPIN_GAIN * error.yaw,
+            onwards((gains.along_gain * error.x).min(law.settle_speed), 0.0),
+            gains.spin_gain * error.yaw,
         );
         capped(&self.drive, wanted, view.speed_cap)
     }
@@ -128,8 +113,10 @@ impl Tracker for TrajectoryTracker {
         if ended {
             return self.settle(view, &error, gains);
         }
-        let rate = self.rate(view, &goal, &error);
-        self.time = (self.time + rate * view.dt + self.run_ahead(view, &goal, &error)).min(self.trajectory.end_time());
+        let law = &gains.time_law;
+        let rate = self.rate(view, &goal, &error, law);
+        self.time =
+            (self.time + rate * view.dt + self.run_ahead(view, &goal, &error, law)).min(self.trajectory.end_time());
 
         // The motors answer late: ask for the speed of the moment at which they will have it.
         let ahead = self.trajectory.sample(self.time + self.drive.motor_lag * rate);
@@ -139,7 +126,7 @@ impl Tracker for TrajectoryTracker {
         } else {
             error.yaw.sin() / error.yaw
         };
-        let spin = (gains.yaw_gain * v.abs()).max(SPIN_GAIN);
+        let spin = (gains.yaw_gain * v.abs()).max(gains.spin_gain);
         let wanted = Twist2::new(
             onwards(v * error.yaw.cos() + gains.along_gain * error.x, goal.v),
             w + gains.cross_gain * v * sinc * error.y + spin * error.yaw,

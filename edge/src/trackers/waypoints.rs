@@ -8,9 +8,6 @@ use zenav_protocol::trajectory::Trajectory;
 
 use super::{AT_REST, PathProjection, Progress, Tracker, TrackerInput};
 
-/// Where the last waypoint counts as reached at most, m: it is a place to be at, the others are passed.
-const FINAL_THRESHOLD: f64 = 0.1;
-
 /// A law that drives at a waypoint.
 pub trait WaypointLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
     /// A waypoint nearer than this is passed, m.
@@ -62,7 +59,7 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
         let threshold = self.law.threshold(gains);
         while let [target, rest @ ..] = &self.waypoints[self.next..] {
             let reached = if rest.is_empty() {
-                threshold.min(FINAL_THRESHOLD)
+                threshold.min(gains.last_waypoint)
             } else {
                 threshold
             };

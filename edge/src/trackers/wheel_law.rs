@@ -13,10 +13,6 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use super::waypoints::WaypointLaw;
 use super::{TrackerInput, bearing};
 
-/// Bearing beyond which the robot turns on the spot, rad.
-const TURN_FIRST: f64 = 1.0;
-/// Least `rho` before the end, m: the law alone would creep towards every waypoint.
-const LEAST_RHO: f64 = 0.6;
 /// Waypoints looked at: farther ahead the speed limit rules anyway.
 const LOOK: usize = 8;
 
@@ -39,9 +35,9 @@ impl WaypointLaw for WheelLaw {
     ) -> Twist2 {
         let limit = drive.max_wheel_speed.min(view.speed_cap / drive.wheel_radius);
         let alpha = bearing(&view.map_from_base, target);
-        let rho = effective_distance(view.map_from_base.position(), rest).max(LEAST_RHO);
+        let rho = effective_distance(view.map_from_base.position(), rest).max(gains.wheel_law.least_distance);
         let turn = (gains.heading_gain * alpha).clamp(-limit, limit);
-        let fade = (1.0 - alpha.abs() / TURN_FIRST).max(0.0);
+        let fade = (1.0 - alpha.abs() / gains.wheel_law.turn_first).max(0.0);
         let forward = (gains.distance_gain * rho * fade)
             .min(limit * fade)
             .min(limit - turn.abs());

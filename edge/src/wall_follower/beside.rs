@@ -13,14 +13,6 @@ use super::line::Wall;
 const FORE_AND_AFT: f64 = 1.732;
 /// A wall that is left behind or lies ahead counts as this many times farther.
 const PASSING: f64 = 1.5;
-/// A return that stands out from a wall by less belongs to the wall, m.
-const ROUGHNESS: f64 = 0.05;
-/// Steepest heading towards the wall, as a sine.
-const STEEPEST: f64 = 0.45;
-/// The distance error is summed up within this only, m.
-const SUMMED_WITHIN: f64 = 0.1;
-/// Most that the sum may turn the robot by, rad/s.
-const MOST_BY_SUM: f64 = 0.3;
 
 /// The nearest point of the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +84,7 @@ impl Beside {
                 range <= settings.cone_reach && point.y.abs() <= range * settings.cone_angle.sin() && point.x > 0.0
             })
             .map(|point| self.distance - point.coords.dot(&self.towards))
-            .filter(|height| *height > ROUGHNESS && *height < passable)
+            .filter(|height| *height > settings.wall_roughness && *height < passable)
             .fold(0.0, f64::max);
         if target + height <= settings.widest_distance {
             target + height
@@ -113,15 +105,15 @@ impl DistanceController {
     pub fn steer(&mut self, beside: &Beside, wanted: f64, v: f64, settings: &WallFollowing, dt: f64) -> f64 {
         let error = beside.distance - wanted;
         let rate = -v * beside.towards.x;
-        if error.abs() < SUMMED_WITHIN && !beside.ends {
+        if error.abs() < settings.wall_i_within && !beside.ends {
             self.sum += error * dt;
         }
         if settings.wall_i > 0.0 {
-            let most = MOST_BY_SUM / settings.wall_i;
+            let most = settings.wall_i_most / settings.wall_i;
             self.sum = self.sum.clamp(-most, most);
         }
         // A greater error would lead to a steeper heading than is good for a robot that looks along the wall.
-        let bound = settings.wall_d * v * STEEPEST;
+        let bound = settings.wall_d * v * settings.wall_steepest;
         let proportional = (settings.wall_p * error).clamp(-bound, bound);
         let around = if beside.ends { v / beside.distance.max(0.1) } else { 0.0 };
         around + proportional + settings.wall_i * self.sum + settings.wall_d * rate
@@ -191,6 +183,6 @@ mod tests {
             DistanceController::default().steer(&beside, 0.5, 0.2, &settings, 0.02)
         };
         assert!(steer(0.6) > 0.1 && steer(0.4) < -0.1);
-        assert!(steer(3.0) <= settings.wall_d * 0.2 * STEEPEST + 1e-9);
+        assert!(steer(3.0) <= settings.wall_d * 0.2 * settings.wall_steepest + 1e-9);
     }
 }

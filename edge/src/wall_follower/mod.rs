@@ -26,22 +26,8 @@ use crate::settings::WallFollowerSettings;
 use beside::{Beside, DistanceController};
 use line::Wall;
 
-/// A wall bends where a return is farther from its chord than this, m, or than this many standard deviations of the lidar.
-const BEND: (f64, f64) = (0.02, 4.0);
-/// Another wall is approached only if it is nearer by this, m.
-const NEARER: f64 = 0.1;
-/// Tolerance for recognising the approached wall, m.
-const SAME: f64 = 0.3;
-/// Steering towards a wall, rad/s for each rad.
-const STEERING: f64 = 2.0;
-/// Heading error that ends an approach, rad.
-const ASTRAY: f64 = 0.6;
-/// The path ahead is clear when it is free for this many target distances.
-const CLEAR: f64 = 2.0;
 /// Directions tried on each side.
 const DIRECTIONS: u32 = 36;
-/// The distance to keep changes by at most this share of the speed.
-const WIDENING: f64 = 0.6;
 /// A robot that has turned this far towards its wall in total circles an island, rad.
 const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
 
@@ -111,8 +97,8 @@ impl WallFollower {
             body: model.footprint.circumscribed_radius() + settings.side_clearance,
             bend: model
                 .all_lidars()
-                .map(|(_, lidar)| BEND.1 * lidar.noise)
-                .fold(BEND.0, f64::max),
+                .map(|(_, lidar)| settings.bend_sigmas * lidar.noise)
+                .fold(settings.bend, f64::max),
             braking: 0.5 * model.drive.acceleration(),
             state: State::WallSearch,
             scan: None,
@@ -240,10 +226,10 @@ impl WallFollower {
             return;
         }
         self.scan = input.obstacles.stamp();
-        let least = input.settings.wall_min_points;
+        let (least, gap) = (input.settings.wall_min_points, input.settings.wall_gap);
         let scans = input.obstacles.seen_by_lidar();
         let runs: Vec<_> = scans
-            .flat_map(|points| filter::runs(points.iter().copied(), least))
+            .flat_map(|points| filter::runs(points.iter().copied(), least, gap))
             .collect();
         self.walls = runs.iter().flat_map(|run| line::walls(run, self.bend)).collect();
         self.points = runs.concat();
@@ -273,11 +259,11 @@ impl WallFollower {
         };
         let nearest = worth.iter().map(|wall| of(wall)).min_by(by_distance)?;
         let same = self.goal.and_then(|goal| {
-            let near = |wall: &&&Wall| (wall.nearest(goal) - goal).norm() < SAME;
+            let near = |wall: &&&Wall| (wall.nearest(goal) - goal).norm() < self.settings.same_wall;
             worth.iter().filter(near).map(|wall| of(wall)).min_by(by_distance)
         });
         let chosen = same
-            .filter(|(distance, _)| *distance < nearest.0 + NEARER)
+            .filter(|(distance, _)| *distance < nearest.0 + self.settings.nearer_wall)
             .unwrap_or(nearest);
         self.goal = Some(chosen.1);
         Some(odom_from_base.inverse().transform_point(chosen.1))
@@ -312,12 +298,12 @@ impl WallFollower {
             self.begin_turn(input, None, "wall reached", events);
             return Twist2::ZERO;
         }
-        if bearing.abs() > ASTRAY {
+        if bearing.abs() > self.settings.astray {
             self.enter(input.now, State::WallSearch, "wall not ahead", events);
             return Twist2::ZERO;
         }
         let v = (settings.approach_gain * left).clamp(settings.least_speed, settings.greatest_speed);
-        Twist2::new(v, STEERING * bearing)
+        Twist2::new(v, settings.steering * bearing)
     }
 
     /// Begins to turn: away from the wall beside, or to the side that is clear after the lesser turn.
@@ -329,7 +315,7 @@ impl WallFollower {
                     .map(|nth| step * f64::from(nth))
                     .find(|angle| {
                         self.ahead(input, sign * angle)
-                            .is_none_or(|free| free > CLEAR * input.settings.target_distance)
+                            .is_none_or(|free| free > self.settings.clear_ahead * input.settings.target_distance)
                     })
                     .unwrap_or(f64::INFINITY)
             };
@@ -347,7 +333,7 @@ impl WallFollower {
         let settings = input.settings;
         if self
             .ahead(input, 0.0)
-            .is_none_or(|free| free > CLEAR * settings.target_distance)
+            .is_none_or(|free| free > self.settings.clear_ahead * settings.target_distance)
         {
             self.distance_controller = DistanceController::default();
             self.wanted = settings.target_distance;
@@ -407,7 +393,7 @@ impl WallFollower {
             self.begin_turn(input, Some(side), "wall ahead", events);
             return Twist2::ZERO;
         }
-        let change = WIDENING * v * input.dt;
+        let change = self.settings.widening * v * input.dt;
         self.wanted += (wanted - self.wanted).clamp(-change, change);
         let w = self
             .distance_controller
@@ -433,5 +419,5 @@ impl WallFollower {
 /// Yaw rate that turns by `angle`, slower towards the end.
 fn turning(angle: f64, settings: &WallFollowing) -> f64 {
     let most = settings.turn_rate;
-    (STEERING * angle).clamp(-most, most)
+    (settings.steering * angle).clamp(-most, most)
 }

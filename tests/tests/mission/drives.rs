@@ -356,7 +356,7 @@ fn a_robot_that_is_there_already_has_arrived() {
 #[test]
 fn without_a_mapper_the_plan_runs_out_and_the_drive_goes_on_once_it_is_back() {
     let mut rig = Rig::new();
-    rig.config.map_patience = 1.0;
+    rig.config.settings.map_timeout = 1.0;
     rig.start();
     rig.submit(to(7.0, 0.0, "a")).unwrap();
     rig.run(2.0);

@@ -6,6 +6,8 @@ use nalgebra::Point2;
 use tempfile::TempDir;
 use zenav::components::places;
 use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
+use zenav_cloud::motion::MotionSettings;
+use zenav_mapping::MappingSettings;
 use zenav_edge::{EdgeConfig, Persisted, Pilot, Publication, Ticket};
 use zenav_mission::store::Store;
 use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Record};
@@ -135,7 +137,11 @@ impl Rig {
         let stage = ClosedLoopConfig {
             edge: edge.clone(),
             mission: config.clone(),
-            resolution,
+            mapping: MappingSettings {
+                resolution,
+                ..MappingSettings::default()
+            },
+            motion: MotionSettings::default(),
             known_map,
             cloud_delay: delay,
             seed: 1,

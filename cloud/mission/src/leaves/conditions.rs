@@ -7,9 +7,6 @@ use super::ports::{here, number};
 use crate::context::Context;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// A touch counts for so long, s.
-const BUMP_MEMORY: f64 = 1.0;
-
 fn status(holds: bool) -> Status {
     if holds { Status::Success } else { Status::Failure }
 }
@@ -33,12 +30,14 @@ impl SyncLeaf for DistanceTraveled {
     }
 }
 
-/// SUCCESS for a second after the robot has touched something. Nav2 takes a jolt of the odometry for it.
+/// SUCCESS for a while (`bump_memory`) after the robot has touched something. Nav2 takes a jolt of the odometry for it.
 pub struct IsStuck;
 
 impl SyncLeaf for IsStuck {
     fn answer(&mut self, _: &mut LeafIo<'_>, ctx: &mut Context) -> Result<Status, String> {
-        Ok(status(ctx.robot.was_bumped_within(ctx.now, BUMP_MEMORY)))
+        Ok(status(
+            ctx.robot.was_bumped_within(ctx.now, ctx.config.settings.bump_memory),
+        ))
     }
 }
 

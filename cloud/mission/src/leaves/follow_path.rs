@@ -30,18 +30,10 @@ mod error_code {
     pub const NO_VALID_CONTROL: i64 = 106;
 }
 
-/// Plans in a row that the robot may refuse.
-const MAX_REFUSALS: u32 = 5;
-/// Times that the end may lie beyond the tolerance.
-const MAX_MISSES: u32 = 3;
-/// Wait after a refusal, s.
-const AFTER_REFUSAL: f64 = 0.3;
 /// Wait before a route is looked for again that could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// A route from rest is good only where the robot still stands, m.
 const BEGIN_DISTANCE: f64 = 0.15;
-/// Time besides braking and the latency budget at which a robot that drives towards something is brought to rest, s.
-const BRAKE_EARLY: f64 = 0.4;
 
 /// Ports that choose how a path is followed, and what there is to choose.
 const CHOICES: [(&str, Choice); 4] = [
@@ -52,11 +44,6 @@ const CHOICES: [(&str, Choice); 4] = [
 ];
 /// Nearer than this to its goal a robot at rest is there, as a share of the tolerance.
 const THERE: f64 = 0.5;
-
-/// What stands farther ahead than this can wait …
-const FAR_SECS: f64 = 4.0;
-/// … until the motion is so old, s: a map that grows shows one thing after the other.
-const GATHER_SECS: f64 = 2.0;
 
 /// Drives `path`.
 #[derive(Default)]
@@ -89,7 +76,7 @@ fn space_now(ctx: &mut Context) -> Result<Arc<ConfigurationSpace>, String> {
     let Some(model) = ctx.robot.model().cloned() else {
         return Err("the robot has not described itself".to_owned());
     };
-    if let Some(why) = ctx.map.unusable(ctx.now, ctx.config.map_patience) {
+    if let Some(why) = ctx.map.unusable(ctx.now, ctx.config.settings.map_timeout) {
         return Err(why);
     }
     let space = ctx.map.space(&model.footprint);
@@ -173,7 +160,7 @@ impl Leaf<Context> for FollowPath {
             return step(io, ctx, &why);
         }
         if self.progress.is_stuck(ctx) {
-            let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
+            let why = format!("no progress within {:.0} s", ctx.config.settings.progress.timeout);
             return self.end(io, ctx, error_code::FAILED_TO_MAKE_PROGRESS, why);
         }
         if let Some(route) = self.offered.take()
@@ -184,14 +171,14 @@ impl Leaf<Context> for FollowPath {
         if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
             self.refusals += 1;
             tracing::info!(goal = ctx.goal.id, why, "the robot rejected a plan");
-            if self.refusals > MAX_REFUSALS {
+            if self.refusals > ctx.config.settings.retries.refusals {
                 let why = format!("the robot rejects the plan: {why}");
                 return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
             }
             if !ctx.motion.revert() {
                 ctx.motion.clear();
             }
-            self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+            self.begin_search(ctx, memory.goal, ctx.config.settings.retries.refusal_wait);
         }
         if self.search.is_none() {
             match ctx.motion.status().cloned() {
@@ -211,7 +198,7 @@ impl Leaf<Context> for FollowPath {
                         return Status::Success;
                     }
                     self.misses += 1;
-                    if self.misses > MAX_MISSES {
+                    if self.misses > ctx.config.settings.retries.misses {
                         let why = format!(
                             "ended {left:.2} m from the goal; the tolerance is {:.2} m",
                             ctx.goal.tolerance
@@ -287,11 +274,11 @@ impl FollowPath {
 
     /// Puts a route into force, if it is free by the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
-        match space_now(ctx).map(|space| recheck(&route.plan.trajectory, &space, 0.0)) {
+        match space_now(ctx).map(|space| recheck(&route.plan.trajectory, &space, 0.0, ctx.config.settings.escape)) {
             Ok(Recheck::Free) => {}
             Ok(Recheck::Blocked(_)) => {
                 // The map has changed since.
-                self.begin_search(ctx, memory.goal, AFTER_REFUSAL);
+                self.begin_search(ctx, memory.goal, ctx.config.settings.retries.refusal_wait);
                 return step(io, ctx, "replanning: the map has changed");
             }
             Err(why) => {
@@ -302,7 +289,7 @@ impl FollowPath {
         self.stop_search(ctx);
         self.blocked_at = None;
         ctx.drive(route.plan.clone());
-        self.gathered = ctx.now.plus_secs(GATHER_SECS);
+        self.gathered = ctx.now.plus_secs(ctx.config.settings.obstacle.gather);
         memory.motion = ctx.motion.id();
         self.remember(io, memory);
         step(io, ctx, "driving")
@@ -319,16 +306,16 @@ impl FollowPath {
             ctx.goal.feedback.distance_left = Some(progress.0);
             ctx.goal.feedback.time_left = Some(progress.1);
         }
-        let due = ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held();
+        let due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held();
         let revision = ctx.map.newest().map_or(0, |map| map.revision);
         if due || revision != self.rechecked {
             self.rechecked = revision;
-            match space_now(ctx).map(|space| ctx.motion.recheck(&space, time)) {
+            match space_now(ctx).map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape)) {
                 Ok(Recheck::Free) if due => ctx.renew(),
                 Ok(Recheck::Free) => {}
                 // It runs out: the robot is at rest by its expiry, and goes on once the plan can be checked again.
                 Err(why) => return step(io, ctx, &format!("plan not renewed, it cannot be checked: {why}")),
-                Ok(Recheck::Blocked(ahead)) if ahead > FAR_SECS && ctx.now < self.gathered => {}
+                Ok(Recheck::Blocked(ahead)) if ahead > ctx.config.settings.obstacle.far && ctx.now < self.gathered => {}
                 Ok(Recheck::Blocked(ahead)) => {
                     tracing::debug!(goal = ctx.goal.id, ahead, "the path is blocked");
                     self.begin_search(ctx, memory.goal, 0.0);
@@ -397,8 +384,9 @@ impl FollowPath {
     /// Holds the motion in force once what stands on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
         if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
+            let settings = &ctx.config.settings;
             let braking = Limits::of(model).braking_time(ctx.robot.velocity());
-            if at - self.where_it_is(ctx).0 < braking + ctx.config.latency_budget + BRAKE_EARLY {
+            if at - self.where_it_is(ctx).0 < braking + settings.latency_budget + settings.obstacle.brake_early {
                 ctx.hold();
             }
         }

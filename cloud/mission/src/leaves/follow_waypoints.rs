@@ -14,10 +14,6 @@ use crate::context::Context;
 use crate::motion::{PlanDraft, PlanStatus};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Plans in a row that the robot may refuse.
-const MAX_REFUSALS: u32 = 5;
-/// Wait after a refusal, s.
-const AFTER_REFUSAL: f64 = 0.5;
 /// Nav2's codes.
 const FAILED_TO_MAKE_PROGRESS: i64 = 105;
 const NO_VALID_CONTROL: i64 = 106;
@@ -77,7 +73,7 @@ impl Leaf<Context> for FollowWaypoints {
             return step(io, ctx, &why);
         }
         if self.progress.is_stuck(ctx) {
-            let why = format!("no progress within {:.0} s", ctx.config.progress_secs);
+            let why = format!("no progress within {:.0} s", ctx.config.settings.progress.timeout);
             return self.end(io, ctx, FAILED_TO_MAKE_PROGRESS, why);
         }
         match ctx.motion.status().cloned() {
@@ -96,7 +92,7 @@ impl Leaf<Context> for FollowWaypoints {
                         remember(io, memory);
                     }
                 }
-                if ctx.motion.age(ctx.now) >= ctx.config.renew_period || ctx.motion.is_held() {
+                if ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held() {
                     ctx.renew();
                 }
                 let what = format!(
@@ -110,7 +106,7 @@ impl Leaf<Context> for FollowWaypoints {
             Some(PlanStatus::Refused(why)) => {
                 self.refusals += 1;
                 tracing::info!(goal = ctx.goal.id, why, "the robot rejected waypoints");
-                if self.refusals > MAX_REFUSALS {
+                if self.refusals > ctx.config.settings.retries.refusals {
                     return self.end(
                         io,
                         ctx,
@@ -119,7 +115,7 @@ impl Leaf<Context> for FollowWaypoints {
                     );
                 }
                 ctx.motion.clear();
-                self.not_before = ctx.now.plus_secs(AFTER_REFUSAL);
+                self.not_before = ctx.now.plus_secs(ctx.config.settings.retries.refusal_wait);
                 step(io, ctx, "retrying")
             }
             Some(PlanStatus::Void(_)) | None if ctx.now < self.not_before => step(io, ctx, "retrying"),

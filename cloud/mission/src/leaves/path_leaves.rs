@@ -235,7 +235,7 @@ impl SyncLeaf for ValidatePath {
         if let Some(route) = route {
             let trajectory = &route.plan.trajectory;
             let from = trajectory.nearest_ahead(0.0, pose.position(), f64::INFINITY).t;
-            if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from) {
+            if let Recheck::Blocked(ahead) = recheck(trajectory, &space, from, ctx.config.settings.escape) {
                 let at = trajectory.sample(from + ahead);
                 collisions.push([at.x, at.y]);
             }

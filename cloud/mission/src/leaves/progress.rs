@@ -20,12 +20,13 @@ impl Progress {
     /// Whether the robot has been without progress for too long.
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
-        let (distance, turn) = ctx.config.progress;
+        let settings = &ctx.config.settings.progress;
         match self.anchor {
             Some((since, anchor))
-                if anchor.distance(&pose) < distance && wrap_angle(pose.yaw - anchor.yaw).abs() < turn =>
+                if anchor.distance(&pose) < settings.distance
+                    && wrap_angle(pose.yaw - anchor.yaw).abs() < settings.angle =>
             {
-                ctx.now.secs_since(since) > ctx.config.progress_secs
+                ctx.now.secs_since(since) > settings.timeout
             }
             _ => {
                 self.anchor = Some((ctx.now, pose));

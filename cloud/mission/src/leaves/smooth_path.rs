@@ -74,7 +74,7 @@ impl Leaf<Context> for SmoothPath {
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: data.goal.yaw,
-            unknown_is_free: ctx.config.unknown_is_free,
+            unknown_is_free: ctx.config.settings.unknown_is_free,
             profile: ctx.goal.profile,
         };
         *self = Self {

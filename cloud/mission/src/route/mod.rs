@@ -44,16 +44,8 @@ pub mod error_code {
     pub const NO_VALID_PATH: i64 = 208;
 }
 
-/// Wait before a worker is asked again, s.
-const RETRY: f64 = 0.5;
-/// Time to wait for a map that the worker does not have, s.
-const MAP_PATIENCE: f64 = 20.0;
-/// Time to wait for the robot to stand, s.
-const REST_PATIENCE: f64 = 10.0;
 /// A path shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
-/// A robot that by the map stands in an obstacle may leave it by a free position this near, m.
-const ESCAPE: f64 = 0.6;
 
 /// A path and its trajectory.
 #[derive(Clone, Debug, PartialEq)]
@@ -206,10 +198,12 @@ impl Search {
         };
         let begin = match begin {
             Ok(begin) => begin,
-            Err(why) if ctx.now.secs_since(self.begun) < REST_PATIENCE => return Searching::Wait(why),
+            Err(why) if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.rest_wait => {
+                return Searching::Wait(why);
+            }
             Err(why) => return failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
-        let (robot, unknown_is_free) = (ctx.config.robot.to_string(), ctx.config.unknown_is_free);
+        let (robot, unknown_is_free) = (ctx.config.robot.to_string(), ctx.config.settings.unknown_is_free);
         let goal_yaw = self.request.goal.yaw;
         if let Some(path) = self.request.join_given(begin.pose.position()) {
             let request = SmoothRequest {
@@ -243,8 +237,8 @@ impl Search {
             goal: pose(&self.request.goal),
             planner: self.planner.clone(),
             unknown_is_free,
-            escape: ESCAPE,
-            budget_ms: ctx.config.search_budget_ms,
+            escape: ctx.config.settings.escape,
+            budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
             seed: 1,
         };
         let request = if self.request.from.is_some() {
@@ -280,7 +274,7 @@ impl Search {
         };
         let path = match plan.outcome {
             PlanOutcome::Found { ref path, .. } => path.clone(),
-            PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < MAP_PATIENCE => {
+            PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
                 return self.again(ctx, "waits until the motion worker has the map");
             }
             _ => return self.no_path(&plan),
@@ -410,7 +404,7 @@ impl Search {
     }
 
     fn again(&mut self, ctx: &Context, why: &'static str) -> Searching {
-        self.stage = Stage::Idle(ctx.now.plus_secs(RETRY));
+        self.stage = Stage::Idle(ctx.now.plus_secs(ctx.config.settings.retries.worker_wait));
         Searching::Wait(why)
     }
 }
