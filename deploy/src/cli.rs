@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use zenav_protocol::messages::exit_code;
 
+use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator, wall_following};
 

@@ -20,6 +20,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::config::{Deployment, RobotSection};
+use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
 
@@ -162,7 +163,7 @@ impl Parts {
             async move {
                 let Attached { bus, body, reply } = RemoteBody::attach(&bus, &id, &model, start)
                     .await
-                    .map_err(|error| Failure::new(error.exit_code(), error.to_string()))?;
+                    .map_err(|error| Failure::new(exit_code::of_attach(&error), error.to_string()))?;
                 Ok((bus, (body, reply)))
             }
         };

@@ -9,9 +9,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 use zenav_protocol::bus::{Bus, BusConfig, BusError};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::topics;
 
+use crate::exit_code;
 use crate::failure::Failure;
 
 /// Where the router is unless told otherwise: Zenoh's own port.

@@ -3,7 +3,8 @@
 use miette::Diagnostic;
 use thiserror::Error;
 use zenav_protocol::bus::{AskError, BusError};
-use zenav_protocol::messages::exit_code;
+
+use crate::exit_code;
 
 /// A command's failure: what to tell, and the exit code.
 #[derive(Debug, Error, Diagnostic)]
@@ -46,7 +47,7 @@ impl Failure {
 
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
-        let code = error.exit_code();
+        let code = exit_code::of_bus(&error);
         // Zenoh's own words name lines of its source.
         if let BusError::CannotListen { endpoint, reason } = &error
             && reason.contains("in use")
@@ -64,7 +65,7 @@ impl From<BusError> for Failure {
 
 impl From<AskError> for Failure {
     fn from(error: AskError) -> Self {
-        Self::new(error.exit_code(), error.to_string())
+        Self::new(exit_code::of_ask(&error), error.to_string())
     }
 }
 

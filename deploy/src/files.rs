@@ -8,11 +8,11 @@ use zenav_edge::trackers::Law;
 use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::{self, Footprint, RobotError, RobotModel};
 use zenav_sim::{World, world};
 use zenav_space::Zones;
 
+use crate::exit_code;
 use crate::failure::Failure;
 
 /// Largest text file that is read, bytes.

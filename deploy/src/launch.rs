@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use zenav_protocol::bus::{Router, RouterConfig, Shutdown};
-use zenav_protocol::messages::exit_code;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 

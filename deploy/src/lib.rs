@@ -27,6 +27,7 @@ pub mod config;
 pub mod connect;
 pub mod demo;
 pub mod drawing;
+pub mod exit_code;
 pub mod failure;
 pub mod files;
 pub mod goal;
@@ -41,7 +42,7 @@ pub mod router;
 pub mod wall_following;
 pub mod world_server;
 
-/// Runs the command line of this process; the exit codes stand in [`zenav_protocol::messages::exit_code`].
+/// Runs the command line of this process; the exit codes stand in [`exit_code`].
 #[must_use]
 pub fn main() -> std::process::ExitCode {
     cli::main()

@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, Subscription};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachReply, AttachRequest, WheelSpeeds, exit_code};
+use zenav_protocol::messages::{AttachReply, AttachRequest, WheelSpeeds};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
@@ -56,17 +56,6 @@ pub enum AttachError {
     /// The world's tick or speed is not a positive number.
     #[error("world {0} has ticks of {1} s at {2} times real time: expected positive numbers")]
     Pace(String, f64, f64),
-}
-
-impl AttachError {
-    /// The command line's exit code for this error.
-    #[must_use]
-    pub const fn exit_code(&self) -> u8 {
-        match self {
-            Self::Ask(error) => error.exit_code(),
-            Self::Bus(_) | Self::Pace(..) => exit_code::FAILED,
-        }
-    }
 }
 
 impl RemoteBody {

@@ -10,7 +10,10 @@ use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{AskError, Bus, BusConfig, Shutdown};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, InfoRequest, LeaseAction, LeaseRequest, LeaseRole, Mode, ParamRequest, Refusal, ResumeRequest,
+    StopRequest, Teleop,
+};
 use zenav_protocol::topics;
 use zenav_sim::{RobotSpec, Simulation, World};
 

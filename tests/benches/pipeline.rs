@@ -25,7 +25,10 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::Cell;
 use zenav_protocol::id::Id;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, DrivingProfile, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, MapRef, MotionReply, MotionRequest, Plan,
+    PlanOutcome, PlanRequest, PlanStatistics, Revision, Scan, TrajectoryReply, TrajectoryRequest,
+};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;

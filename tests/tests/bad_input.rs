@@ -12,10 +12,14 @@ use zenav_protocol::bus::{Bus, RawReply};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::GridSpec;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, Correction, Heartbeat, MapPatch, MapRef, Plan, PlanStatistics, Refusal, Revision, Scan, Splice, Teleop,
+    Tile,
+};
 use zenav_protocol::robot::shipped;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{self, Producer, TABLE};
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 use zenav_sim::World;
 use zenav_tests::deployment::{Deployment, ROBOT};
 use zenav_tests::observer::Observer;

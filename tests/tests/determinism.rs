@@ -62,7 +62,10 @@ fn a_run_takes_the_settings_of_its_deployment() {
     for (name, text) in [
         ("same", "[mission]\nplan_valid = 5.0\n"),
         ("smoothing", "[smoothing.corridor]\nclearance = 0.1\n"),
-        ("edge", "[robots.tiago.edge.plan]\nbraking_share = 0.5\n[robots.tiago.edge.estimator]\nslip = 1e-3\n"),
+        (
+            "edge",
+            "[robots.tiago.edge.plan]\nbraking_share = 0.5\n[robots.tiago.edge.estimator]\nslip = 1e-3\n",
+        ),
         ("mission", "[mission]\nlatency_budget = 1.0\n"),
     ] {
         std::fs::write(folder.path().join("tuned.toml"), text).unwrap();

@@ -11,7 +11,10 @@ use tokio::time::timeout;
 use zenav_mission::records::{Record, StoredGoal};
 use zenav_mission::store::Store;
 use zenav_protocol::bus::{Bus, RawSample};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, EdgeState, GoalPhase, GoalState, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, Link, MapRef, Mode,
+    Plan, PlanStatistics, Revision,
+};
 use zenav_protocol::topics;
 use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};

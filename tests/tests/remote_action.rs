@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{RemoteReply, RemoteRequest, RemoteStatus};
 use zenav_protocol::topics;
 use zenav_tests::deployment::{Deployment, ROBOT};
 use zenav_tests::process::Process;

@@ -257,7 +257,7 @@ impl Context {
             (self.lease.epoch(), self.robot.based_on(), self.robot.model())
         {
             let twist = self.robot.velocity();
-            let limits = zenav_smoothing::timing::Limits::of(model);
+            let limits = zenav_smoothing::Limits::of(model);
             let valid_for = 0.5 + 1.4 * limits.braking_time(twist);
             if let Some(plan) = self.motion.hold(
                 epoch,

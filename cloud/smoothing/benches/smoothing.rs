@@ -31,8 +31,8 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::robot::RobotModel;
-use zenav_smoothing::timing::stop_turn_go::stop_turn_go;
-use zenav_smoothing::timing::{Limits, UNRESTRICTED};
+use zenav_smoothing::stop_turn_go;
+use zenav_smoothing::{Limits, UNRESTRICTED};
 use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 

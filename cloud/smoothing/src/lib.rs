@@ -24,11 +24,11 @@
 //!    subject to v (1 ± k h) ≤ v_wheel,   |a (1 ± k h) ± h k' b| ≤ a_wheel,   |k| b ≤ a_lateral,   |k| v ≤ w_max
 //!    ```
 //!
-//!    two sweeps are exact for the samples ([`timing::sweep`]); with a limit of the jerk `|a'| √b ≤ J` a few quadratic programmes follow
-//!    ([`timing::jerk`]); for the least energy a search over two limits ([`timing::economy`]).
+//!    two sweeps are exact for the samples ([`fastest()`]); with a limit of the jerk `|a'| √b ≤ J` a few quadratic programmes follow
+//!    ([`jerk_limited()`]); for the least energy a search over two limits (`timing/economy`).
 //!
-//! What comes out is checked by other means ([`certificate`]): the footprint swept along the trajectory, and the largest use of each
-//! limit. Where a phase fails, the path itself goes out as stop, turn and go ([`timing::stop_turn_go`]); [`Outcome`] says why.
+//! What comes out is checked by other means (`certificate`): the footprint swept along the trajectory, and the largest use of each
+//! limit. Where a phase fails, the path itself goes out as stop, turn and go ([`stop_turn_go()`]); [`Outcome`] says why.
 //!
 //! # Use
 //!
@@ -38,29 +38,29 @@
 //! | file | answers |
 //! |---|---|
 //! | `smoother` | which trajectory does a path become? |
-//! | [`mod@shortcut`] | which corners of a path are needed? |
-//! | [`mod@corridor`] | how much room is there around it? |
-//! | [`mod@fit`], `cost` | which curve through that room bends least, and what does a curve cost? |
-//! | [`curve`] | where does a curve run? |
+//! | `shortcut` | which corners of a path are needed? |
+//! | `corridor` | how much room is there around it? |
+//! | `fit`, `cost` | which curve through that room bends least, and what does a curve cost? |
+//! | `curve` | where does a curve run? |
 //! | `segment` | which curve leads from one stop to the next, for the true footprint? |
 //! | `trajectory_builder` | where does the robot brake, stop and turn, and on which curves does it go between? |
-//! | [`timing`] | when is the robot where? |
-//! | [`certificate`] | is the trajectory free, and within the limits? |
+//! | `timing` | when is the robot where? |
+//! | `certificate` | is the trajectory free, and within the limits? |
 //! | `unsmoothed` | what goes out where nobody smooths? |
 //! | `settings`, `outcome`, `phases` | what can be tuned, what came out, how long did it take? |
 
-pub mod certificate;
-pub mod corridor;
+mod certificate;
+mod corridor;
 mod cost;
-pub mod curve;
-pub mod fit;
+mod curve;
+mod fit;
 mod outcome;
 mod phases;
 mod segment;
 mod settings;
-pub mod shortcut;
+mod shortcut;
 mod smoother;
-pub mod timing;
+mod timing;
 mod trajectory_builder;
 mod unsmoothed;
 
@@ -68,11 +68,16 @@ mod unsmoothed;
 mod tests;
 
 pub use corridor::{FreePolygon, HalfPlane, corridor};
-pub use curve::{Curve, CurveError};
+pub use curve::{Curve, CurveError, Sampled};
 pub use fit::{EndTangent, Ends, fit};
 pub use outcome::{Fallback, Outcome};
 pub use settings::{CorridorSettings, SmoothingSettings, StopSettings};
 pub use shortcut::shortcut;
 pub use smoother::{SAMPLE_PERIOD, SmoothQuery, Smoothed, smooth};
-pub use timing::{GeometricPath, Limits, PiecewiseTrajectory, TimeLaw};
+pub use timing::jerk::{JerkError, JerkLimited, limited as jerk_limited};
+pub use timing::stop_turn_go::stop_turn_go;
+pub use timing::sweep::{SweepError, ceilings, fastest};
+pub use timing::{
+    GeometricPath, JerkFigures, Limits, PathPoint, PiecewiseTrajectory, Rates, SpeedLimit, State, TimeLaw, UNRESTRICTED,
+};
 pub use unsmoothed::unsmoothed;

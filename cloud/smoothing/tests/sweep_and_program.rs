@@ -5,8 +5,7 @@
 mod lp;
 
 use proptest::prelude::*;
-use zenav_smoothing::timing::sweep::fastest;
-use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw};
+use zenav_smoothing::{GeometricPath, Limits, PathPoint, TimeLaw, fastest};
 
 const LIMITS: Limits = Limits {
     wheel_speed: 0.6,

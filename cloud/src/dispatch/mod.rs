@@ -8,7 +8,7 @@ pub mod service;
 use std::collections::BTreeMap;
 
 use nalgebra::Point2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{GoalPoint, GoalRequest, OnBusy, Refusal};
 
 /// A robot that may get a goal.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,7 +11,9 @@ use nalgebra::Point2;
 use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, PoseEstimate, Refusal,
+};
 use zenav_protocol::topics;
 
 use super::{Candidate, choose, place_of};

@@ -6,7 +6,9 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::bus::BusError;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    GoalRequest, JoinRequest, JournalEntry, JournalReply, Leader, LeaseRole, LeaseState, Refusal,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 

@@ -7,7 +7,9 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan, PoseEstimate, Refusal,
+};
 use zenav_protocol::topics::{self, MissionRequest};
 
 use super::requests::Pending;

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use zenav_protocol::bus::overhead;
-use zenav_protocol::messages::exit_code;
 use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
 use super::sim_bench;
 use crate::connect::{self, positive};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

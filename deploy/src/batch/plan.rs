@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use nalgebra::Point2;
 use zenav_planning::{Budget, Planner, Query as Question, Searched, Searcher};
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::exit_code;
 use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy, Zones};
 
 use super::queries::{self, Query};
 use super::watchdog::Watchdog;
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 

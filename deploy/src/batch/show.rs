@@ -6,7 +6,6 @@ use nalgebra::{Point2, Vector2};
 use serde::Serialize;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::LidarModel;
 use zenav_sim::movers::{MoverModel, Route};
 use zenav_sim::scatter::scatter;
@@ -15,6 +14,7 @@ use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::drawing::canvas::{Canvas, Color};
 use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, circle};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

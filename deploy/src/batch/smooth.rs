@@ -5,17 +5,17 @@ use std::time::{Duration, Instant};
 
 use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{DrivingProfile, PlanOutcome, exit_code};
+use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::trajectory::TrajectoryPoint;
-use zenav_smoothing::shortcut::shortcut;
-use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth as smooth_path};
+use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, shortcut, smooth as smooth_path};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
 use super::watchdog::Watchdog;
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 

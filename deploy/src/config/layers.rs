@@ -186,7 +186,7 @@ fn told(error: &toml::de::Error) -> String {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::messages::exit_code;
+    use crate::exit_code;
 
     use super::*;
 

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::Value;
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::settings::{Bounds, Row, Settings as _};
 
 use super::layers::Layers;
 use super::{Deployment, RobotSection};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{Format, table, value, values};
 
@@ -135,12 +135,20 @@ mod tests {
             `WRITE_DOCS=1 cargo test -p zenav --lib reference` writes it.\n"
             .to_owned();
         let robot_file = |section: &str, rows: Vec<Row>| rows.into_iter().map(|row| row.within(section)).collect();
-        let robots = RobotSection::rows().into_iter().map(|row| row.within("NAME").within("robots"));
+        let robots = RobotSection::rows()
+            .into_iter()
+            .map(|row| row.within("NAME").within("robots"));
         let deployment = Deployment::rows().into_iter().filter(|row| row.key != "robots");
         let parts: [(&str, Vec<Row>); 3] = [
             ("Deployment file", deployment.chain(robots).collect()),
-            ("Robot file: trackers", robot_file("controller", ControllerGains::rows())),
-            ("Robot file: wall follower", robot_file("wall_following", WallFollowing::rows())),
+            (
+                "Robot file: trackers",
+                robot_file("controller", ControllerGains::rows()),
+            ),
+            (
+                "Robot file: wall follower",
+                robot_file("wall_following", WallFollowing::rows()),
+            ),
         ];
         for (title, rows) in parts {
             page += &format!("\n## {title}\n");
@@ -148,7 +156,9 @@ mod tests {
             for row in rows {
                 let (within, name) = row.key.rsplit_once('.').unwrap_or(("", &row.key));
                 if section.as_deref() != Some(within) {
-                    page += &format!("\n### `[{within}]`\n\n| key | default | unit | bounds | does |\n|---|---|---|---|---|\n");
+                    page += &format!(
+                        "\n### `[{within}]`\n\n| key | default | unit | bounds | does |\n|---|---|---|---|---|\n"
+                    );
                     section = Some(within.to_owned());
                 }
                 let default = match &row.default {
@@ -169,7 +179,10 @@ mod tests {
             std::fs::write(path, reference()).unwrap();
         }
         let page = std::fs::read_to_string(path).unwrap();
-        assert!(page == reference(), "docs/settings.md is not what is declared; WRITE_DOCS=1 writes it");
+        assert!(
+            page == reference(),
+            "docs/settings.md is not what is declared; WRITE_DOCS=1 writes it"
+        );
     }
 
     #[test]

@@ -27,12 +27,13 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use zenav_planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
-use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy, exit_code};
+use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::launch::{interrupted, runtime};

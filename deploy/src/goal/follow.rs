@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use zenav_protocol::bus::{Bus, Latest};
-use zenav_protocol::messages::{GoalState, GoalsRequest, exit_code};
+use zenav_protocol::messages::{GoalState, GoalsRequest};
 use zenav_protocol::topics;
 
 use super::{Report, phase_code};
 use crate::connect::{self, RobotArgs};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

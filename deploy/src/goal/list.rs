@@ -1,12 +1,13 @@
 //! Goal list. Which goals are there, and how is one paused or cancelled?
 
 use zenav_protocol::messages::{
-    CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest, exit_code,
+    CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest,
 };
 use zenav_protocol::topics;
 
 use super::Report;
 use crate::connect::{self, RobotArgs, fresh_id};
+use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 

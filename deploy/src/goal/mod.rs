@@ -11,9 +11,10 @@ mod list;
 mod submit;
 
 use serde::Serialize;
-use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalState, exit_code};
+use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalState};
 
 use crate::connect::RobotArgs;
+use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::Format;
 

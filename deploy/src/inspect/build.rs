@@ -9,9 +9,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
 use zenav_mapping::{InsertMode, build as maps, map_file};
-use zenav_protocol::messages::{Scan, exit_code};
+use zenav_protocol::messages::Scan;
 
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

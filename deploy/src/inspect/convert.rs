@@ -6,10 +6,10 @@ use clap::ValueEnum;
 use zenav_mapping::map_yaml::MapMode;
 use zenav_mapping::{atomic, image, map_file, map_image};
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
-use zenav_protocol::messages::exit_code;
 
 use super::map::Summary;
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

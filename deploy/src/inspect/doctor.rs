@@ -7,13 +7,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::time::{Instant, sleep_until};
 use zenav_protocol::bus::{Bus, Latest, RawSubscription};
-use zenav_protocol::messages::{InfoRequest, exit_code};
+use zenav_protocol::messages::InfoRequest;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::check::{Check, Verdict};
 use super::diagnosis::{self, ClockSeen, Heard, Robot};
 use crate::connect::{self, RobotArgs};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

@@ -6,11 +6,11 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::time::Instant;
 use zenav_protocol::bus::{Bus, RawSample, RawSubscription};
-use zenav_protocol::messages::exit_code;
 
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

@@ -9,7 +9,7 @@ use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
-use zenav_protocol::messages::{MapRequest, exit_code};
+use zenav_protocol::messages::MapRequest;
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
@@ -17,6 +17,7 @@ use super::draw::{self, Canvas};
 use super::{build, convert};
 use crate::connect::{self, RobotArgs};
 use crate::drawing::scene::Scene;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

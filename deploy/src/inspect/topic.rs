@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
 use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
 use super::meter::{Reading, bytes};
 use crate::connect::{self, RobotArgs, positive};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
-use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link, exit_code};
+use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link};
 use zenav_protocol::topics;
 
 use super::holder;
 use super::lease_session::{self, LeaseSession};
 use crate::connect::{self, RobotArgs, positive};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

@@ -7,11 +7,12 @@ use serde::Serialize;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus};
-use zenav_protocol::messages::{ResumeRequest, StopReply, StopRequest, exit_code};
+use zenav_protocol::messages::{ResumeRequest, StopReply, StopRequest};
 use zenav_protocol::topics;
 
 use super::holder;
 use crate::connect::{self, LinkArgs, RobotArgs};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

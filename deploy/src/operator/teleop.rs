@@ -13,9 +13,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{Bus, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{
-    EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, ResumeRequest, Teleop, exit_code,
-};
+use zenav_protocol::messages::{EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, ResumeRequest, Teleop};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -24,6 +22,7 @@ use super::lease_session::LeaseSession;
 use super::status::{self, OLD, View};
 use super::{holder, stop};
 use crate::connect::{self, LinkArgs, RobotArgs, positive};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 
 /// Twists a second.

@@ -12,7 +12,6 @@ use std::sync::{Mutex, PoisonError};
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use serde::Serialize;
-use zenav_protocol::messages::exit_code;
 use zenav_protocol::robot::RobotModel;
 use zenav_sim::World;
 
@@ -22,6 +21,7 @@ use super::lockstep;
 use super::rooms::room;
 use crate::batch::progress;
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

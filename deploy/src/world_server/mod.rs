@@ -12,12 +12,13 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{AttachReply, SimClock, exit_code};
+use zenav_protocol::messages::{AttachReply, SimClock};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics;
 use zenav_sim::Simulation;
 
 use crate::connect::positive;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::launch::{interrupted, runtime};

@@ -9,7 +9,10 @@ use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Clock, Publisher, Router, 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::lease::LeaseArbiter;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    CancelRequest, EdgeState, GoalFeedback, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalState, GoalsReply,
+    GuardZone, LeaseReply, Link, MapInfo, MapPatch, MapRef, MapReply, Mode, PoseEstimate, Refusal, StopReply, Tile,
+};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 

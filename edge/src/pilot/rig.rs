@@ -5,11 +5,15 @@
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, Battery, Bump, EdgeState, EventKind, Heartbeat, Imu, LeaseAction, LeaseRequest, LeaseRole, MapRef, Marker,
+    Plan, PlanStatistics, Refusal, Revision,
+};
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use crate::config::EdgeConfig;
 use crate::control_io::{Inbox, Outbox, Persisted, Publication, Ticket};

@@ -4,7 +4,11 @@
 
 use proptest::prelude::*;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, BehaviourAction, BehaviourReply, BehaviourRequest, BehaviourState, EventKind, GuardZone, LeaseRole, Link,
+    LostPolicy, Mode, ModeRequest, Plan, ResumeRequest, Revision, Splice, StopReply, StopRequest, Teleop,
+};
+use zenav_protocol::trajectory::TrajectoryPoint;
 
 use super::rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};

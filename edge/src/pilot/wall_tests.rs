@@ -3,7 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    EventKind, LeaseAction, LeaseRequest, LeaseRole, LostPolicy, Mode, ModeRequest, ParamRequest, Refusal,
+    ResumeRequest, StopRequest, Teleop, WallFollowerState,
+};
 
 use super::rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};

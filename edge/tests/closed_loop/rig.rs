@@ -4,9 +4,13 @@ use nalgebra::Point2;
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::*;
+use zenav_protocol::messages::{
+    BasedOn, BehaviourAction, BehaviourRequest, BehaviourState, EdgeState, EventKind, Heartbeat, LeaseAction,
+    LeaseRequest, LeaseRole, MapRef, Plan, PlanStatistics, PoseEstimate, Revision, Teleop,
+};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::EdgeRequest;
+use zenav_protocol::trajectory::Trajectory;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
 pub struct Rig {

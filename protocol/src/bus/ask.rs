@@ -20,7 +20,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use super::subscribe::{decode_sample, encoding_of};
 use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
-use crate::messages::{Refusal, exit_code};
+use crate::messages::Refusal;
 use crate::topics::Ask;
 
 /// Largest reply that is decoded, bytes.
@@ -67,20 +67,6 @@ pub enum AskError {
     /// The bus was closed.
     #[error("the bus is closed")]
     Closed,
-}
-
-impl AskError {
-    /// The exit code of a command that got no answer.
-    #[must_use]
-    pub const fn exit_code(&self) -> u8 {
-        match self {
-            Self::Timeout { .. } => exit_code::TIMEOUT,
-            Self::Refused(refusal) => refusal.exit_code(),
-            Self::Malformed { .. } => exit_code::FAILED,
-            Self::Unaskable { .. } => exit_code::USAGE,
-            Self::Closed => exit_code::CANNOT_CONNECT,
-        }
-    }
 }
 
 /// The answer of one of several servers.

@@ -15,8 +15,6 @@ use tokio::time::sleep;
 use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
 
-use crate::messages::exit_code;
-
 /// The router's endpoint by default: Zenoh's own port.
 const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
@@ -113,18 +111,6 @@ pub enum BusError {
     /// The bus was closed.
     #[error("the bus is closed")]
     Closed,
-}
-
-impl BusError {
-    /// The exit code of a command without a session.
-    #[must_use]
-    pub const fn exit_code(&self) -> u8 {
-        match self {
-            Self::CannotConnect { .. } | Self::Closed => exit_code::CANNOT_CONNECT,
-            Self::CannotListen { .. } => exit_code::FAILED,
-            Self::Config { .. } | Self::Key { .. } => exit_code::USAGE,
-        }
-    }
 }
 
 /// A component's session. Clones share it; it closes with [`Bus::close`] or with its last clone.

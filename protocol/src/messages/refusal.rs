@@ -102,42 +102,6 @@ impl Refusal {
     pub fn bad_request(reason: impl Into<String>) -> Self {
         Self::BadRequest { reason: reason.into() }
     }
-
-    /// The exit code of a command whose request was refused.
-    #[must_use]
-    pub const fn exit_code(&self) -> u8 {
-        match self {
-            Self::Internal { .. } | Self::NotLeader => exit_code::FAILED,
-            Self::BadRequest { .. } | Self::TooLarge { .. } => exit_code::USAGE,
-            Self::NotFound { .. } => exit_code::NOT_FOUND,
-            Self::Busy { .. } => exit_code::TIMEOUT,
-            Self::Rejected { .. } | Self::Held { .. } | Self::NotCaughtUp { .. } | Self::WrongEpoch { .. } => {
-                exit_code::REJECTED
-            }
-        }
-    }
-}
-
-/// Exit codes of every `zenav` command.
-pub mod exit_code {
-    /// The command succeeded.
-    pub const OK: u8 = 0;
-    /// The command failed.
-    pub const FAILED: u8 = 1;
-    /// The command line or its input was wrong.
-    pub const USAGE: u8 = 2;
-    /// There is no such robot, goal or file.
-    pub const NOT_FOUND: u8 = 3;
-    /// Neither router nor robot could be reached.
-    pub const CANNOT_CONNECT: u8 = 4;
-    /// Nobody answered in time.
-    pub const TIMEOUT: u8 = 5;
-    /// The goal was cancelled.
-    pub const CANCELED: u8 = 6;
-    /// The goal was rejected.
-    pub const REJECTED: u8 = 7;
-    /// The user pressed Ctrl-C.
-    pub const INTERRUPTED: u8 = 130;
 }
 
 #[cfg(test)]
@@ -160,6 +124,5 @@ mod tests {
             r#"{"error":"Rejected","reason":"the goal is occupied","nearest_free":{"x":1.0,"y":2.0}}"#
         );
         assert_eq!(serde_json::from_str::<Refusal>(&text).unwrap(), refusal);
-        assert_eq!(refusal.exit_code(), 7);
     }
 }

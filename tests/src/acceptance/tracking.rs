@@ -12,7 +12,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
-use zenav_smoothing::shortcut::shortcut;
+use zenav_smoothing::shortcut;
 use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 

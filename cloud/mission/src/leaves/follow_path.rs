@@ -19,7 +19,7 @@ use crate::context::Context;
 use crate::motion::{PlanStatus, Recheck, recheck};
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
-use zenav_smoothing::timing::Limits;
+use zenav_smoothing::Limits;
 use zenav_space::ConfigurationSpace;
 
 /// Nav2's codes of why a path is not followed.

@@ -5,8 +5,7 @@
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
-use zenav_smoothing::timing::sweep::ceilings;
-use zenav_smoothing::timing::{GeometricPath, Limits};
+use zenav_smoothing::{GeometricPath, Limits, ceilings};
 
 /// Squared speeds (m²/s²) at the samples, from rest to rest; `None` when the solver fails.
 pub fn fastest(path: &GeometricPath, limits: &Limits) -> Option<Vec<f64>> {

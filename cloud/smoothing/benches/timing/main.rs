@@ -18,8 +18,7 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_fixtures::thread_time;
-use zenav_smoothing::timing::sweep::fastest;
-use zenav_smoothing::timing::{GeometricPath, Limits, PathPoint, TimeLaw, jerk};
+use zenav_smoothing::{GeometricPath, Limits, PathPoint, TimeLaw, fastest, jerk_limited};
 
 /// Limit of the jerk, m/s³.
 const JERK: f64 = 2.0;
@@ -52,7 +51,7 @@ fn laws(criterion: &mut Criterion) {
         let duration = |squared: &[f64]| TimeLaw::steady(&path, squared).duration();
         let sweep = fastest(&path, &limits, 0.0).unwrap();
         let program = lp::fastest(&path, &limits).unwrap();
-        let smooth = jerk::limited(&path, &limits, JERK, &sweep).unwrap();
+        let smooth = jerk_limited(&path, &limits, JERK, &sweep).unwrap();
         println!(
             "{samples} points, {:.1} m: sweep {:.4} s, linear program {:.4} s, jerk at most {JERK} m/s³ {:.4} s ({} passes)",
             path.length(),
@@ -77,7 +76,7 @@ fn laws(criterion: &mut Criterion) {
         bench("sweep", &|| drop(black_box(fastest(&path, &limits, 0.0))));
         bench("linear program", &|| drop(black_box(lp::fastest(&path, &limits))));
         bench("limited jerk, all passes", &|| {
-            drop(black_box(jerk::limited(&path, &limits, JERK, &sweep)))
+            drop(black_box(jerk_limited(&path, &limits, JERK, &sweep)))
         });
         group.finish();
     }

@@ -149,7 +149,7 @@ fn bad_tree(errors: &TreeErrors) -> Failure {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::messages::exit_code;
+    use crate::exit_code;
 
     use super::*;
 

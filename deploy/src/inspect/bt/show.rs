@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use zenav_behaviour_tree::{self as trees, simulate};
-use zenav_protocol::messages::exit_code;
 
 use super::{Source, bad_tree, includer};
 use crate::drawing::tree;
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 

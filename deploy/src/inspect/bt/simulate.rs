@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use zenav_behaviour_tree::simulate;
-use zenav_protocol::messages::exit_code;
 
 use super::{Source, bad_tree, includer};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use zenav_behaviour_tree::{self as trees, Limits, Summary, TreeErrors};
 use zenav_mission::trees as missions;
-use zenav_protocol::messages::exit_code;
 
 use super::{Source, includer};
+use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 

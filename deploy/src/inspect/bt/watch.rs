@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::io::IsTerminal as _;
 use std::time::Duration;
 
-use zenav_protocol::messages::{MissionStatus, NodeStatus, exit_code};
+use zenav_protocol::messages::{MissionStatus, NodeStatus};
 use zenav_protocol::topics;
 
 use crate::connect::{self, RobotArgs};
+use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::diagnosis;
 use crate::output::{self, Format};

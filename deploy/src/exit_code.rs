@@ -1,0 +1,65 @@
+//! Exit codes. What does a `zenav` command end with?
+
+use zenav_edge::AttachError;
+use zenav_protocol::bus::{AskError, BusError};
+use zenav_protocol::messages::Refusal;
+
+/// The command succeeded.
+pub const OK: u8 = 0;
+/// The command failed.
+pub const FAILED: u8 = 1;
+/// The command line or its input was wrong.
+pub const USAGE: u8 = 2;
+/// There is no such robot, goal or file.
+pub const NOT_FOUND: u8 = 3;
+/// Neither router nor robot could be reached.
+pub const CANNOT_CONNECT: u8 = 4;
+/// Nobody answered in time.
+pub const TIMEOUT: u8 = 5;
+/// The goal was cancelled.
+pub const CANCELED: u8 = 6;
+/// The goal was rejected.
+pub const REJECTED: u8 = 7;
+/// The user pressed Ctrl-C.
+pub const INTERRUPTED: u8 = 130;
+
+/// Of a command whose request was refused.
+pub(crate) const fn of_refusal(refusal: &Refusal) -> u8 {
+    match refusal {
+        Refusal::Internal { .. } | Refusal::NotLeader => FAILED,
+        Refusal::BadRequest { .. } | Refusal::TooLarge { .. } => USAGE,
+        Refusal::NotFound { .. } => NOT_FOUND,
+        Refusal::Busy { .. } => TIMEOUT,
+        Refusal::Rejected { .. } | Refusal::Held { .. } | Refusal::NotCaughtUp { .. } | Refusal::WrongEpoch { .. } => {
+            REJECTED
+        }
+    }
+}
+
+/// Of a command that got no answer.
+pub(crate) const fn of_ask(error: &AskError) -> u8 {
+    match error {
+        AskError::Timeout { .. } => TIMEOUT,
+        AskError::Refused(refusal) => of_refusal(refusal),
+        AskError::Malformed { .. } => FAILED,
+        AskError::Unaskable { .. } => USAGE,
+        AskError::Closed => CANNOT_CONNECT,
+    }
+}
+
+/// Of a command without a session.
+pub(crate) const fn of_bus(error: &BusError) -> u8 {
+    match error {
+        BusError::CannotConnect { .. } | BusError::Closed => CANNOT_CONNECT,
+        BusError::CannotListen { .. } => FAILED,
+        BusError::Config { .. } | BusError::Key { .. } => USAGE,
+    }
+}
+
+/// Of an edge without a body.
+pub(crate) const fn of_attach(error: &AttachError) -> u8 {
+    match error {
+        AttachError::Ask(error) => of_ask(error),
+        AttachError::Bus(_) | AttachError::Pace(..) => FAILED,
+    }
+}
