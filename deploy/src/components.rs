@@ -190,7 +190,7 @@ impl Parts {
             let clock = Clock::follow(&bus)?;
             mapping::run(bus, clock, config, shutdown)
                 .await
-                .map_err(|error| Failure::failed(error.to_string()))
+                .map_err(Failure::failed)
         });
     }
 
@@ -201,7 +201,7 @@ impl Parts {
     pub fn motion(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
         for number in 1..=deployment.planning.run.workers {
-            let worker = Id::new(format!("{name}-{number}")).map_err(|error| Failure::usage(error.to_string()))?;
+            let worker = Id::new(format!("{name}-{number}")).map_err(Failure::usage)?;
             let name = format!("motion-{worker}");
             let bus = BusConfig::service(&name, &deployment.bus.connect);
             let zones = Arc::clone(&zones);
@@ -210,7 +210,7 @@ impl Parts {
                 let clock = Clock::follow(&bus)?;
                 motion::run(bus, clock, worker, zones, settings, shutdown)
                     .await
-                    .map_err(|error| Failure::failed(error.to_string()))
+                    .map_err(Failure::failed)
             });
         }
         Ok(())
@@ -261,7 +261,7 @@ impl Parts {
         self.spawn(format!("group {group}"), bus, move |bus, shutdown| async move {
             dispatch::service::run(bus, group, robots, places, shutdown)
                 .await
-                .map_err(|error| Failure::failed(error.to_string()))
+                .map_err(Failure::failed)
         });
     }
 
@@ -344,7 +344,7 @@ async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdow
     tracing::info!(?endpoints, "the robot's own endpoint");
     zenav_edge::run(bus, service, body, shutdown)
         .await
-        .map_err(|error| Failure::failed(error.to_string()))
+        .map_err(Failure::failed)
 }
 
 /// A world's places as named goals.

@@ -1,5 +1,8 @@
 //! Failures. How does a command fail? With one message on stderr and an exit code.
 
+use std::fmt::Display;
+use std::path::Path;
+
 use miette::Diagnostic;
 use thiserror::Error;
 use zenav_protocol::bus::{AskError, BusError};
@@ -19,29 +22,39 @@ pub struct Failure {
 impl Failure {
     /// A failure with a code of its own.
     #[must_use]
-    pub fn new(code: u8, message: impl Into<String>) -> Self {
+    pub fn new(code: u8, message: impl Display) -> Self {
         Self {
             code,
-            message: message.into(),
+            message: message.to_string(),
         }
     }
 
     /// The command's input was wrong.
     #[must_use]
-    pub fn usage(message: impl Into<String>) -> Self {
+    pub fn usage(message: impl Display) -> Self {
         Self::new(exit_code::USAGE, message)
     }
 
     /// No such robot, goal, file.
     #[must_use]
-    pub fn not_found(message: impl Into<String>) -> Self {
+    pub fn not_found(message: impl Display) -> Self {
         Self::new(exit_code::NOT_FOUND, message)
     }
 
     /// It was tried, and failed.
     #[must_use]
-    pub fn failed(message: impl Into<String>) -> Self {
+    pub fn failed(message: impl Display) -> Self {
         Self::new(exit_code::FAILED, message)
+    }
+
+    /// [`Self::usage`] for what is wrong in a file, which it names; for `map_err`.
+    pub fn usage_at<E: Display>(path: &Path) -> impl FnOnce(E) -> Self {
+        move |error| Self::usage(format_args!("{}: {error}", path.display()))
+    }
+
+    /// [`Self::failed`] for what cannot be done with a file, which it names; for `map_err`.
+    pub fn failed_at<E: Display>(path: &Path) -> impl FnOnce(E) -> Self {
+        move |error| Self::failed(format_args!("{}: {error}", path.display()))
     }
 }
 

@@ -50,6 +50,14 @@ pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
     String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
 }
 
+/// Writes a file.
+///
+/// # Errors
+/// Names the file that cannot be written.
+pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
+    std::fs::write(path, bytes).map_err(Failure::failed_at(path))
+}
+
 /// Zones of a map, where a file names any.
 ///
 /// # Errors
@@ -58,7 +66,7 @@ pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
     let Some(path) = path else { return Ok(Arc::default()) };
     Zones::from_toml(&text(path)?, &path.display().to_string())
         .map(Arc::new)
-        .map_err(|error| Failure::usage(error.to_string()))
+        .map_err(Failure::usage)
 }
 
 /// Tells that a name is neither shipped nor a file.
@@ -104,7 +112,7 @@ fn read_world(name: &str) -> Result<World, Failure> {
     let path = Path::new(name);
     if !path.is_file() {
         if world::shipped(name).is_some() {
-            return World::shipped(name).map_err(|error| Failure::failed(error.to_string()));
+            return World::shipped(name).map_err(Failure::failed);
         }
         return Err(unknown("world", name, world::SHIPPED.iter().map(|(known, _)| *known)));
     }
@@ -119,7 +127,7 @@ fn read_world(name: &str) -> Result<World, Failure> {
     }
     let folder = path.parent().unwrap_or_else(|| Path::new("."));
     let load = |yaml: &str| map_file::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());
-    World::from_toml(&text(path)?, name, &load).map_err(|error| Failure::usage(error.to_string()))
+    World::from_toml(&text(path)?, name, &load).map_err(Failure::usage)
 }
 
 /// A robot by file or shipped name, with its options: `jackal+rear_lidar`.
@@ -156,5 +164,5 @@ pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
     } else {
         BARE_RESOLUTION
     };
-    map_file::read_map(path, resolution).map_err(|error| Failure::usage(error.to_string()))
+    map_file::read_map(path, resolution).map_err(Failure::usage)
 }

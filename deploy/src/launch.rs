@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use zenav_protocol::bus::{Router, RouterConfig, Shutdown};
+use zenav_protocol::bus::{Router, RouterConfig, interrupted};
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
@@ -106,18 +106,6 @@ pub struct CloudArgs {
 /// When the system gives no threads.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
-}
-
-/// Waits for Ctrl-C, or the service manager's request to end.
-pub async fn interrupted() {
-    #[cfg(unix)]
-    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-        tokio::select! {
-            _ = tokio::signal::ctrl_c() => return,
-            _ = terminate.recv() => return,
-        }
-    }
-    let _ = tokio::signal::ctrl_c().await;
 }
 
 /// Runs parts until Ctrl-C or until one fails.
@@ -229,13 +217,10 @@ pub fn router(args: &RouterArgs) -> Outcome {
         ..RouterConfig::default()
     };
     runtime()?.block_on(async {
-        let shutdown = Shutdown::new();
-        let ender = shutdown.clone();
-        tokio::spawn(async move {
-            interrupted().await;
-            ender.trigger();
-        });
-        crate::router::run(config, shutdown).await?;
+        let router = Router::open(&config).await?;
+        tracing::info!(endpoints = ?router.endpoints().await, "router up");
+        interrupted().await;
+        router.close().await;
         Ok(exit_code::OK)
     })
 }

@@ -6,7 +6,6 @@
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
 //! | `components` | how the parts start and end that share a process |
-//! | `router` | the router |
 //! | `receivers` | how many threads receive, in a process with a router |
 //! | `world_server` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
@@ -38,7 +37,6 @@ pub mod operator;
 pub mod output;
 pub mod receivers;
 pub mod report;
-pub mod router;
 pub mod wall_following;
 pub mod world_server;
 

@@ -1,8 +1,10 @@
 //! Output. How is data printed? On stdout, as a table for people or as JSON for programs.
 
-use std::io::Write as _;
+use std::io::{IsTerminal as _, Write as _};
+use std::time::Duration;
 
 use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -34,8 +36,8 @@ pub fn line(text: &str) {
 pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Result<(), Failure> {
     let text = match format {
         Format::Table => table(value),
-        Format::Json => serde_json::to_string_pretty(value).map_err(|error| Failure::failed(error.to_string()))?,
-        Format::Ndjson => serde_json::to_string(value).map_err(|error| Failure::failed(error.to_string()))?,
+        Format::Json => serde_json::to_string_pretty(value).map_err(Failure::failed)?,
+        Format::Ndjson => serde_json::to_string(value).map_err(Failure::failed)?,
     };
     line(text.trim_end_matches('\n'));
     Ok(())
@@ -55,6 +57,28 @@ pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T
         }
         other => value(other, &values, |values| table(values)),
     }
+}
+
+/// A progress bar of the form that a template gives it; hidden where stderr is no terminal.
+#[must_use]
+pub fn progress(bar: ProgressBar, template: &str) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// A living line with the time and a message; `None` where stderr is no terminal.
+#[must_use]
+pub fn spinner() -> Option<ProgressBar> {
+    std::io::stderr().is_terminal().then(|| {
+        let bar = progress(ProgressBar::new_spinner(), "{spinner} {elapsed} {msg}");
+        bar.enable_steady_tick(Duration::from_millis(100));
+        bar
+    })
 }
 
 /// Aligns rows of cells under a header.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use zenav_protocol::messages::GoalPoint;
+use zenav_sim::Truth;
 
 use crate::wall_following::score::Kept;
 
@@ -204,6 +205,36 @@ fn millis(value: Option<f64>) -> String {
 }
 
 impl DemoReport {
+    /// What the simulator's truth tells of a scenario; it has succeeded where there is no `reason` against it.
+    #[must_use]
+    pub fn new(scenario: &str, seed: u64, speed: f64, truth: &Truth, sim_time_s: f64, reason: Option<String>) -> Self {
+        Self {
+            scenario: scenario.to_owned(),
+            seed,
+            speed,
+            outcome: match reason {
+                None => ScenarioOutcome::Succeeded,
+                Some(_) => ScenarioOutcome::Failed,
+            },
+            reason,
+            map_found: false,
+            goals: Vec::new(),
+            refused: Vec::new(),
+            collisions: truth.collisions.into(),
+            min_clearance_m: truth.min_clearance,
+            sim_time_s,
+            wall_time_s: 0.0,
+            plans: 0,
+            replans: 0,
+            latency: Latency::default(),
+            energy_j: truth.drawn_j,
+            energy_per_m: per_metre(truth.drawn_j, truth.length),
+            walls: None,
+            notes: Vec::new(),
+            files: Vec::new(),
+        }
+    }
+
     /// The scenario has failed for a reason beside its drives.
     pub fn fail(&mut self, why: String) {
         self.outcome = ScenarioOutcome::Failed;

@@ -42,7 +42,6 @@ pub struct Persisted {
     /// Whether the stop is latched.
     pub stopped: bool,
     /// Which mission store leads.
-    #[serde(default)]
     pub leader: Option<Leader>,
 }
 

@@ -225,30 +225,10 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
             speed,
             gives_the_time,
         };
-        let shutdown = Shutdown::new();
-        tokio::spawn({
-            let shutdown = shutdown.clone();
-            async move {
-                interrupted().await;
-                shutdown.trigger();
-            }
-        });
-        let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
+        let result = zenav_edge::run(bus.clone(), config, body, Shutdown::on_interrupt()).await;
         bus.close().await;
         result.map_err(|error| Failure::new(exit_code::FAILED, error))
     })
-}
-
-/// Waits for Ctrl-C, or the service manager's request to end.
-async fn interrupted() {
-    #[cfg(unix)]
-    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-        tokio::select! {
-            _ = tokio::signal::ctrl_c() => return,
-            _ = terminate.recv() => return,
-        }
-    }
-    let _ = tokio::signal::ctrl_c().await;
 }
 
 /// A body, and how it begins.

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{ParamReply, Refusal};
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::settings::Settings as _;
@@ -42,12 +41,11 @@ pub fn write(
     name: &str,
     value: f64,
 ) -> Result<(), Refusal> {
-    let refused = |misfit: OutOfBounds| Refusal::rejected(misfit.to_string());
     if let Some(changed) = wall.with_number(name, value) {
         let fits = |changed: WallFollowing| changed.check_for(reach).map(|()| changed);
-        *wall = changed.and_then(fits).map_err(refused)?;
+        *wall = changed.and_then(fits).map_err(Refusal::rejected)?;
     } else if let Some(changed) = gains.with_number(name, value) {
-        *gains = changed.map_err(refused)?;
+        *gains = changed.map_err(Refusal::rejected)?;
     } else {
         return Err(unknown(name));
     }

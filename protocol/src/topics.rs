@@ -105,10 +105,10 @@ impl<T> Topic<T> {
         fill(self.pattern, chunks)
     }
 
-    /// The chunks of a concrete key that stand where this pattern has names; `None` for a key of another topic.
+    /// The chunks of a concrete key that stand where this pattern has names; none for a key of another topic.
     #[must_use]
-    pub fn chunks<'k>(&self, key: &'k str) -> Option<Vec<&'k str>> {
-        unfill(self.pattern, key)
+    pub fn chunks(&self, key: &str) -> Vec<String> {
+        owned_chunks(self.pattern, key)
     }
 }
 
@@ -119,10 +119,10 @@ impl<Q, R> Ask<Q, R> {
         fill(self.pattern, chunks)
     }
 
-    /// The chunks of a concrete key that stand where this pattern has names; `None` for a key of another ask.
+    /// The chunks of a concrete key that stand where this pattern has names; none for a key of another ask.
     #[must_use]
-    pub fn chunks<'k>(&self, key: &'k str) -> Option<Vec<&'k str>> {
-        unfill(self.pattern, key)
+    pub fn chunks(&self, key: &str) -> Vec<String> {
+        owned_chunks(self.pattern, key)
     }
 }
 
@@ -185,6 +185,11 @@ fn unfill<'k>(pattern: &str, key: &'k str) -> Option<Vec<&'k str>> {
         }
     }
     parts.next().is_none().then_some(found)
+}
+
+fn owned_chunks(pattern: &str, key: &str) -> Vec<String> {
+    let found = unfill(pattern, key).unwrap_or_default();
+    found.into_iter().map(str::to_owned).collect()
 }
 
 /// One line of the key table.
@@ -399,9 +404,9 @@ mod tests {
     fn keys_fill_and_unfill() {
         let key = GOAL_STATE.key(&["tiago", "g1"]);
         assert_eq!(key, "zenav/tiago/cloud/goal/g1");
-        assert_eq!(GOAL_STATE.chunks(&key), Some(vec!["tiago", "g1"]));
+        assert_eq!(GOAL_STATE.chunks(&key), ["tiago", "g1"]);
         assert_eq!(SCAN.key(&["*"]), "zenav/*/edge/scan");
-        assert_eq!(SCAN.chunks("zenav/tiago/edge/pose"), None);
+        assert!(SCAN.chunks("zenav/tiago/edge/pose").is_empty());
         assert_eq!(SIM_CLOCK.key(&[]), "zenav/sim/clock");
     }
 

@@ -19,6 +19,7 @@ use super::node::{Info, Memory};
 use super::ports::{PortError, Source};
 use super::status::Status;
 use super::value::{FromValue, Value};
+use super::xml::shortened;
 
 /// An action or a condition.
 ///
@@ -75,6 +76,17 @@ pub enum Enter {
     TickChild,
     /// Do not tick the child; answer this.
     Answer(Status),
+}
+
+impl Enter {
+    /// Ticks the child if it is due, else answers `Running`.
+    pub fn child_if(due: bool) -> Enter {
+        if due {
+            Enter::TickChild
+        } else {
+            Enter::Answer(Status::Running)
+        }
+    }
 }
 
 /// A decorator that needs the context: ticking by distance or speed, goal updates.
@@ -137,11 +149,7 @@ impl LeafIo<'_> {
     /// [`PortError`]: not set, entry never written, or of another type.
     pub fn get<T: FromValue>(&self, port: &str) -> Result<T, PortError> {
         let value = self.value(port)?;
-        T::from_value(value).ok_or_else(|| PortError::Type {
-            port: port.to_owned(),
-            value: shortened(value),
-            expected: T::EXPECTED.to_owned(),
-        })
+        T::from_value(value).ok_or_else(|| unfit(port, value, T::EXPECTED))
     }
 
     /// Reads a port if it is set and its entry has been written: `None` otherwise.
@@ -162,11 +170,7 @@ impl LeafIo<'_> {
     /// [`PortError`]: not set, entry never written, or of another shape.
     pub fn get_data<T: DeserializeOwned>(&self, port: &str) -> Result<T, PortError> {
         let value = self.value(port)?;
-        let wrong = |why: serde_json::Error| PortError::Type {
-            port: port.to_owned(),
-            value: shortened(value),
-            expected: why.to_string(),
-        };
+        let wrong = |why: serde_json::Error| unfit(port, value, why);
         match value {
             Value::Data(data) => T::deserialize(&**data).map_err(wrong),
             Value::Text(text) => serde_json::from_str(text.strip_prefix("json:").unwrap_or(text)).map_err(wrong),
@@ -245,20 +249,13 @@ impl LeafIo<'_> {
         let value = match bound.kind.value_type() {
             Some(kind) if kind != value.kind() => match value.convert(kind) {
                 Some(converted) => converted,
-                None => {
-                    return Err(PortError::Type {
-                        port: port.to_owned(),
-                        value: shortened(&value),
-                        expected: bound.kind.expected(),
-                    });
-                }
+                None => return Err(unfit(port, &value, bound.kind.expected())),
             },
             _ => value,
         };
-        write(self.board, slot, value).map_err(|wrong| PortError::Type {
-            port: port.to_owned(),
-            value: shortened(&wrong.value),
-            expected: format!("{:?}, the type of its entry", wrong.expected),
+        write(self.board, slot, value).map_err(|wrong| {
+            let expected = format!("{:?}, the type of its entry", wrong.expected);
+            unfit(port, &wrong.value, expected)
         })
     }
 
@@ -331,12 +328,12 @@ impl LeafIo<'_> {
     }
 }
 
-/// A value for a message: whole if it is short.
-fn shortened(value: &Value) -> String {
-    let text = value.to_string();
-    match text.char_indices().nth(60) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text,
+/// A value that a port does not take, in the message whole if it is short.
+fn unfit(port: &str, value: &Value, expected: impl ToString) -> PortError {
+    PortError::Type {
+        port: port.to_owned(),
+        value: shortened(&value.to_string(), 60),
+        expected: expected.to_string(),
     }
 }
 

@@ -20,6 +20,16 @@ pub enum Status {
 }
 
 impl Status {
+    /// `Success` if something holds, else `Failure`.
+    pub fn from_truth(holds: bool) -> Status {
+        if holds { Status::Success } else { Status::Failure }
+    }
+
+    /// `Skipped` where that is all that the children were, else this.
+    pub(crate) fn unless_skipped(self, skipped: bool) -> Status {
+        if skipped { Status::Skipped } else { self }
+    }
+
     /// `Success` or `Failure`.
     pub fn is_completed(self) -> bool {
         matches!(self, Status::Success | Status::Failure)

@@ -179,6 +179,14 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
+    /// Ends an activation with this answer: every child is reset, `cursor` and `count` begin anew.
+    pub(crate) fn finish(&mut self, id: NodeId, status: Status) -> Status {
+        self.reset_children(id);
+        let state = &mut self.states[id as usize];
+        (state.cursor, state.count) = (0, 0);
+        status
+    }
+
     fn halt(&mut self, id: NodeId) {
         let nodes: &'a [Node<C>] = self.nodes;
         let node = &nodes[id as usize];

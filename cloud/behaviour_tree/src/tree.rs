@@ -69,11 +69,6 @@ impl<C> Tree<C> {
         self.states.first().map_or(Status::Idle, |root| root.status)
     }
 
-    /// What the root answered last.
-    pub fn last_status(&self) -> Status {
-        self.states.first().map_or(Status::Idle, |root| root.last)
-    }
-
     /// The blackboard; names given to it are those of the root scope.
     pub fn blackboard(&self) -> &Blackboard {
         &self.board

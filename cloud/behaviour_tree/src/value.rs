@@ -191,40 +191,22 @@ impl std::fmt::Display for Value {
     }
 }
 
-impl From<bool> for Value {
-    fn from(value: bool) -> Value {
-        Value::Bool(value)
-    }
+macro_rules! value_from {
+    ($($kind:ty: |$value:ident| $made:expr;)*) => { $(
+        impl From<$kind> for Value {
+            fn from($value: $kind) -> Value {
+                $made
+            }
+        }
+    )* };
 }
-
-impl From<i64> for Value {
-    fn from(value: i64) -> Value {
-        Value::Int(value)
-    }
-}
-
-impl From<f64> for Value {
-    fn from(value: f64) -> Value {
-        Value::Double(value)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(text: &str) -> Value {
-        Value::text(text)
-    }
-}
-
-impl From<String> for Value {
-    fn from(text: String) -> Value {
-        Value::Text(Arc::from(text))
-    }
-}
-
-impl From<serde_json::Value> for Value {
-    fn from(data: serde_json::Value) -> Value {
-        Value::Data(Arc::new(data))
-    }
+value_from! {
+    bool: |value| Value::Bool(value);
+    i64: |value| Value::Int(value);
+    f64: |value| Value::Double(value);
+    &str: |text| Value::text(text);
+    String: |text| Value::Text(Arc::from(text));
+    serde_json::Value: |data| Value::Data(Arc::new(data));
 }
 
 /// What a leaf may read a port as.
@@ -235,46 +217,23 @@ pub trait FromValue: Sized {
     const EXPECTED: &'static str;
 }
 
-impl FromValue for bool {
-    fn from_value(value: &Value) -> Option<Self> {
-        value.as_bool()
-    }
-    const EXPECTED: &'static str = "true or false";
+macro_rules! from_value {
+    ($($kind:ty, $expected:literal: |$value:ident| $read:expr;)*) => { $(
+        impl FromValue for $kind {
+            fn from_value($value: &Value) -> Option<Self> {
+                $read
+            }
+            const EXPECTED: &'static str = $expected;
+        }
+    )* };
 }
-
-impl FromValue for i64 {
-    fn from_value(value: &Value) -> Option<Self> {
-        value.as_int()
-    }
-    const EXPECTED: &'static str = "an integer";
-}
-
-impl FromValue for u64 {
-    fn from_value(value: &Value) -> Option<Self> {
-        value.as_int().and_then(|value| value.try_into().ok())
-    }
-    const EXPECTED: &'static str = "an integer of at least 0";
-}
-
-impl FromValue for f64 {
-    fn from_value(value: &Value) -> Option<Self> {
-        value.as_double()
-    }
-    const EXPECTED: &'static str = "a number";
-}
-
-impl FromValue for String {
-    fn from_value(value: &Value) -> Option<Self> {
-        Some(value.to_string())
-    }
-    const EXPECTED: &'static str = "text";
-}
-
-impl FromValue for Value {
-    fn from_value(value: &Value) -> Option<Self> {
-        Some(value.clone())
-    }
-    const EXPECTED: &'static str = "a value";
+from_value! {
+    bool, "true or false": |value| value.as_bool();
+    i64, "an integer": |value| value.as_int();
+    u64, "an integer of at least 0": |value| value.as_int()?.try_into().ok();
+    f64, "a number": |value| value.as_double();
+    String, "text": |value| Some(value.to_string());
+    Value, "a value": |value| Some(value.clone());
 }
 
 /// The stored form: tagged, so that `1`, `1.0` and `"1"` come back as what they were.

@@ -27,6 +27,14 @@ pub enum UnknownPolicy {
     Obstacle,
 }
 
+impl UnknownPolicy {
+    /// That of whoever may drive through cells that nobody has seen, or not.
+    #[must_use]
+    pub const fn of(unknown_is_free: bool) -> Self {
+        if unknown_is_free { Self::Free } else { Self::Blocked }
+    }
+}
+
 /// Distances are known at least this far, m, as far as the field's reach in cells allows.
 const USUAL_REACH: f64 = 1.0;
 

@@ -26,10 +26,6 @@ pub struct Candidate {
 /// # Errors
 /// [`Refusal::Rejected`] without a candidate, or when none is idle and the goal must not be queued.
 pub fn choose(candidates: &[Candidate], at: Option<Point2<f64>>, on_busy: OnBusy) -> Result<&Candidate, Refusal> {
-    let rejected = |reason: &str| Refusal::Rejected {
-        reason: reason.to_owned(),
-        nearest_free: None,
-    };
     let away = |candidate: &Candidate| match (candidate.position, at) {
         (Some(position), Some(at)) => (at - position).norm(),
         (Some(_), None) => 0.0,
@@ -38,9 +34,9 @@ pub fn choose(candidates: &[Candidate], at: Option<Point2<f64>>, on_busy: OnBusy
     let best = candidates
         .iter()
         .min_by(|a, b| a.outstanding.cmp(&b.outstanding).then(away(a).total_cmp(&away(b))))
-        .ok_or_else(|| rejected("no robot of the group answers"))?;
+        .ok_or_else(|| Refusal::rejected("no robot of the group answers"))?;
     if best.outstanding > 0 && on_busy == OnBusy::Reject {
-        return Err(rejected("every robot of the group is busy"));
+        return Err(Refusal::rejected("every robot of the group is busy"));
     }
     Ok(best)
 }

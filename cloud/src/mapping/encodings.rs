@@ -54,9 +54,7 @@ fn file(grid: &OccupancyGrid, format: &str) -> Result<(Vec<u8>, &'static str), R
         }
         _ => match map_image::to_png(grid) {
             Ok(bytes) => Ok((bytes, "image/png")),
-            Err(error) => Err(Refusal::Internal {
-                reason: error.to_string(),
-            }),
+            Err(error) => Err(Refusal::internal(error)),
         },
     }
 }

@@ -77,9 +77,7 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
                     word = state.message.lease.leader;
                 }
                 let taken = match judge(&entry.body, word.as_ref(), &place) {
-                    Ok(verdict) => take(service, &entry.body, verdict).await.map_err(|error| Refusal::Internal {
-                        reason: error.to_string(),
-                    }),
+                    Ok(verdict) => take(service, &entry.body, verdict).await.map_err(Refusal::internal),
                     Err(refusal) => Err(refusal),
                 };
                 match taken {

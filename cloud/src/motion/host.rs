@@ -35,9 +35,7 @@ pub(super) async fn within<T: Send + 'static>(
             working.await
         }
     };
-    done.map_err(|error| Refusal::Internal {
-        reason: error.to_string(),
-    })
+    done.map_err(Refusal::internal)
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
-use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, UnknownPlanner};
+use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
@@ -73,6 +73,13 @@ struct Kept {
     replanner: Replanner,
 }
 
+/// What an answer is worked out with.
+struct Given<'a> {
+    map: Option<&'a MapReplica>,
+    clock: &'a mut dyn FnMut() -> f64,
+    cancel: &'a Cancel,
+}
+
 impl MotionWorker {
     /// A worker for maps with these zones.
     #[must_use]
@@ -103,26 +110,22 @@ impl MotionWorker {
         clock: &mut dyn FnMut() -> f64,
         cancel: &Cancel,
     ) -> Result<MotionReply, Refusal> {
-        let map = map.filter(|map| !map.grid().spec().is_empty());
+        let mut given = Given {
+            map: map.filter(|map| !map.grid().spec().is_empty()),
+            clock,
+            cancel,
+        };
         Ok(match request {
-            MotionRequest::Plan(request) => MotionReply::Plan(self.plan(map, request, clock, cancel)?),
-            MotionRequest::Smooth(request) => MotionReply::Smooth(self.smooth(map, request, clock, cancel)?),
-            MotionRequest::Trajectory(request) => {
-                MotionReply::Trajectory(self.trajectory(map, request, clock, cancel)?)
-            }
+            MotionRequest::Plan(request) => MotionReply::Plan(self.plan(&mut given, request)?),
+            MotionRequest::Smooth(request) => MotionReply::Smooth(self.smooth(&mut given, request)?),
+            MotionRequest::Trajectory(request) => MotionReply::Trajectory(self.trajectory(&mut given, request)?),
         })
     }
 
     /// A path, and its trajectory.
-    fn trajectory(
-        &mut self,
-        map: Option<&MapReplica>,
-        request: &TrajectoryRequest,
-        clock: &mut dyn FnMut() -> f64,
-        cancel: &Cancel,
-    ) -> Result<TrajectoryReply, Refusal> {
-        let mut plan = self.plan(map, &request.plan, clock, cancel)?;
-        let mut smooth = self.smooth_found(map, request, &plan, clock, cancel)?;
+    fn trajectory(&mut self, given: &mut Given<'_>, request: &TrajectoryRequest) -> Result<TrajectoryReply, Refusal> {
+        let mut plan = self.plan(given, &request.plan)?;
+        let mut smooth = self.smooth_found(given, request, &plan)?;
         // The planner looks at straight legs and turns on the spot; in the end the goal's heading, or what the robot's speed asks of the
         // start, may need more room than that: a path with room for a larger disc gives it.
         for radius in larger_discs(&request.plan.model.footprint) {
@@ -131,9 +134,9 @@ impl MotionWorker {
             }
             let mut roomier = request.plan.clone();
             roomier.model.footprint = Footprint::Radius(radius);
-            let other = self.plan(map, &roomier, clock, cancel)?;
+            let other = self.plan(given, &roomier)?;
             if matches!(other.outcome, PlanOutcome::Found { .. }) {
-                smooth = self.smooth_found(map, request, &other, clock, cancel)?;
+                smooth = self.smooth_found(given, request, &other)?;
                 plan = other;
             }
         }
@@ -143,33 +146,23 @@ impl MotionWorker {
     /// The trajectory along the path of an answer; `None` where there is no path.
     fn smooth_found(
         &mut self,
-        map: Option<&MapReplica>,
+        given: &mut Given<'_>,
         request: &TrajectoryRequest,
         plan: &PlanReply,
-        clock: &mut dyn FnMut() -> f64,
-        cancel: &Cancel,
     ) -> Result<Option<SmoothReply>, Refusal> {
         match &plan.outcome {
             PlanOutcome::Found { path, .. } => {
                 let request = request.smooth(plan.map.clone(), path.clone());
-                self.smooth(map, &request, clock, cancel).map(Some)
+                self.smooth(given, &request).map(Some)
             }
             _ => Ok(None),
         }
     }
 
     /// A path through all poses that are to be passed.
-    fn plan(
-        &mut self,
-        map: Option<&MapReplica>,
-        request: &PlanRequest,
-        clock: &mut dyn FnMut() -> f64,
-        cancel: &Cancel,
-    ) -> Result<PlanReply, Refusal> {
-        let planner: Planner = request
-            .planner
-            .parse()
-            .map_err(|error: UnknownPlanner| Refusal::bad_request(error.to_string()))?;
+    fn plan(&mut self, given: &mut Given<'_>, request: &PlanRequest) -> Result<PlanReply, Refusal> {
+        let map = given.map;
+        let planner: Planner = request.planner.parse().map_err(Refusal::bad_request)?;
         let poses: Vec<Pose2> = [request.start]
             .into_iter()
             .chain(request.via.iter().copied())
@@ -191,7 +184,7 @@ impl MotionWorker {
             origin: PlanOrigin::Searched,
         };
         let Some(map) = map else { return Ok(reply) };
-        let began = clock();
+        let began = (given.clock)();
         let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);
         for (leg, ends) in poses.windows(2).enumerate() {
             let [start, goal] = [ends[0], ends[1]];
@@ -201,14 +194,14 @@ impl MotionWorker {
                 escape: if leg == 0 { request.escape } else { 0.0 },
                 ..PlanOptions::new(planner)
             };
-            let policy = policy(request.unknown_is_free);
-            let planned = self.leg(map, &model, policy, (start, goal), &options, cancel)?;
+            let policy = UnknownPolicy::of(request.unknown_is_free);
+            let planned = self.leg(map, &model, policy, (start, goal), &options, given.cancel)?;
             reply.expansions += planned.expansions;
             reply.escapes |= planned.escapes;
             reply.origin = planned.origin;
             let PlanOutcome::Found { path, length } = planned.outcome else {
                 (reply.outcome, reply.leg) = (planned.outcome, leg);
-                reply.search_ms = (clock() - began) * 1e3;
+                reply.search_ms = ((given.clock)() - began) * 1e3;
                 return Ok(reply);
             };
             // One leg ends where the next begins.
@@ -219,7 +212,7 @@ impl MotionWorker {
             path: whole,
             length: total,
         };
-        reply.search_ms = (clock() - began) * 1e3;
+        reply.search_ms = ((given.clock)() - began) * 1e3;
         Ok(reply)
     }
 
@@ -234,9 +227,6 @@ impl MotionWorker {
         cancel: &Cancel,
     ) -> Result<Planned, Refusal> {
         let space = self.spaces.get(map, &model.footprint, policy);
-        let internal = |error: &dyn std::fmt::Display| Refusal::Internal {
-            reason: error.to_string(),
-        };
         let same = |kept: &Kept| kept.map == map.map().id && kept.policy == policy && kept.footprint == model.footprint;
         let at = self.replanners.iter().position(same);
         let mut kept = match at.and_then(|at| self.replanners.remove(at)) {
@@ -245,7 +235,7 @@ impl MotionWorker {
                 map: map.map().id.clone(),
                 footprint: model.footprint.clone(),
                 policy,
-                replanner: Replanner::new(&space).map_err(|error| internal(&error))?,
+                replanner: Replanner::new(&space).map_err(Refusal::internal)?,
             },
         };
         let budget = Budget {
@@ -256,19 +246,13 @@ impl MotionWorker {
         let planned = kept.replanner.plan(&space, start, goal, options, budget);
         self.replanners.push_front(kept);
         self.replanners.truncate(MAX_REPLANNERS);
-        let planned = planned.map_err(|error| internal(&error))?;
+        let planned = planned.map_err(Refusal::internal)?;
         self.searched = planned.origin == PlanOrigin::Searched;
         Ok(planned)
     }
 
     /// The trajectory along a path; a path that cannot be smoothed still gets a safe one.
-    fn smooth(
-        &mut self,
-        map: Option<&MapReplica>,
-        request: &SmoothRequest,
-        clock: &mut dyn FnMut() -> f64,
-        cancel: &Cancel,
-    ) -> Result<SmoothReply, Refusal> {
+    fn smooth(&mut self, given: &mut Given<'_>, request: &SmoothRequest) -> Result<SmoothReply, Refusal> {
         let finite = request.start.is_finite()
             && request.start_velocity.is_finite()
             && request.goal_yaw.is_none_or(f64::is_finite)
@@ -283,12 +267,14 @@ impl MotionWorker {
             )));
         }
         let model = checked(&request.model)?;
-        let Some(map) = map else {
+        let Some(map) = given.map else {
             return Err(Refusal::NotFound {
                 what: format!("a map of {}", request.robot),
             });
         };
-        let space = self.spaces.get(map, &model.footprint, policy(request.unknown_is_free));
+        let space = self
+            .spaces
+            .get(map, &model.footprint, UnknownPolicy::of(request.unknown_is_free));
         let mut reply = SmoothReply {
             map: map.map().clone(),
             trajectory: Trajectory::default(),
@@ -305,7 +291,7 @@ impl MotionWorker {
                 profile: request.profile,
             };
             let settings = &self.settings.smoothing;
-            let smoothed = smooth(&space, &query, &model, settings, Some(&cancel.smoothing), clock);
+            let smoothed = smooth(&space, &query, &model, settings, Some(&given.cancel.smoothing), &mut *given.clock);
             let trajectory = smoothed.sampled(SAMPLE_PERIOD);
             reply.statistics = sum(reply.statistics, smoothed.statistics);
             let Some(last) = trajectory.last() else {
@@ -384,19 +370,8 @@ fn larger_discs(footprint: &Footprint) -> Vec<f64> {
     }
 }
 
-fn policy(unknown_is_free: bool) -> UnknownPolicy {
-    if unknown_is_free {
-        UnknownPolicy::Free
-    } else {
-        UnknownPolicy::Blocked
-    }
-}
-
 fn checked(model: &RobotModel) -> Result<RobotModel, Refusal> {
-    model
-        .clone()
-        .checked("model")
-        .map_err(|error| Refusal::bad_request(error.to_string()))
+    model.clone().checked("model").map_err(Refusal::bad_request)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use zenav_protocol::bus::overhead;
 use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
-use super::sim_bench;
+use super::{sim_bench, thread_time};
 use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -77,9 +77,7 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
         lidar.beams = args.beams.unwrap_or(lidar.beams);
         lidar.rate_hz = args.rate;
     }
-    let model = model
-        .checked("--beams, --rate")
-        .map_err(|error| Failure::usage(error.to_string()))?;
+    let model = model.checked("--beams, --rate").map_err(Failure::usage)?;
     if !(1..=MAX_ROBOTS).contains(&args.robots) {
         return Err(Failure::usage(format!(
             "--robots {}: expected 1 to {MAX_ROBOTS}",
@@ -88,12 +86,11 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
     }
     let world = match &args.world {
         Some(name) => files::world(name)?,
-        None => made_worlds::floor(&model, args.robots).map_err(|error| Failure::failed(error.to_string()))?,
+        None => made_worlds::floor(&model, args.robots).map_err(Failure::failed)?,
     };
     let time = Duration::try_from_secs_f64(args.time)
         .map_err(|error| Failure::usage(format!("--time {}: {error}", args.time)))?;
-    let report = sim_bench::run(&world, &model, args.robots, time, &thread_time)
-        .map_err(|error| Failure::failed(error.to_string()))?;
+    let report = sim_bench::run(&world, &model, args.robots, time, &thread_time).map_err(Failure::failed)?;
     if report.robots < args.robots {
         tracing::warn!(
             "there is room for {} of {} robots in {}",
@@ -115,12 +112,6 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
         )
     })?;
     Ok(exit_code::OK)
-}
-
-/// What this thread has computed so far: the simulator needs one core, whatever else the machine does.
-fn thread_time() -> Duration {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    Duration::try_from(time).unwrap_or_default()
 }
 
 /// What this machine holds.

@@ -22,35 +22,27 @@ pub use plan::{PlanArgs, plan};
 pub(crate) use show::backdrop;
 pub use smooth::{SmoothArgs, smooth};
 
-use std::io::{BufWriter, IsTerminal as _, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use zenav_mapping::map_file;
 use zenav_planning::Planner;
 use zenav_protocol::grid::OccupancyGrid;
 
 use crate::failure::Failure;
-use crate::files;
+use crate::{files, output};
 
 /// A bar on a terminal, else nothing.
 pub(crate) fn progress(length: usize) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(length as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} {eta}") {
-        bar.set_style(style);
-    }
-    bar
+    output::progress(ProgressBar::new(length as u64), "{bar:40} {pos}/{len} {eta}")
 }
 
 /// The map, at the resolution asked for where its file does not say one.
 fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
     match resolution {
-        Some(resolution) if path.is_file() => {
-            map_file::read_map(path, resolution).map_err(|error| Failure::usage(error.to_string()))
-        }
+        Some(resolution) if path.is_file() => map_file::read_map(path, resolution).map_err(Failure::usage),
         _ => files::map(path),
     }
 }
@@ -103,6 +95,12 @@ impl Results {
 fn at(path: &Path, error: &std::io::Error) -> Failure {
     let code = Failure::from(std::io::Error::from(error.kind())).code;
     Failure::new(code, format!("{}: {error}", path.display()))
+}
+
+/// What this thread has computed so far: one core is timed, whatever else the machine does.
+pub(crate) fn thread_time() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    Duration::try_from(time).unwrap_or_default()
 }
 
 /// A folder for one file a query, made where it is missing.

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use zenav_planning::{Budget, Planner, Query as Question, Searched, Searcher};
@@ -10,7 +9,7 @@ use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy, Zones};
 
 use super::queries::{self, Query};
-use super::watchdog::Watchdog;
+use super::watchdog::{Watchdog, timed};
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
 use crate::exit_code;
@@ -75,14 +74,10 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     let ground = Ground::of(&grid, args.robot.as_deref(), args.unknown_is_free, &zones)?;
     let spec = *grid.spec();
     drop(grid);
-    let mut searcher =
-        Searcher::new(ground.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
+    let mut searcher = Searcher::new(ground.free()).map_err(Failure::usage_at(&args.map))?;
     // Here the time limit ends a search, nobody waits for it.
     searcher.sampling.improving = MOST_SAMPLES;
-    let watchdog = args
-        .time_limit_ms
-        .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
-        .map(Watchdog::new);
+    let watchdog = args.time_limit_ms.and_then(Watchdog::of_millis);
     folder(args.paths.as_deref())?;
     let mut results = Results::create(&args.out)?;
     let mut tally = Tally::default();
@@ -121,18 +116,9 @@ impl Ground {
     ) -> Result<Self, Failure> {
         if let Some(robot) = robot {
             let model = files::robot(robot)?;
-            let policy = if unknown_is_free {
-                UnknownPolicy::Free
-            } else {
-                UnknownPolicy::default()
-            };
-            return Ok(Self::Robot(Box::new(ConfigurationSpace::with_zones(
-                grid,
-                &model.footprint,
-                policy,
-                0.0,
-                zones,
-            ))));
+            let policy = UnknownPolicy::of(unknown_is_free);
+            let space = ConfigurationSpace::with_zones(grid, &model.footprint, policy, 0.0, zones);
+            return Ok(Self::Robot(Box::new(space)));
         }
         let spec = grid.spec();
         let keep_out = zones.keep_out_cells(spec).unwrap_or_default();
@@ -188,27 +174,17 @@ fn answer(
             outside: true,
         };
     };
-    let budget = Budget {
-        cancel: watchdog.map(Watchdog::cancel),
-        ..Budget::UNLIMITED
-    };
-    if let Some(watchdog) = watchdog {
-        watchdog.arm();
-    }
     let center = |cell: Cell| Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5);
     let question = Question {
         start: center(start),
         goal: center(goal),
         seed: args.seed,
     };
-    let begin = Instant::now();
-    let searched = ground.search(searcher, args.planner, &question, budget);
-    let took = begin.elapsed();
-    if let Some(watchdog) = watchdog {
-        watchdog.disarm();
-    }
+    let (searched, micros) = timed(watchdog, |budget| {
+        ground.search(searcher, args.planner, &question, budget)
+    });
     Answer {
-        micros: took.as_secs_f64() * 1e6,
+        micros,
         found: searched.result.ok(),
         expansions: searched.expansions,
         outside: false,

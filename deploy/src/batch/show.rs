@@ -153,7 +153,7 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let specs = starts
         .enumerate()
         .map(|(index, start)| {
-            let id = Id::robot(format!("robot_{index}")).map_err(|error| Failure::failed(error.to_string()))?;
+            let id = Id::robot(format!("robot_{index}")).map_err(Failure::failed)?;
             let model = model.clone();
             Ok(RobotSpec { id, model, start })
         })
@@ -163,7 +163,7 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
         Err(error) => {
             // A world is worth seeing above all where something is wrong with its start.
             tracing::warn!("drawn without robots: {error}");
-            Simulation::new(world, Vec::new(), args.seed).map_err(|error| Failure::usage(error.to_string()))?
+            Simulation::new(world, Vec::new(), args.seed).map_err(Failure::usage)?
         }
     };
     if (1..args.robots).contains(&simulation.robots()) {

@@ -1,9 +1,9 @@
 //! `zenav smooth`: a batch of queries for one robot, from search to time law. Which trajectories result, how long does each phase take, is each collision-free?
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
+use zenav_planning::{PlanOptions, Planner, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::robot::RobotModel;
@@ -12,7 +12,7 @@ use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, shortcut, smooth
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
-use super::watchdog::Watchdog;
+use super::watchdog::{Watchdog, timed};
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::connect::positive;
 use crate::exit_code;
@@ -79,16 +79,11 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     model.drive.max_jerk = args.jerk_limit.or(model.drive.max_jerk);
     let grid = read_map(&args.map, args.resolution)?;
     let queries = queries::read(&args.queries)?;
-    let policy = if args.unknown_is_free {
-        UnknownPolicy::Free
-    } else {
-        UnknownPolicy::default()
-    };
     let zones = files::zones(args.zones.as_deref())?;
+    let policy = UnknownPolicy::of(args.unknown_is_free);
     let space = ConfigurationSpace::with_zones(&grid, &model.footprint, policy, 0.0, &zones);
-    let searcher =
-        Searcher::new(space.free()).map_err(|error| Failure::usage(format!("{}: {error}", args.map.display())))?;
-    let options = if args.shortest {
+    let searcher = Searcher::new(space.free()).map_err(Failure::usage_at(&args.map))?;
+    let mut options = if args.shortest {
         PlanOptions::shortest(args.planner)
     } else {
         PlanOptions {
@@ -96,14 +91,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
             ..PlanOptions::default()
         }
     };
-    let options = PlanOptions {
-        any_heading: true,
-        ..options
-    };
-    let watchdog = args
-        .time_limit_ms
-        .and_then(|ms| Duration::try_from_secs_f64(ms * 1e-3).ok())
-        .map(Watchdog::new);
+    options.any_heading = true;
     let mut workshop = Workshop {
         space,
         searcher,
@@ -111,7 +99,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
         options,
         profile: args.profile,
         settings: SmoothingSettings::default(),
-        watchdog,
+        watchdog: args.time_limit_ms.and_then(Watchdog::of_millis),
         start: Instant::now(),
     };
     folder(args.trajectory.as_deref())?;
@@ -157,19 +145,9 @@ impl Workshop {
             Pose2::new(center.x, center.y, 0.0)
         };
         let (mut start, goal) = (pose(from), pose(to));
-        if let Some(watchdog) = &self.watchdog {
-            watchdog.arm();
-        }
-        let budget = Budget {
-            cancel: self.watchdog.as_ref().map(Watchdog::cancel),
-            ..Budget::UNLIMITED
-        };
-        let begin = Instant::now();
-        let planned = plan(&self.space, &mut self.searcher, start, goal, &self.options, budget);
-        let search_us = begin.elapsed().as_secs_f64() * 1e6;
-        if let Some(watchdog) = &self.watchdog {
-            watchdog.disarm();
-        }
+        let (planned, search_us) = timed(self.watchdog.as_ref(), |budget| {
+            plan(&self.space, &mut self.searcher, start, goal, &self.options, budget)
+        });
         let PlanOutcome::Found { path, .. } = planned.outcome else {
             return (search_us, None);
         };
@@ -195,17 +173,8 @@ impl Workshop {
             profile: self.profile,
         };
         let mut clock = || self.start.elapsed().as_secs_f64();
-        (
-            search_us,
-            Some(smooth_path(
-                &self.space,
-                &asked,
-                &self.model,
-                &settings,
-                None,
-                &mut clock,
-            )),
-        )
+        let smoothed = smooth_path(&self.space, &asked, &self.model, &settings, None, &mut clock);
+        (search_us, Some(smoothed))
     }
 }
 

@@ -4,6 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use zenav_planning::Budget;
+
 /// Sets a flag some time after it was armed.
 pub(super) struct Watchdog {
     limit: Duration,
@@ -19,7 +21,7 @@ struct Shared {
 
 impl Watchdog {
     /// Watches with this time limit.
-    pub(super) fn new(limit: Duration) -> Self {
+    fn new(limit: Duration) -> Self {
         let shared = Arc::new(Shared {
             cancel: AtomicBool::new(false),
             state: Mutex::new((None, false)),
@@ -30,18 +32,23 @@ impl Watchdog {
         Self { limit, shared }
     }
 
+    /// Watches with a time limit in ms; `None` where that is longer than time goes.
+    pub(super) fn of_millis(ms: f64) -> Option<Self> {
+        Duration::try_from_secs_f64(ms * 1e-3).ok().map(Self::new)
+    }
+
     /// The flag.
-    pub(super) fn cancel(&self) -> &AtomicBool {
+    fn cancel(&self) -> &AtomicBool {
         &self.shared.cancel
     }
 
     /// The time runs from now; whatever ran before is forgotten.
-    pub(super) fn arm(&self) {
+    fn arm(&self) {
         self.set(Instant::now().checked_add(self.limit), false);
     }
 
     /// The time does not run any more.
-    pub(super) fn disarm(&self) {
+    fn disarm(&self) {
         self.set(None, false);
     }
 
@@ -52,6 +59,20 @@ impl Watchdog {
         *state = (deadline, end);
         self.shared.changed.notify_one();
     }
+}
+
+/// Runs a search within the time limit, where there is one; returns its answer and the time around it alone, µs.
+pub(super) fn timed<T>(watchdog: Option<&Watchdog>, search: impl FnOnce(Budget<'_>) -> T) -> (T, f64) {
+    let budget = Budget {
+        cancel: watchdog.map(Watchdog::cancel),
+        ..Budget::UNLIMITED
+    };
+    watchdog.inspect(|watchdog| watchdog.arm());
+    let begin = Instant::now();
+    let answer = search(budget);
+    let micros = begin.elapsed().as_secs_f64() * 1e6;
+    watchdog.inspect(|watchdog| watchdog.disarm());
+    (answer, micros)
 }
 
 impl Drop for Watchdog {

@@ -50,8 +50,7 @@ impl Layers {
         path: Option<&Path>,
         variables: impl Iterator<Item = (String, String)>,
     ) -> Result<Self, Failure> {
-        let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
-        let mut table = Table::try_from(Deployment::default()).map_err(|error| failed(&error))?;
+        let mut table = Table::try_from(Deployment::default()).map_err(Failure::failed)?;
         let mut file = None;
         if let Some(path) = path {
             if !path.is_file() {

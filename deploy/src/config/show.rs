@@ -69,7 +69,7 @@ pub fn run(args: &ConfigArgs) -> Outcome {
 }
 
 fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
-    let values = serde_json::to_value(&layers.deployment).map_err(|error| Failure::failed(error.to_string()))?;
+    let values = serde_json::to_value(&layers.deployment).map_err(Failure::failed)?;
     let mut origins = Vec::new();
     let mut push = |row: Row, value: Option<&Value>| {
         origins.push(Origin {

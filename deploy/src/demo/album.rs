@@ -10,9 +10,9 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, MapRequest, SearchTree};
 use zenav_protocol::topics;
 
-use super::write;
 use crate::drawing::scene::Scene;
 use crate::failure::Failure;
+use crate::files;
 
 /// Longest wait for the map, wall.
 const MAP_DEADLINE: Duration = Duration::from_secs(5);
@@ -70,7 +70,7 @@ impl Album {
             let map = bus
                 .ask(&topics::MAP, &[robot.as_str()], &MapRequest::default(), MAP_DEADLINE)
                 .await?;
-            let map = map.grid().map_err(|error| Failure::failed(error.to_string()))?;
+            let map = map.grid().map_err(Failure::failed)?;
             let scene = Scene {
                 tree: tree.as_ref(),
                 plan: Some(&plan),
@@ -79,7 +79,7 @@ impl Album {
                 places: &places,
                 ..Scene::new(&title, &map)
             };
-            write(&file, scene.draw(SIZE)?.png()?)?;
+            files::write(&file, scene.draw(SIZE)?.png()?)?;
             Ok(file)
         });
     }

@@ -17,7 +17,7 @@ use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 use zenav_sim::World;
 
-use super::{Script, write};
+use super::Script;
 use crate::drawing::film::encode;
 use crate::drawing::plane::PANEL;
 use crate::drawing::scene::Scene;
@@ -182,7 +182,7 @@ impl Film {
             };
             self.picture(moments.get(..=last).unwrap_or_default(), &footprint)
         })?;
-        write(&self.file, bytes)?;
+        files::write(&self.file, bytes)?;
         Ok(self.file)
     }
 

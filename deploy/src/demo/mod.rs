@@ -19,14 +19,13 @@ mod refusals;
 mod wall_follow;
 mod watch;
 
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use zenav_planning::Planner;
-use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted};
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
@@ -36,8 +35,8 @@ use crate::config::{self, Deployment, RobotSection};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::launch::{interrupted, runtime};
-use crate::output::{Format, value};
+use crate::launch::runtime;
+use crate::output::{Format, spinner, value};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
 use film::Film;
@@ -133,11 +132,6 @@ impl DemoArgs {
     }
 }
 
-/// Writes a file.
-fn write(file: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
-    std::fs::write(file, bytes).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
-}
-
 /// `zenav demo`.
 ///
 /// # Errors
@@ -157,12 +151,12 @@ pub fn run(args: &DemoArgs) -> Outcome {
     }
     crate::receivers::ensure_enough();
     let folder = args.folder();
-    std::fs::create_dir_all(&folder).map_err(|error| Failure::failed(format!("{}: {error}", folder.display())))?;
+    std::fs::create_dir_all(&folder).map_err(Failure::failed_at(&folder))?;
     let mut report = runtime()?.block_on(scenario(args))?;
     let file = folder.join("report.json");
     report.files.insert(0, file.clone());
-    let text = serde_json::to_string_pretty(&report).map_err(|error| Failure::failed(error.to_string()))?;
-    write(&file, text + "\n")?;
+    let text = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;
+    files::write(&file, text + "\n")?;
     value(args.output, &report, DemoReport::text)?;
     Ok(if report.outcome == ScenarioOutcome::Succeeded {
         exit_code::OK
@@ -203,13 +197,12 @@ const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
 
 /// Copies a stored map; returns the files that there were.
 fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
-    std::fs::create_dir_all(to).map_err(|error| Failure::failed(format!("{}: {error}", to.display())))?;
+    std::fs::create_dir_all(to).map_err(Failure::failed_at(to))?;
     let mut copied = Vec::new();
     for name in MAP_FILES {
         let (source, target) = (from.join(name), to.join(name));
         if source.is_file() {
-            std::fs::copy(&source, &target)
-                .map_err(|error| Failure::failed(format!("{}: {error}", target.display())))?;
+            std::fs::copy(&source, &target).map_err(Failure::failed_at(&target))?;
             copied.push(target);
         }
     }
@@ -294,9 +287,7 @@ async fn play(
         reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
     };
-    if shows_bar(args) {
-        watch.bar = Some(progress_bar());
-    }
+    watch.bar = live_display(args);
     watch.narrate(&format!("goal {} accepted", reply.id));
     let asking = tokio::spawn(refusals::ask(
         bus.clone(),
@@ -338,16 +329,7 @@ async fn play(
     Ok(report)
 }
 
-/// Whether there is a live display.
-fn shows_bar(args: &DemoArgs) -> bool {
-    !args.no_ui && std::io::stderr().is_terminal()
-}
-
-fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(120));
-    bar
+/// A live display, where one is wanted and can be.
+fn live_display(args: &DemoArgs) -> Option<ProgressBar> {
+    if args.no_ui { None } else { spinner() }
 }

@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use zenav_edge::Referee;
-use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription};
+use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription, interrupted};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{EdgeState, Event, EventKind, Mode, WallFollowerState};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::World;
 
-use super::{DemoArgs, Script, progress_bar, write};
+use super::{DemoArgs, Script, live_display};
 use crate::batch::backdrop;
 use crate::components::Parts;
 use crate::config::Deployment;
@@ -23,8 +23,7 @@ use crate::drawing::plane::Mark;
 use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
-use crate::launch::interrupted;
-use crate::report::{DemoReport, Latency, ScenarioOutcome, WallReport, per_metre};
+use crate::report::{DemoReport, WallReport};
 use crate::wall_following::score::Errors;
 
 pub(super) const SCRIPT: Script = Script {
@@ -135,7 +134,7 @@ fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure>
     let failed = |error: std::io::Error| Failure::failed(format!("{}: {error}", file.display()));
     let mut out = std::io::BufWriter::new(std::fs::File::create(&file).map_err(failed)?);
     for event in log.values() {
-        let line = serde_json::to_string(event).map_err(|error| Failure::failed(error.to_string()))?;
+        let line = serde_json::to_string(event).map_err(Failure::failed)?;
         writeln!(out, "{line}").map_err(failed)?;
     }
     out.flush().map_err(failed)
@@ -146,7 +145,7 @@ fn draw(args: &DemoArgs, world: &World, driven: &[Point2<f64>]) -> Result<(), Fa
     let mut plane = backdrop(world, PICTURE)?;
     plane.polyline(driven, DRIVEN, 2.0);
     plane.legend(Mark::Line, DRIVEN, "driven");
-    write(&args.folder().join("path.png"), plane.finish()?.png()?)
+    files::write(&args.folder().join("path.png"), plane.finish()?.png()?)
 }
 
 /// The next event of those that the robot keeps; for ever where none are asked for.
@@ -162,7 +161,7 @@ impl Watch<'_> {
         let period = Duration::from_secs_f64((SAMPLE / args.speed).clamp(1e-3, SAMPLE));
         let mut pace = tokio::time::interval(period);
         pace.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
-        let bar = super::shows_bar(args).then(progress_bar);
+        let bar = live_display(args);
         let began = Instant::now();
         let mut told = began;
         let mut asked = began;
@@ -299,27 +298,6 @@ impl Watch<'_> {
             None
         };
         DemoReport {
-            scenario: script.name.to_owned(),
-            seed: args.seed,
-            speed: args.speed,
-            outcome: if reason.is_none() {
-                ScenarioOutcome::Succeeded
-            } else {
-                ScenarioOutcome::Failed
-            },
-            reason,
-            map_found: false,
-            goals: Vec::new(),
-            refused: Vec::new(),
-            collisions: truth.collisions.into(),
-            min_clearance_m: truth.min_clearance,
-            sim_time_s: sim_time,
-            wall_time_s: 0.0,
-            plans: 0,
-            replans: 0,
-            latency: Latency::default(),
-            energy_j: truth.drawn_j,
-            energy_per_m: per_metre(truth.drawn_j, truth.length),
             walls: Some(WallReport {
                 target_m: self.target,
                 kept,
@@ -330,8 +308,7 @@ impl Watch<'_> {
                 complete,
                 missed_ticks: self.state.as_ref().map_or(0, |state| state.missed_ticks),
             }),
-            notes: Vec::new(),
-            files: Vec::new(),
+            ..DemoReport::new(script.name, args.seed, args.speed, &truth, sim_time, reason)
         }
     }
 }

@@ -17,7 +17,7 @@ use zenav_sim::{Truth, World};
 use super::album::Album;
 use super::{DemoArgs, Script};
 use crate::failure::Failure;
-use crate::report::{DemoReport, GoalReport, Latency, Percentiles, ScenarioOutcome, per_metre};
+use crate::report::{DemoReport, GoalReport, Latency, Percentiles, per_metre};
 
 /// How often truth is sampled, wall.
 const SAMPLE: Duration = Duration::from_millis(10);
@@ -284,34 +284,17 @@ impl Watch {
         if args.speed >= FAST {
             notes.push("at speed 4 and above a delay on the wall clock counts as so many times more simulated time: a plan that comes later than its lead is refused and made anew".to_owned());
         }
+        let sim_time_s = self.referee.now().as_secs();
         DemoReport {
-            scenario: script.name.to_owned(),
-            seed: args.seed,
-            speed: args.speed,
-            outcome: if reason.is_none() {
-                ScenarioOutcome::Succeeded
-            } else {
-                ScenarioOutcome::Failed
-            },
-            reason,
-            map_found: false,
             goals,
-            refused: Vec::new(),
-            collisions: truth.collisions.into(),
-            min_clearance_m: truth.min_clearance,
-            sim_time_s: self.referee.now().as_secs(),
-            wall_time_s: 0.0,
             plans: self.plans_seen,
             replans: feedback.replans,
             latency: Latency {
                 scan_to_plan_ms: Percentiles::of(&self.scan_to_plan),
                 goal_to_motion_ms: Percentiles::of(&self.goal_to_motion),
             },
-            energy_j: truth.drawn_j,
-            energy_per_m: per_metre(truth.drawn_j, truth.length),
-            walls: None,
             notes,
-            files: Vec::new(),
+            ..DemoReport::new(script.name, args.seed, args.speed, &truth, sim_time_s, reason)
         }
     }
 

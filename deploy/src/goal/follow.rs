@@ -1,10 +1,9 @@
 //! Watching a goal. How does it proceed? Its state as the mission publishes it, and by asking now and then: a mission that was restarted,
 //! or a link that was cut, must not leave a watcher waiting for ever.
 
-use std::io::IsTerminal as _;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::messages::{GoalState, GoalsRequest};
 use zenav_protocol::topics;
@@ -123,16 +122,8 @@ pub(super) struct Progress {
 
 impl Progress {
     pub(super) fn new() -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| {
-            let bar = ProgressBar::new_spinner();
-            if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
-                bar.set_style(style);
-            }
-            bar.enable_steady_tick(Duration::from_millis(100));
-            bar
-        });
         Self {
-            bar,
+            bar: output::spinner(),
             last: String::new(),
         }
     }

@@ -1,16 +1,16 @@
 //! `zenav map build`. What did the robot of a log see? A CARMEN log with poses becomes `map_server` files.
 
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Serialize;
 use zenav_mapping::carmen::{self, LOG_BEAMS};
 use zenav_mapping::{InsertMode, build as maps, map_file};
 use zenav_protocol::messages::Scan;
 
+use crate::batch::thread_time;
 use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -70,10 +70,7 @@ struct Built {
 /// Builds a map from a log.
 pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     let scans = read_log(&args.log)?;
-    let build = |mode| {
-        maps::build_map(&scans, args.resolution, mode, &LOG_BEAMS)
-            .map_err(|error| Failure::usage(format!("{}: {error}", args.log.display())))
-    };
+    let build = |mode| maps::build_map(&scans, args.resolution, mode, &LOG_BEAMS).map_err(Failure::usage_at(&args.log));
     let mode = match args.mode {
         BuildMode::Reference => InsertMode::Reference,
         BuildMode::Fast => InsertMode::Fast,
@@ -92,8 +89,7 @@ pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
         },
         InsertMode::Fast => maps::agreement(&build(InsertMode::Reference)?.map.to_occupancy(), &grid),
     };
-    let map = map_file::write_map(&args.out, "map", &grid, "built from a log")
-        .map_err(|error| Failure::failed(error.to_string()))?;
+    let map = map_file::write_map(&args.out, "map", &grid, "built from a log").map_err(Failure::failed)?;
     let built = Built {
         scans: scans.len() as u64,
         scans_per_s: rate(thread),
@@ -128,34 +124,18 @@ pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// What this thread has computed so far.
-fn thread_time() -> Duration {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    Duration::try_from(time).unwrap_or_default()
-}
-
 fn read_log(path: &Path) -> Result<Vec<Scan>, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such log", path.display())));
     }
     let bad = |error: &dyn std::fmt::Display| Failure::usage(format!("{}: {error}", path.display()));
-    let progress = std::io::stderr().is_terminal().then(|| {
-        let bar = ProgressBar::new_spinner();
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} scans read") {
-            bar.set_style(style);
-        }
-        bar
-    });
+    let bar = output::progress(ProgressBar::new_spinner(), "{spinner} {pos} scans read");
     let mut scans = Vec::new();
     for scan in carmen::open(path).map_err(|error| bad(&error))? {
         scans.push(scan.map_err(|error| bad(&error))?);
-        if let Some(bar) = &progress {
-            bar.inc(1);
-        }
+        bar.inc(1);
     }
-    if let Some(bar) = progress {
-        bar.finish_and_clear();
-    }
+    bar.finish_and_clear();
     if scans.is_empty() {
         Err(bad(&"no laser scan with a pose in it (FLASER, ROBOTLASER1)"))
     } else {

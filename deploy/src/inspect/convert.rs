@@ -45,7 +45,7 @@ enum ModeArg {
 pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     let grid = match args.resolution {
         Some(resolution) if args.input.is_file() => {
-            map_file::read_map(&args.input, resolution).map_err(|error| Failure::usage(error.to_string()))?
+            map_file::read_map(&args.input, resolution).map_err(Failure::usage)?
         }
         _ => files::map(&args.input)?,
     };
@@ -54,7 +54,6 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         ModeArg::Scale => MapMode::Scale,
         ModeArg::Raw => MapMode::Raw,
     };
-    let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
     let target = args.target.as_path();
     let ending = target
         .extension()
@@ -63,7 +62,7 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         .to_ascii_lowercase();
     let picture = match ending.as_str() {
         "map" => {
-            atomic::write_atomically(target, moving_ai(&grid).as_bytes()).map_err(|error| failed(&error))?;
+            atomic::write_atomically(target, moving_ai(&grid).as_bytes()).map_err(Failure::failed)?;
             None
         }
         "yaml" | "yml" if matches!(mode, MapMode::Scale) => {
@@ -89,7 +88,7 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     if let Some(picture) = picture {
         let pixels = map_image::to_image(&grid, mode);
         let bytes = if picture.extension().is_some_and(|ending| ending == "png") {
-            image::encode_png(&pixels).map_err(|error| failed(&error))?
+            image::encode_png(&pixels).map_err(Failure::failed)?
         } else {
             image::encode_pgm(&pixels)
         };
@@ -99,9 +98,9 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         } else {
             target.with_extension("yaml")
         };
-        atomic::write_atomically(&picture, &bytes).map_err(|error| failed(&error))?;
+        atomic::write_atomically(&picture, &bytes).map_err(Failure::failed)?;
         atomic::write_atomically(&yaml, map_image::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())
-            .map_err(|error| failed(&error))?;
+            .map_err(Failure::failed)?;
         written = yaml;
     }
     output::value(format, &Summary::of_file(&written, &grid), Summary::line)?;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, timeout_at};
 use zenav_protocol::bus::{Bus, Latest, RawSubscription};
 use zenav_protocol::messages::InfoRequest;
 use zenav_protocol::time::Stamp;
@@ -112,7 +112,7 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
         }
         let mut found = Vec::new();
         while let Some(robot) = tasks.join_next().await {
-            found.push(robot.map_err(|error| Failure::failed(error.to_string()))??);
+            found.push(robot.map_err(Failure::failed)??);
         }
         found.sort_by(|a: &Robot, b: &Robot| a.name.cmp(&b.name));
         Ok::<_, Failure>(found)
@@ -137,10 +137,10 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     let mut maps = bus.latest(&topics::MAP_INFO, &chunks)?;
     let mut missions = bus.latest(&topics::MISSION, &chunks)?;
     let (state, pose, scan, heartbeat, edge, cloud) = tokio::join!(
-        typed(&mut states, end),
-        typed(&mut poses, end),
-        raw(&mut scans, end),
-        raw(&mut heartbeats, end),
+        heard(&mut states, end),
+        heard(&mut poses, end),
+        heard(&mut scans, end),
+        heard(&mut heartbeats, end),
         bus.ask_all(&topics::EDGE_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
         bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
     );
@@ -160,43 +160,35 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     })
 }
 
-async fn typed<T: DeserializeOwned>(topic: &mut Latest<T>, end: Instant) -> Heard<T> {
-    let mut heard = Heard::default();
-    let mut newest = None;
-    loop {
-        tokio::select! {
-            biased;
-            () = sleep_until(end) => break,
-            value = topic.next() => match value {
-                Some(value) => {
-                    heard.last = Some(value.message);
-                    heard.count += 1;
-                    newest = Some(Instant::now());
-                }
-                None => break,
-            },
-        }
+/// What is listened to.
+trait Arrivals {
+    type Item;
+    fn next(&mut self) -> impl Future<Output = Option<Self::Item>> + Send;
+}
+
+impl<T: DeserializeOwned + Send> Arrivals for Latest<T> {
+    type Item = T;
+    async fn next(&mut self) -> Option<T> {
+        self.next().await.map(|received| received.message)
     }
-    heard.age = newest.map(|at| at.elapsed());
-    heard
 }
 
 /// Scans are large: their arrival is enough here.
-async fn raw(topic: &mut RawSubscription, end: Instant) -> Heard<()> {
+impl Arrivals for RawSubscription {
+    type Item = ();
+    async fn next(&mut self) -> Option<()> {
+        self.next().await.map(drop)
+    }
+}
+
+/// Counts what comes until the end.
+async fn heard<A: Arrivals>(topic: &mut A, end: Instant) -> Heard<A::Item> {
     let mut heard = Heard::default();
     let mut newest = None;
-    loop {
-        tokio::select! {
-            biased;
-            () = sleep_until(end) => break,
-            sample = topic.next() => match sample {
-                Some(_) => {
-                    heard.count += 1;
-                    newest = Some(Instant::now());
-                }
-                None => break,
-            },
-        }
+    while let Ok(Some(value)) = timeout_at(end, topic.next()).await {
+        heard.last = Some(value);
+        heard.count += 1;
+        newest = Some(Instant::now());
     }
     heard.age = newest.map(|at| at.elapsed());
     heard
@@ -206,23 +198,13 @@ async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {
     let mut clocks = bus.latest(&topics::SIM_CLOCK, &[])?;
     let mut first: Option<(Instant, Stamp)> = None;
     let mut last = None;
-    loop {
-        tokio::select! {
-            biased;
-            () = sleep_until(end) => break,
-            value = clocks.next() => match value {
-                Some(value) => {
-                    let now = (Instant::now(), value.message.stamp);
-                    first.get_or_insert(now);
-                    last = Some(now);
-                }
-                None => break,
-            },
-        }
+    while let Ok(Some(value)) = timeout_at(end, clocks.next()).await {
+        first.get_or_insert((Instant::now(), value.message.stamp));
+        last = Some(value.message.stamp);
     }
     let rate = first
         .zip(last)
-        .map(|((start, from), (_, to))| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
+        .map(|((start, from), to)| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
     Ok(ClockSeen { simulated_rate: rate })
 }
 

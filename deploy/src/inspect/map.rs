@@ -184,8 +184,7 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty())
             .unwrap_or_else(|| Path::new("."));
-        summary.file =
-            Some(map_file::write_map(folder, stem, &grid, &label).map_err(|error| Failure::failed(error.to_string()))?);
+        summary.file = Some(map_file::write_map(folder, stem, &grid, &label).map_err(Failure::failed)?);
         output::value(format, &summary, Summary::line)?;
         Ok(exit_code::OK)
     })
@@ -264,6 +263,5 @@ fn picture(out: &Path, grid: &OccupancyGrid, pose: Option<Pose2>, summary: &Summ
         robot: pose.map(|pose| (pose, &footprint)),
         ..Scene::new(&name, grid)
     };
-    std::fs::write(out, scene.draw(PICTURE)?.png()?)
-        .map_err(|error| Failure::failed(format!("{}: {error}", out.display())))
+    files::write(out, scene.draw(PICTURE)?.png()?)
 }

@@ -1,9 +1,7 @@
 //! Payloads. How is one shown to a person? JSON as it came; CBOR as JSON; anything else by its size.
 
-use std::fmt;
-
-use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
-use serde_json::{Map, Number, Value};
+use ciborium::Value as Cbor;
+use serde_json::{Number, Value};
 use zenav_protocol::bus::RawSample;
 use zenav_protocol::codec::{self, Encoding};
 
@@ -18,10 +16,10 @@ pub(super) fn text(sample: &RawSample) -> String {
             Ok(text) => text.trim_end().to_owned(),
             Err(_) => unreadable("not text"),
         },
-        Encoding::Cbor => match codec::decode::<Readable>(&sample.bytes, Encoding::Cbor, usize::MAX) {
-            Ok(Readable(value)) => value.to_string(),
-            Err(error) => unreadable(&error.to_string()),
-        },
+        Encoding::Cbor => codec::decode::<Cbor>(&sample.bytes, Encoding::Cbor, usize::MAX)
+            .map_err(|error| error.to_string())
+            .and_then(json)
+            .map_or_else(|why| unreadable(&why), |value| value.to_string()),
     }
 }
 
@@ -31,80 +29,32 @@ pub(super) fn value(sample: &RawSample) -> Value {
     serde_json::from_str(&text).unwrap_or(Value::String(text))
 }
 
-/// Any CBOR value that JSON has a form for. A byte string becomes an array of signed numbers: here it holds occupancy values.
-struct Readable(Value);
-
-impl<'de> Deserialize<'de> for Readable {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(ReadableVisitor).map(Self)
-    }
-}
-
-struct ReadableVisitor;
-
-impl<'de> Visitor<'de> for ReadableVisitor {
-    type Value = Value;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a value with a JSON form")
-    }
-
-    fn visit_unit<E>(self) -> Result<Value, E> {
-        Ok(Value::Null)
-    }
-
-    fn visit_none<E>(self) -> Result<Value, E> {
-        Ok(Value::Null)
-    }
-
-    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
-        deserializer.deserialize_any(self)
-    }
-
-    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
-        Ok(Number::from_f64(value).map_or(Value::Null, Value::Number))
-    }
-
-    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
-        Ok(value.into())
-    }
-
-    fn visit_bytes<E>(self, value: &[u8]) -> Result<Value, E> {
-        Ok(value.iter().map(|byte| Value::from(byte.cast_signed())).collect())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Value, A::Error> {
-        let mut values = Vec::new();
-        while let Some(Readable(value)) = seq.next_element()? {
-            values.push(value);
-        }
-        Ok(Value::Array(values))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
-        let mut values = Map::new();
-        while let Some((Readable(key), Readable(value))) = map.next_entry()? {
-            let key = match key {
-                Value::String(text) => text,
-                Value::Number(number) => number.to_string(),
-                other => return Err(A::Error::custom(format!("{other} as a key"))),
+/// A CBOR value as JSON. A byte string becomes an array of signed numbers: here it holds occupancy values.
+///
+/// # Errors
+/// What has no form in JSON, in words.
+fn json(value: Cbor) -> Result<Value, String> {
+    Ok(match value {
+        Cbor::Null => Value::Null,
+        Cbor::Bool(truth) => truth.into(),
+        Cbor::Integer(number) => match Number::from_i128(number.into()) {
+            Some(number) => Value::Number(number),
+            None => return Err("an integer of more than 64 bits".to_owned()),
+        },
+        Cbor::Float(number) => Number::from_f64(number).map_or(Value::Null, Value::Number),
+        Cbor::Text(text) => text.into(),
+        Cbor::Bytes(bytes) => bytes.into_iter().map(|byte| Value::from(byte.cast_signed())).collect(),
+        Cbor::Array(values) => Value::Array(values.into_iter().map(json).collect::<Result<_, _>>()?),
+        Cbor::Map(entries) => {
+            let entry = |(key, value)| match json(key)? {
+                Value::String(text) => Ok((text, json(value)?)),
+                Value::Number(number) => Ok((number.to_string(), json(value)?)),
+                other => Err(format!("{other} as a key")),
             };
-            values.insert(key, value);
+            Value::Object(entries.into_iter().map(entry).collect::<Result<_, String>>()?)
         }
-        Ok(Value::Object(values))
-    }
+        _ => return Err("a value without a JSON form".to_owned()),
+    })
 }
 
 #[cfg(test)]

@@ -158,7 +158,7 @@ pub fn run(args: &RunArgs) -> Outcome {
     let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
     let report = drive(args, tolerance, seed, &mut stage, &mut rows);
     if let Some(file) = &args.trajectory {
-        std::fs::write(file, rows).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))?;
+        files::write(file, rows)?;
     }
     value(args.output, &report, text)?;
     Ok(match report.outcome {

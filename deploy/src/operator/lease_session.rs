@@ -4,11 +4,12 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
-use zenav_protocol::bus::{AskError, Bus, BusError};
+use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
 use zenav_protocol::topics;
 
 use crate::connect::fresh_id;
+use crate::failure::Failure;
 
 /// Heartbeats a second; the robot waits for one a second at most.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -37,32 +38,9 @@ pub(super) struct LeaseSession {
     heartbeats: JoinHandle<()>,
 }
 
-/// Why a lease was not got.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum LeaseSessionError {
-    #[error(transparent)]
-    Ask(#[from] AskError),
-    #[error(transparent)]
-    Bus(#[from] BusError),
-}
-
-impl From<LeaseSessionError> for crate::failure::Failure {
-    fn from(error: LeaseSessionError) -> Self {
-        match error {
-            LeaseSessionError::Ask(error) => error.into(),
-            LeaseSessionError::Bus(error) => error.into(),
-        }
-    }
-}
-
 impl LeaseSession {
     /// Takes the lease and begins to renew it.
-    pub(super) async fn acquire(
-        bus: &Bus,
-        robot: &str,
-        holder: &str,
-        within: Duration,
-    ) -> Result<Self, LeaseSessionError> {
+    pub(super) async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, Failure> {
         let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
         let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
         // A holder who asks again, from another process too, may get the same epoch: the count goes on above what was sent before.
@@ -93,15 +71,9 @@ impl LeaseSession {
     /// Gives the lease back.
     pub(super) async fn release(self) -> Result<(), AskError> {
         self.heartbeats.abort();
-        ask(
-            &self.bus,
-            &self.robot,
-            &self.holder,
-            LeaseAction::Release,
-            RELEASE_WITHIN,
-        )
-        .await
-        .map(|_| ())
+        let (bus, robot, holder) = (&self.bus, &self.robot, &self.holder);
+        ask(bus, robot, holder, LeaseAction::Release, RELEASE_WITHIN).await?;
+        Ok(())
     }
 }
 

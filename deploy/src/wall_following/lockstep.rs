@@ -54,14 +54,14 @@ pub fn watch(
     secs: f64,
     mut see: impl FnMut(&Truth, WallFollowerState),
 ) -> Result<Alone, Failure> {
-    let id = Id::robot("robot").map_err(|error| Failure::failed(error.to_string()))?;
+    let id = Id::robot("robot").map_err(Failure::failed)?;
     let start = world.start();
     let spec = RobotSpec {
         id: id.clone(),
         model: model.clone(),
         start,
     };
-    let mut simulation = Simulation::new(world, vec![spec], seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let mut simulation = Simulation::new(world, vec![spec], seed).map_err(Failure::usage)?;
     let mut config = EdgeConfig::new(id, model.clone(), start);
     config.on_lost = LostPolicy::WallFollow;
     let tick = config.tick;

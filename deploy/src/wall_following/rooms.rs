@@ -107,8 +107,7 @@ pub fn room(seed: u64, gap: f64) -> Result<World, Failure> {
 }
 
 fn read(text: &str) -> Result<World, Failure> {
-    World::from_toml(text, "room", &|_| Err("a room has no map".to_owned()))
-        .map_err(|error| Failure::failed(error.to_string()))
+    World::from_toml(text, "room", &|_| Err("a room has no map".to_owned())).map_err(Failure::failed)
 }
 
 /// Adds a solid, unless one of the discs `around` it that must be free is not.

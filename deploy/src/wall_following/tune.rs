@@ -188,24 +188,18 @@ pub struct TuneReport {
 pub fn tune(args: &TuneArgs) -> Outcome {
     let TuneCommand::WallFollow(args) = &args.command;
     let model = files::robot(&args.robot)?;
-    std::fs::create_dir_all(&args.out).map_err(|error| Failure::failed(format!("{}: {error}", args.out.display())))?;
+    std::fs::create_dir_all(&args.out).map_err(Failure::failed_at(&args.out))?;
     let bench = Bench::new(args, &model)?;
     let (report, traces) = bench.search(args)?;
-    let write = |name: &str, text: String| {
-        let file = args.out.join(name);
-        std::fs::write(&file, text).map_err(|error| Failure::failed(format!("{}: {error}", file.display())))
-    };
-    let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
-    let tuned = toml::to_string(&report.after.on(&model)).map_err(|error| failed(&error))?;
+    let tuned = toml::to_string(&report.after.on(&model)).map_err(Failure::failed)?;
     let head = format!(
         "# {}, with the gains of `wall_following` found by: zenav tune wall_follow --robot {} --seed {}\n",
         model.name, args.robot, args.seed
     );
-    std::fs::write(&report.robot_file, head + &tuned)
-        .map_err(|error| Failure::failed(format!("{}: {error}", report.robot_file.display())))?;
-    let json = serde_json::to_string_pretty(&report).map_err(|error| failed(&error))?;
-    write("report.json", json + "\n")?;
-    write("tuning.svg", chart::draw(&report, &traces)?)?;
+    files::write(&report.robot_file, head + &tuned)?;
+    let json = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;
+    files::write(&args.out.join("report.json"), json + "\n")?;
+    files::write(&args.out.join("tuning.svg"), chart::draw(&report, &traces)?)?;
     output::value(args.output, &report, text)?;
     let better = report.improvement > 0.0 && report.unseen.iter().all(|room| room.after.collisions == 0);
     Ok(if better { exit_code::OK } else { exit_code::FAILED })

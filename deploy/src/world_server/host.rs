@@ -81,7 +81,7 @@ impl Host {
     /// # Errors
     /// [`Refusal::Busy`] while another edge drives it, [`Refusal::BadRequest`] for what the world does not take.
     pub fn attach(&mut self, now: Duration, request: &AttachRequest) -> Result<Pose2, Refusal> {
-        let id = Id::robot(request.robot.clone()).map_err(|error| Refusal::bad_request(error.to_string()))?;
+        let id = Id::robot(request.robot.clone()).map_err(Refusal::bad_request)?;
         let Some(index) = self.simulation.find(&id) else {
             return self.admit(now, id, request);
         };
@@ -116,9 +116,7 @@ impl Host {
             model: request.model.clone(),
             start,
         };
-        self.simulation
-            .add(&self.world, spec)
-            .map_err(|error| Refusal::bad_request(error.to_string()))?;
+        self.simulation.add(&self.world, spec).map_err(Refusal::bad_request)?;
         tracing::info!(robot = %id, x = start.x, y = start.y, "a robot came into the world");
         self.robots.push(Driven {
             id,

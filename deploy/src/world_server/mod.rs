@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown};
+use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown, interrupted};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{AttachReply, SimClock};
 use zenav_protocol::readings::Readings;
@@ -21,7 +21,7 @@ use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::launch::{interrupted, runtime};
+use crate::launch::runtime;
 use crate::output::{self, Format};
 use host::{Host, RobotReport};
 
@@ -69,8 +69,7 @@ fn lock(host: &Shared) -> MutexGuard<'_, Host> {
 /// A bad world, a taken port, a bus where a world is served already.
 pub fn serve(args: &ServeArgs) -> Outcome {
     let world = files::world(&args.world)?;
-    let simulation =
-        Simulation::new(&world, Vec::new(), args.seed).map_err(|error| Failure::usage(error.to_string()))?;
+    let simulation = Simulation::new(&world, Vec::new(), args.seed).map_err(Failure::usage)?;
     if args.connect.is_none() {
         crate::receivers::ensure_enough();
     }

@@ -217,8 +217,4 @@ impl Pilot {
 }
 
 #[cfg(test)]
-mod rig;
-#[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod wall_tests;

@@ -155,10 +155,7 @@ impl Bus {
                     }
                     // Another server might still have answered; now it is certain that none did.
                     if let Some(error) = unreadable {
-                        return Err(AskError::Malformed {
-                            key: question.key.to_string(),
-                            reason: error.to_string(),
-                        });
+                        return Err(question.malformed(&error));
                     }
                     open = open.saturating_sub(1);
                     if open == 0 {
@@ -171,10 +168,7 @@ impl Bus {
         }
         match (refusal, unreadable) {
             (Some(refusal), _) => Err(AskError::Refused(refusal)),
-            (None, Some(error)) => Err(AskError::Malformed {
-                key: question.key.to_string(),
-                reason: error.to_string(),
-            }),
+            (None, Some(error)) => Err(question.malformed(&error)),
             (None, None) => Err(AskError::Timeout {
                 key: question.key.to_string(),
             }),
@@ -273,21 +267,22 @@ struct Question {
     payload: zenoh::bytes::ZBytes,
 }
 
+impl Question {
+    fn malformed(&self, error: &CodecError) -> AskError {
+        AskError::Malformed {
+            key: self.key.to_string(),
+            reason: error.to_string(),
+        }
+    }
+}
+
 fn read<Q, R: DeserializeOwned>(ask: &Ask<Q, R>, reply: Reply) -> Verdict<R> {
     match reply.result() {
         Ok(sample) => match decode_sample(sample, MAX_REPLY) {
-            Ok(message) => {
-                let chunks = ask
-                    .chunks(sample.key_expr().as_str())
-                    .unwrap_or_default()
-                    .into_iter()
-                    .map(str::to_owned)
-                    .collect();
-                Verdict::Answer(Answer {
-                    chunks,
-                    result: Ok(message),
-                })
-            }
+            Ok(message) => Verdict::Answer(Answer {
+                chunks: ask.chunks(sample.key_expr().as_str()),
+                result: Ok(message),
+            }),
             Err(error) => Verdict::Unreadable(error),
         },
         Err(error) => match codec::decode(&error.payload().to_bytes(), encoding_of(error.encoding()), MAX_REFUSAL) {

@@ -75,5 +75,5 @@ pub use router::{Router, RouterConfig};
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};
-pub use shutdown::Shutdown;
+pub use shutdown::{Shutdown, interrupted};
 pub use subscribe::{Latest, Received, Subscription};

@@ -101,13 +101,6 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     }
 
     fn request(&self, key: KeyExpr<'static>, body: Q, query: Query) -> Request<Q, R> {
-        let chunks = self
-            .ask
-            .chunks(key.as_str())
-            .unwrap_or_default()
-            .into_iter()
-            .map(str::to_owned)
-            .collect();
         let parameters = query
             .parameters()
             .iter()
@@ -115,7 +108,7 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
             .collect();
         Request {
             body,
-            chunks,
+            chunks: self.ask.chunks(key.as_str()),
             parameters,
             key,
             query,
@@ -169,9 +162,7 @@ impl<Q, R: Serialize> Request<Q, R> {
         };
         match codec::encode(reply, encoding) {
             Ok(bytes) => self.reply_bytes(bytes, encoding.mime()),
-            Err(error) => self.refuse(&Refusal::Internal {
-                reason: error.to_string(),
-            }),
+            Err(error) => self.refuse(&Refusal::internal(error)),
         }
     }
 }

@@ -6,7 +6,6 @@
 //! peers, which is what Zenoh's own tools and bindings are by default.) Multicast and gossip are off: a session links only to endpoints that
 //! were named. With these lease and retry times a cut link resumes about one second after it heals.
 
-use std::fmt::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -22,10 +21,10 @@ const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const LEASE_MS: u64 = 2000;
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
 const MAX_MESSAGE: usize = 128 * 1024 * 1024;
-/// Longest pause between two attempts to connect.
-const MAX_RETRY: Duration = Duration::from_secs(1);
-/// Shortest pause between two attempts to connect.
-const MIN_RETRY: Duration = Duration::from_millis(200);
+/// Longest pause between two attempts to connect, ms.
+const MAX_RETRY_MS: u64 = 1000;
+/// Shortest pause between two attempts to connect, ms.
+const MIN_RETRY_MS: u64 = 200;
 /// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: one that arrives within that time
 /// after another's departure is taken for the departed one, and is told of no declarations. A component may just have been restarted.
 const SETTLING: Duration = Duration::from_millis(150);
@@ -140,7 +139,7 @@ impl Bus {
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
-        let mut wait = MIN_RETRY;
+        let mut wait_ms = MIN_RETRY_MS;
         loop {
             match zenoh::open(zenoh.clone()).await {
                 Ok(session) => {
@@ -157,8 +156,8 @@ impl Bus {
                 }
                 Err(error) if config.retry => {
                     tracing::debug!(endpoints = ?config.connect, %error, "no router yet");
-                    sleep(wait).await;
-                    wait = (wait * 2).min(MAX_RETRY);
+                    sleep(Duration::from_millis(wait_ms)).await;
+                    wait_ms = (wait_ms * 2).min(MAX_RETRY_MS);
                 }
                 Err(error) => {
                     tracing::debug!(endpoints = ?config.connect, %error, "cannot connect");
@@ -236,56 +235,32 @@ pub(super) fn link_settings(
     listen: &[String],
     name: &str,
 ) -> Result<Config, BusError> {
-    let mut text = String::from("{");
-    let mut set = |key: &str, value: String| {
-        // Writing to a String cannot fail.
-        let _ = write!(text, "{key}: {value}, ");
-    };
-    let json = |value: &[String]| serde_json::Value::from(value).to_string();
-    set("mode", format!("\"{mode}\""));
-    set("metadata", serde_json::json!({ "name": name }).to_string());
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
-    set(
-        "connect",
-        format!(
-            "{{ endpoints: {}, timeout_ms: {timeout_ms}, exit_on_failure: false, retry: {{ period_init_ms: {}, period_max_ms: {}, period_increase_factor: 2 }} }}",
-            json(connect),
-            MIN_RETRY.as_millis(),
-            MAX_RETRY.as_millis()
-        ),
-    );
-    set(
-        "listen",
-        format!(
-            "{{ endpoints: {}, timeout_ms: 0, exit_on_failure: true }}",
-            json(listen)
-        ),
-    );
-    set(
-        "open",
-        "{ return_conditions: { connect_scouted: false, declares: false } }".into(),
-    );
-    set(
-        "scouting",
-        "{ delay: 0, multicast: { enabled: false }, gossip: { enabled: false } }".into(),
-    );
-    // The caches of advanced publishers need time stamps.
-    set("timestamping", "{ enabled: true }".into());
-    set(
-        "transport",
-        format!(
-            "{{ unicast: {{ open_timeout: 1000, accept_timeout: 2000 }}, link: {{ tx: {{ lease: {LEASE_MS} }}, rx: {{ max_message_size: {MAX_MESSAGE} }} }} }}"
-        ),
-    );
+    let mut settings = serde_json::json!({
+        "mode": mode.to_string(),
+        "metadata": { "name": name },
+        "connect": {
+            "endpoints": connect,
+            "timeout_ms": timeout_ms,
+            "exit_on_failure": false,
+            "retry": { "period_init_ms": MIN_RETRY_MS, "period_max_ms": MAX_RETRY_MS, "period_increase_factor": 2 },
+        },
+        "listen": { "endpoints": listen, "timeout_ms": 0, "exit_on_failure": true },
+        "open": { "return_conditions": { "connect_scouted": false, "declares": false } },
+        "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        // The caches of advanced publishers need time stamps.
+        "timestamping": { "enabled": true },
+        "transport": {
+            "unicast": { "open_timeout": 1000, "accept_timeout": 2000 },
+            "link": { "tx": { "lease": LEASE_MS }, "rx": { "max_message_size": MAX_MESSAGE } },
+        },
+    });
     if mode == WhatAmI::Router {
-        set(
-            "adminspace",
-            "{ enabled: true, permissions: { read: true, write: false } }".into(),
-        );
+        settings["adminspace"] =
+            serde_json::json!({ "enabled": true, "permissions": { "read": true, "write": false } });
     }
-    text.push('}');
-    Config::from_json5(&text).map_err(|error| BusError::Config {
+    Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
         reason: error.to_string(),
     })
 }

@@ -4,6 +4,18 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
+/// Waits for Ctrl-C, or the service manager's request to end.
+pub async fn interrupted() {
+    #[cfg(unix)]
+    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+        tokio::select! {
+            _ = tokio::signal::ctrl_c() => return,
+            _ = terminate.recv() => return,
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
+}
+
 /// A shutdown signal. Clones share it.
 ///
 /// ```
@@ -33,6 +45,18 @@ impl Shutdown {
     /// Triggers the shutdown; a second time changes nothing.
     pub fn trigger(&self) {
         self.0.send_replace(true);
+    }
+
+    /// One that Ctrl-C triggers, or the service manager's request to end. Must be called in a Tokio runtime.
+    #[must_use]
+    pub fn on_interrupt() -> Self {
+        let shutdown = Self::new();
+        let ender = shutdown.clone();
+        tokio::spawn(async move {
+            interrupted().await;
+            ender.trigger();
+        });
+        shutdown
     }
 
     /// Whether the shutdown was triggered.

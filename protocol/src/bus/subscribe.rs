@@ -56,13 +56,12 @@ impl<T: DeserializeOwned> Reader<T> {
         }
     }
 
-    fn chunks(&self, key: &KeyExpr<'_>) -> Vec<String> {
-        self.topic
-            .chunks(key.as_str())
-            .unwrap_or_default()
-            .into_iter()
-            .map(str::to_owned)
-            .collect()
+    /// The message of a sample, with its key's chunks.
+    fn received(&self, sample: &Sample) -> Option<Received<T>> {
+        Some(Received {
+            message: self.read(sample)?,
+            chunks: self.topic.chunks(sample.key_expr().as_str()),
+        })
     }
 }
 
@@ -190,25 +189,12 @@ impl<T> fmt::Debug for Latest<T> {
 impl<T: DeserializeOwned> Latest<T> {
     /// Takes the newest value, unless it was taken before; never waits. With a wildcard the keys take turns.
     pub fn take(&mut self) -> Option<T> {
-        while let Some((_, sample)) = self.inbox.try_next() {
-            if let Some(message) = self.reader.read(&sample) {
-                return Some(message);
-            }
-        }
-        None
+        std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.read(&sample))
     }
 
     /// As [`Self::take`], with the key's chunks.
     pub fn take_received(&mut self) -> Option<Received<T>> {
-        while let Some((key, sample)) = self.inbox.try_next() {
-            if let Some(message) = self.reader.read(&sample) {
-                return Some(Received {
-                    chunks: self.reader.chunks(&key),
-                    message,
-                });
-            }
-        }
-        None
+        std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.received(&sample))
     }
 
     /// The newest value, whether it was borrowed before or not; a value that [`Self::take`] took does not come back.
@@ -227,12 +213,9 @@ impl<T: DeserializeOwned> Latest<T> {
     /// Waits for a value that was not taken yet; `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<Received<T>> {
         loop {
-            let (key, sample) = self.inbox.next().await?;
-            if let Some(message) = self.reader.read(&sample) {
-                return Some(Received {
-                    chunks: self.reader.chunks(&key),
-                    message,
-                });
+            let (_, sample) = self.inbox.next().await?;
+            if let Some(received) = self.reader.received(&sample) {
+                return Some(received);
             }
         }
     }
@@ -263,7 +246,7 @@ impl<T: DeserializeOwned> Subscription<T> {
     pub async fn next(&mut self) -> Option<Received<T>> {
         loop {
             let sample = self.inbox.next().await?;
-            if let Some(received) = self.received(&sample) {
+            if let Some(received) = self.reader.received(&sample) {
                 return Some(received);
             }
         }
@@ -271,20 +254,7 @@ impl<T: DeserializeOwned> Subscription<T> {
 
     /// The next value, if there is one; never waits.
     pub fn try_next(&mut self) -> Option<Received<T>> {
-        while let Some(sample) = self.inbox.try_next() {
-            if let Some(received) = self.received(&sample) {
-                return Some(received);
-            }
-        }
-        None
-    }
-
-    fn received(&self, sample: &Sample) -> Option<Received<T>> {
-        let message = self.reader.read(sample)?;
-        Some(Received {
-            chunks: self.reader.chunks(sample.key_expr()),
-            message,
-        })
+        std::iter::from_fn(|| self.inbox.try_next()).find_map(|sample| self.reader.received(&sample))
     }
 
     /// Number of values dropped because the reader was too slow.

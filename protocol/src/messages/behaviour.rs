@@ -12,7 +12,6 @@ pub struct BehaviourRequest {
     /// What the robot is asked to do.
     pub action: BehaviourAction,
     /// Lease epoch; everything but a report needs it.
-    #[serde(default)]
     pub epoch: Option<u64>,
 }
 
@@ -58,7 +57,6 @@ pub struct BehaviourReport {
     /// State of the manoeuvre.
     pub state: BehaviourState,
     /// Why the manoeuvre failed.
-    #[serde(default)]
     pub reason: Option<String>,
 }
 

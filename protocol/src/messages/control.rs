@@ -12,7 +12,6 @@ use crate::time::Stamp;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StopRequest {
     /// Who stops the robot, for the event log.
-    #[serde(default)]
     pub by: Option<String>,
 }
 
@@ -20,7 +19,6 @@ pub struct StopRequest {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResumeRequest {
     /// Who lifts the stop, for the event log.
-    #[serde(default)]
     pub by: Option<String>,
 }
 
@@ -47,10 +45,8 @@ pub struct Teleop {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ModeRequest {
     /// The policy from now on; without it, nothing changes.
-    #[serde(default)]
     pub on_lost: Option<LostPolicy>,
     /// Lease epoch, for a change.
-    #[serde(default)]
     pub epoch: Option<u64>,
 }
 
@@ -82,13 +78,10 @@ pub struct ModeReply {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParamRequest {
     /// Name of the parameter; without it, all are read.
-    #[serde(default)]
     pub name: Option<String>,
     /// New value of the parameter.
-    #[serde(default)]
     pub value: Option<f64>,
     /// Lease epoch, for a change.
-    #[serde(default)]
     pub epoch: Option<u64>,
 }
 

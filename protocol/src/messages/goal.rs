@@ -135,10 +135,8 @@ pub struct GoalState {
     /// Time of acceptance, on the mission's clock.
     pub accepted: Stamp,
     /// Time at which its execution began.
-    #[serde(default)]
     pub started: Option<Stamp>,
     /// Time of the end.
-    #[serde(default)]
     pub ended: Option<Stamp>,
     /// Progress on the goal.
     #[serde(default)]
@@ -166,7 +164,6 @@ pub struct Leg {
     /// Time at which driving began.
     pub started: Stamp,
     /// Time of the end.
-    #[serde(default)]
     pub ended: Option<Stamp>,
     /// Trajectories published for the drive.
     #[serde(default)]
@@ -185,10 +182,8 @@ pub struct GoalFeedback {
     /// What the behaviour tree is doing, in words.
     pub step: String,
     /// Path left, m.
-    #[serde(default)]
     pub distance_left: Option<f64>,
     /// Time left, s.
-    #[serde(default)]
     pub time_left: Option<f64>,
     /// Plans published for the goal.
     #[serde(default)]
@@ -205,10 +200,8 @@ pub struct GoalFeedback {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CancelRequest {
     /// Which goal; without it, the running one.
-    #[serde(default)]
     pub id: Option<String>,
     /// Identifies the request: a repeated one gets the first answer.
-    #[serde(default)]
     pub request_id: Option<String>,
 }
 
@@ -216,13 +209,11 @@ pub struct CancelRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PauseRequest {
     /// Which goal; without it, the running one.
-    #[serde(default)]
     pub id: Option<String>,
     /// `false` pauses the goal, `true` resumes it.
     #[serde(default)]
     pub resume: bool,
     /// Identifies the request: a repeated one gets the first answer.
-    #[serde(default)]
     pub request_id: Option<String>,
 }
 
@@ -230,13 +221,11 @@ pub struct PauseRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GoalsRequest {
     /// Only this goal.
-    #[serde(default)]
     pub id: Option<String>,
     /// Only goals in these states; empty means all.
     #[serde(default)]
     pub states: Vec<GoalPhase>,
     /// Largest number of goals in the answer, newest first.
-    #[serde(default)]
     pub limit: Option<usize>,
 }
 

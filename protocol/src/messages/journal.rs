@@ -55,7 +55,6 @@ pub struct JournalWrite {
     /// The record's key.
     pub key: String,
     /// The record's JSON text; `None` removes the record.
-    #[serde(default)]
     pub value: Option<String>,
 }
 

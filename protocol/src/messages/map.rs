@@ -76,10 +76,8 @@ pub struct MapRequest {
     #[serde(default)]
     pub action: MapAction,
     /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
-    #[serde(default)]
     pub request_id: Option<String>,
     /// Lease epoch of the asker, for every action but `get`.
-    #[serde(default)]
     pub epoch: Option<u64>,
 }
 
@@ -130,16 +128,11 @@ mod occupancy_bytes {
     use std::fmt;
 
     use serde::de::{SeqAccess, Visitor};
-    use serde::ser::SerializeSeq;
     use serde::{Deserializer, Serializer};
 
     pub fn serialize<S: Serializer>(values: &[i8], serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
-            let mut seq = serializer.serialize_seq(Some(values.len()))?;
-            for value in values {
-                seq.serialize_element(value)?;
-            }
-            seq.end()
+            serializer.collect_seq(values)
         } else {
             let bytes: Vec<u8> = values.iter().map(|value| value.cast_unsigned()).collect();
             serializer.serialize_bytes(&bytes)
@@ -169,10 +162,6 @@ mod occupancy_bytes {
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<i8>, D::Error> {
-        if deserializer.is_human_readable() {
-            deserializer.deserialize_seq(Values)
-        } else {
-            deserializer.deserialize_any(Values)
-        }
+        deserializer.deserialize_any(Values)
     }
 }

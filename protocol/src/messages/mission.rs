@@ -18,10 +18,8 @@ pub struct MissionStatus {
     /// Epoch of the orchestrator's lease; zero without one.
     pub epoch: u64,
     /// The goal being executed.
-    #[serde(default)]
     pub goal_id: Option<String>,
     /// Name of the behaviour tree being executed.
-    #[serde(default)]
     pub tree: Option<String>,
     /// The tree's nodes, in document order.
     #[serde(default)]
@@ -43,7 +41,6 @@ pub struct NodeStatus {
     /// The node's number in document order.
     pub uid: u32,
     /// Number of the node's parent; `None` for the root.
-    #[serde(default)]
     pub parent: Option<u32>,
     /// The node's instance name.
     pub name: String,
@@ -72,7 +69,6 @@ pub struct InfoReply {
     /// The robot that the component serves.
     pub robot: String,
     /// From an edge: its present start and time.
-    #[serde(default)]
     pub boot: Option<BasedOn>,
     /// From a mission: name of the store that keeps its goals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -81,7 +77,6 @@ pub struct InfoReply {
     #[serde(default)]
     pub leads: bool,
     /// From an edge: the robot's footprint, limits and sensors.
-    #[serde(default)]
     pub model: Option<RobotModel>,
     /// From an edge: timing of its control loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]

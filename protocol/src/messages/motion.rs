@@ -80,7 +80,6 @@ pub struct TrajectoryRequest {
     #[serde(default)]
     pub start_velocity: Twist2,
     /// Heading wanted at the end, rad, if any.
-    #[serde(default)]
     pub goal_yaw: Option<f64>,
     /// What the trajectory is to be good at.
     #[serde(default)]

@@ -49,7 +49,6 @@ pub struct Plan {
     /// The time-stamped trajectory; empty for a plain list of waypoints.
     pub trajectory: Trajectory,
     /// Where on the trajectory before this one it begins; without it, where the robot rests.
-    #[serde(default)]
     pub splice: Option<Splice>,
     /// How it came about.
     pub statistics: PlanStatistics,

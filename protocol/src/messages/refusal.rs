@@ -1,5 +1,7 @@
 //! Refusals. Why was a request refused, and with which exit code does a command then end?
 
+use std::fmt::Display;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -90,17 +92,27 @@ fn nearest(nearest_free: &Option<GoalPoint>) -> String {
 impl Refusal {
     /// [`Refusal::Rejected`] with a reason and no nearest free place.
     #[must_use]
-    pub fn rejected(reason: impl Into<String>) -> Self {
+    pub fn rejected(reason: impl Display) -> Self {
         Self::Rejected {
-            reason: reason.into(),
+            reason: reason.to_string(),
             nearest_free: None,
         }
     }
 
     /// [`Refusal::BadRequest`] with what the server expected.
     #[must_use]
-    pub fn bad_request(reason: impl Into<String>) -> Self {
-        Self::BadRequest { reason: reason.into() }
+    pub fn bad_request(reason: impl Display) -> Self {
+        Self::BadRequest {
+            reason: reason.to_string(),
+        }
+    }
+
+    /// What went wrong inside the server, with the reason.
+    #[must_use]
+    pub fn internal(reason: impl Display) -> Self {
+        Self::Internal {
+            reason: reason.to_string(),
+        }
     }
 }
 

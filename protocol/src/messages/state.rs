@@ -123,7 +123,6 @@ pub struct EdgeState {
     /// Who may command the robot.
     pub lease: LeaseState,
     /// Progress on the accepted plan, if there is one.
-    #[serde(default)]
     pub plan: Option<PlanProgress>,
     /// Velocity in the base frame, m/s and rad/s.
     pub velocity: Twist2,
@@ -132,10 +131,8 @@ pub struct EdgeState {
     /// Charge left, 0 to 1.
     pub battery: f64,
     /// The manoeuvre that runs, or ran last.
-    #[serde(default)]
     pub behaviour: Option<BehaviourReport>,
     /// State of the wall follower, on a robot that follows walls when nobody commands it.
-    #[serde(default)]
     pub wall_follower: Option<WallFollowerState>,
     /// Control ticks skipped since the start because they came too late.
     #[serde(default)]

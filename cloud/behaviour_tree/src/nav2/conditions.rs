@@ -72,11 +72,7 @@ impl<C> Leaf<C> for GoalUpdated {
         if let Err(wrong) = io.remember(&goals) {
             return io.fail(wrong.to_string());
         }
-        if first && !self.for_life {
-            Status::Failure
-        } else {
-            Status::Success
-        }
+        Status::from_truth(!first || self.for_life)
     }
 }
 
@@ -92,7 +88,7 @@ impl<C> Leaf<C> for CodeIsAmong {
             Some(codes) => codes.contains(&code),
             None => self.0.contains(&code),
         };
-        if among { Status::Success } else { Status::Failure }
+        Status::from_truth(among)
     }
 }
 
@@ -101,10 +97,7 @@ struct InitialPoseReceived;
 
 impl<C> Leaf<C> for InitialPoseReceived {
     fn start(&mut self, io: &mut LeafIo<'_>, _: &mut C) -> Status {
-        match io.get("initial_pose_received") {
-            Ok(true) => Status::Success,
-            _ => Status::Failure,
-        }
+        Status::from_truth(io.get("initial_pose_received") == Ok(true))
     }
 }
 
@@ -126,7 +119,7 @@ impl<C> Leaf<C> for TimeExpired {
         if expired || since.is_none() {
             self.since = Some(now);
         }
-        if expired { Status::Success } else { Status::Failure }
+        Status::from_truth(expired)
     }
 }
 
@@ -148,11 +141,7 @@ impl<C> Leaf<C> for PathExpiringTimer {
             return Status::Failure;
         }
         self.began = Some((sequence, now));
-        if same.is_some() {
-            Status::Success
-        } else {
-            Status::Failure
-        }
+        Status::from_truth(same.is_some())
     }
 }
 
@@ -215,8 +204,7 @@ impl<C> Leaf<C> for PosesNear {
             return io.fail("there are no two poses to compare");
         };
         match number(io, "tolerance", 0.5) {
-            Ok(tolerance) if (one[0] - two[0]).hypot(one[1] - two[1]) <= tolerance => Status::Success,
-            Ok(_) => Status::Failure,
+            Ok(tolerance) => Status::from_truth((one[0] - two[0]).hypot(one[1] - two[1]) <= tolerance),
             Err(wrong) => io.fail(wrong),
         }
     }

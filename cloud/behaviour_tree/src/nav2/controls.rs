@@ -19,11 +19,7 @@ impl<C> Builtin<C> for PipelineSequence {
         let mut skipped = 0;
         for (index, child) in kids.iter().enumerate() {
             match run.exec(*child)? {
-                Status::Failure => {
-                    run.reset_children(id);
-                    run.states[id as usize].cursor = 0;
-                    return Ok(Status::Failure);
-                }
+                Status::Failure => return Ok(run.finish(id, Status::Failure)),
                 Status::Running if index >= run.states[id as usize].cursor as usize => {
                     run.states[id as usize].cursor = index as u32;
                     return Ok(Status::Running);
@@ -32,13 +28,7 @@ impl<C> Builtin<C> for PipelineSequence {
                 _ => {}
             }
         }
-        run.reset_children(id);
-        run.states[id as usize].cursor = 0;
-        Ok(if skipped == kids.len() {
-            Status::Skipped
-        } else {
-            Status::Success
-        })
+        Ok(run.finish(id, Status::Success.unless_skipped(skipped == kids.len())))
     }
 }
 
@@ -62,7 +52,7 @@ impl<C> Builtin<C> for RecoveryNode {
                         run.reset(main);
                         run.states[id as usize].cursor = 1;
                     }
-                    other => return Ok(end_recovery(run, id, other)),
+                    other => return Ok(run.finish(id, other)),
                 }
             } else {
                 match run.exec(mend)? {
@@ -77,18 +67,11 @@ impl<C> Builtin<C> for RecoveryNode {
                         run.states[id as usize].cursor = 0;
                         return Ok(Status::Failure);
                     }
-                    _ => return Ok(end_recovery(run, id, Status::Failure)),
+                    _ => return Ok(run.finish(id, Status::Failure)),
                 }
             }
         }
     }
-}
-
-fn end_recovery<C>(run: &mut Run<'_, C>, id: NodeId, status: Status) -> Status {
-    run.reset_children(id);
-    let state = &mut run.states[id as usize];
-    (state.cursor, state.count) = (0, 0);
-    status
 }
 
 /// One child an activation, in turn: `Success` of a child is the answer, and the next
@@ -132,14 +115,7 @@ impl<C> Builtin<C> for RoundRobin {
                 _ => bump(&mut run.states[id as usize].count),
             }
         }
-        run.reset_children(id);
-        let state = &mut run.states[id as usize];
-        (state.cursor, state.count) = (0, 0);
-        Ok(if skipped == kids.len() {
-            Status::Skipped
-        } else {
-            Status::Failure
-        })
+        Ok(run.finish(id, Status::Failure.unless_skipped(skipped == kids.len())))
     }
 }
 
@@ -200,11 +176,7 @@ impl<C> Builtin<C> for PersistentSequence {
         }
         run.reset_children(id);
         self.write_index(run, id, 0)?;
-        Ok(if skipped == kids.len() {
-            Status::Skipped
-        } else {
-            Status::Success
-        })
+        Ok(Status::Success.unless_skipped(skipped == kids.len()))
     }
 }
 

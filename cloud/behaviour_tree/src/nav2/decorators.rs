@@ -74,11 +74,7 @@ impl<C: Travel> Decorator<C> for DistanceController {
             let _ = io.remember(&here);
         }
         let come = from.is_some_and(|from| (here[0] - from[0]).hypot(here[1] - from[1]) >= distance);
-        if first || child == Status::Running || come {
-            Enter::TickChild
-        } else {
-            Enter::Answer(Status::Running)
-        }
+        Enter::child_if(first || child == Status::Running || come)
     }
 
     fn leave(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Status {
@@ -140,11 +136,7 @@ impl<C: Travel> Decorator<C> for SpeedController {
                 period: 1.0 / rate,
             };
         }
-        if first || over || child == Status::Running {
-            Enter::TickChild
-        } else {
-            Enter::Answer(Status::Running)
-        }
+        Enter::child_if(first || over || child == Status::Running)
     }
 }
 
@@ -159,11 +151,7 @@ impl<C> Decorator<C> for GoalUpdatedController {
         if changed && io.remember(&goals).is_err() {
             return Enter::Answer(io.fail("goal cannot be kept"));
         }
-        if changed || child == Status::Running {
-            Enter::TickChild
-        } else {
-            Enter::Answer(Status::Running)
-        }
+        Enter::child_if(changed || child == Status::Running)
     }
 }
 

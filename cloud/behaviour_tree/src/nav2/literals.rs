@@ -16,7 +16,6 @@ pub struct Pose {
     /// Position, m.
     pub y: f64,
     /// Heading, rad, if one is wanted.
-    #[serde(default)]
     pub yaw: Option<f64>,
 }
 

@@ -19,7 +19,7 @@ mod pause;
 mod scripted;
 mod specs;
 
-use crate::nodes::{PauseEntries, Row, control, row};
+use crate::nodes::{self, PauseEntries, Row, control};
 use crate::ports::PortType::{Bool, Int, Positive, Text, Unsigned};
 use crate::registry::{NodeSpec, Registry};
 
@@ -74,103 +74,43 @@ pub fn registry<C: Travel + 'static>() -> Registry<C> {
 
 /// Nav2's controls and decorators that need no robot.
 fn rows<C>() -> Vec<Row<C>> {
-    vec![
-        row(
-            control(
-                "PipelineSequence",
-                "A Sequence that ticks earlier children again while later ones run.",
-            ),
-            |_| Box::new(PipelineSequence),
-        ),
-        row(
-            NodeSpec::control(
-                "RecoveryNode",
-                "Child 1; when it fails, child 2 and child 1 again.",
-                2,
-                2,
-            )
-            .input_or("number_of_retries", Unsigned, "1", "how often child 2 may recover"),
-            |ports| {
-                Box::new(RecoveryNode {
-                    number_of_retries: ports.source("number_of_retries"),
-                })
-            },
-        ),
-        row(
-            control("RoundRobin", "One child per activation, in turn.")
-                .input_or("wrap_around", Bool, "false", "start over after the last child")
-                .input_or(
-                    "last_may_succeed",
-                    Bool,
-                    "false",
-                    "without wrap_around, let success of the last child count (Nav2 makes it a failure)",
-                ),
-            |ports| {
-                Box::new(RoundRobin {
-                    wrap_around: ports.source("wrap_around"),
-                    last_may_succeed: ports.source("last_may_succeed"),
-                })
-            },
-        ),
-        row(
-            control(
-                "NonblockingSequence",
-                "A Sequence that ticks every child in every tick.",
-            ),
-            |_| Box::new(NonblockingSequence),
-        ),
-        row(
-            control("PersistentSequence", "A Sequence whose index is a blackboard entry.").inout(
-                "current_child_idx",
-                Int,
-                "index of the current child",
-            ),
-            |ports| {
-                Box::new(PersistentSequence {
-                    current_child_idx: ports.source("current_child_idx"),
-                })
-            },
-        ),
-        row(
-            NodeSpec::control(
-                "PauseResumeController",
-                "Child 1 while not paused, 2 while paused; 3 on pausing, 4 on resuming.",
-                1,
-                4,
-            )
+    nodes::table! { ports:
+        control("PipelineSequence", "A Sequence that ticks earlier children again while later ones run.") => PipelineSequence;
+        NodeSpec::control("RecoveryNode", "Child 1; when it fails, child 2 and child 1 again.", 2, 2)
+            .input_or("number_of_retries", Unsigned, "1", "how often child 2 may recover")
+            => RecoveryNode { number_of_retries: ports.source("number_of_retries") };
+        control("RoundRobin", "One child per activation, in turn.")
+            .input_or("wrap_around", Bool, "false", "start over after the last child")
             .input_or(
-                "pause_service_name",
-                Text,
-                "pause",
-                "entry of the root blackboard: a write to it asks to pause",
+                "last_may_succeed",
+                Bool,
+                "false",
+                "without wrap_around, let success of the last child count (Nav2 makes it a failure)",
             )
-            .input_or(
-                "resume_service_name",
-                Text,
-                "resume",
-                "entry of the root blackboard: a write to it asks to resume",
-            ),
-            |ports| {
-                Box::new(PauseResume(PauseEntries {
-                    pause: ports.root_slot("pause_service_name"),
-                    resume: ports.root_slot("resume_service_name"),
-                }))
-            },
-        ),
-        row(
-            NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or(
-                "hz",
-                Positive,
-                "10.0",
-                "rate, 1/s",
-            ),
-            |ports| Box::new(RateController { hz: ports.source("hz") }),
-        ),
-        row(
-            NodeSpec::decorator("SingleTrigger", "Runs the child once per activation."),
-            |_| Box::new(SingleTrigger),
-        ),
-    ]
+            => RoundRobin {
+                wrap_around: ports.source("wrap_around"),
+                last_may_succeed: ports.source("last_may_succeed"),
+            };
+        control("NonblockingSequence", "A Sequence that ticks every child in every tick.") => NonblockingSequence;
+        control("PersistentSequence", "A Sequence whose index is a blackboard entry.")
+            .inout("current_child_idx", Int, "index of the current child")
+            => PersistentSequence { current_child_idx: ports.source("current_child_idx") };
+        NodeSpec::control(
+            "PauseResumeController",
+            "Child 1 while not paused, 2 while paused; 3 on pausing, 4 on resuming.",
+            1,
+            4,
+        )
+            .input_or("pause_service_name", Text, "pause", "entry of the root blackboard: a write to it asks to pause")
+            .input_or("resume_service_name", Text, "resume", "entry of the root blackboard: a write to it asks to resume")
+            => PauseResume(PauseEntries {
+                pause: ports.root_slot("pause_service_name"),
+                resume: ports.root_slot("resume_service_name"),
+            });
+        NodeSpec::decorator("RateController", "Ticks the child at a rate.").input_or("hz", Positive, "10.0", "rate, 1/s")
+            => RateController { hz: ports.source("hz") };
+        NodeSpec::decorator("SingleTrigger", "Runs the child once per activation.") => SingleTrigger;
+    }
 }
 
 #[cfg(test)]

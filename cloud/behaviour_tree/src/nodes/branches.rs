@@ -33,8 +33,7 @@ impl<C> Builtin<C> for IfThenElse {
         let branch = run.child(id, run.states[id as usize].cursor as usize)?;
         let status = run.exec(branch)?;
         if status != Status::Running {
-            run.reset_children(id);
-            run.states[id as usize].cursor = 0;
+            run.finish(id, status);
         }
         Ok(status)
     }
@@ -96,8 +95,7 @@ impl<C> Builtin<C> for Switch {
         if status == Status::Running {
             run.states[id as usize].cursor = chosen as u32 + 1;
         } else {
-            run.reset_children(id);
-            run.states[id as usize].cursor = 0;
+            run.finish(id, status);
         }
         Ok(status)
     }
@@ -119,11 +117,8 @@ impl<C> Builtin<C> for TryCatch {
         }
         while !run.states[id as usize].flag {
             let Some(child) = attempts.get(run.states[id as usize].cursor as usize) else {
-                run.reset_children(id);
-                let state = &mut run.states[id as usize];
-                state.cursor = 0;
-                let skipped = state.skipped as usize == attempts.len();
-                return Ok(if skipped { Status::Skipped } else { Status::Success });
+                let skipped = run.states[id as usize].skipped as usize == attempts.len();
+                return Ok(run.finish(id, Status::Success.unless_skipped(skipped)));
             };
             match run.exec(*child)? {
                 Status::Running => return Ok(Status::Running),
@@ -142,10 +137,8 @@ impl<C> Builtin<C> for TryCatch {
         if run.exec(*catch)? == Status::Running {
             return Ok(Status::Running);
         }
-        run.reset_children(id);
-        let state = &mut run.states[id as usize];
-        (state.cursor, state.flag) = (0, false);
-        Ok(Status::Failure)
+        run.states[id as usize].flag = false;
+        Ok(run.finish(id, Status::Failure))
     }
 
     /// With `catch_on_halt`, a halt in the middle of the attempt stops it and ticks the clean-up
@@ -166,7 +159,7 @@ impl<C> Builtin<C> for TryCatch {
 }
 
 /// Equal as text, as numbers (nearly), or by the number that a name stands for.
-fn same(one: &Value, two: &Value, enums: &std::collections::BTreeMap<String, i64>) -> bool {
+fn same(one: &Value, two: &Value, enums: &BTreeMap<String, i64>) -> bool {
     if one == two {
         return true;
     }

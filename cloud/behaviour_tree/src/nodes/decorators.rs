@@ -115,11 +115,7 @@ impl<C> Builtin<C> for RunOnce {
         if run.states[id as usize].flag {
             let skip: bool = run.read(id, "then_skip", &self.then_skip)?;
             let succeeded = run.states[id as usize].mark == 1;
-            return Ok(match (skip, succeeded) {
-                (true, _) => Status::Skipped,
-                (false, true) => Status::Success,
-                (false, false) => Status::Failure,
-            });
+            return Ok(Status::from_truth(succeeded).unless_skipped(skip));
         }
         let status = run.only_child(id)?;
         if status.is_completed() {

@@ -67,9 +67,6 @@ pub(crate) struct ScriptCondition(pub(crate) Program);
 
 impl<C> Builtin<C> for ScriptCondition {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        Ok(match run.holds(id, &self.0)? {
-            true => Status::Success,
-            false => Status::Failure,
-        })
+        Ok(Status::from_truth(run.holds(id, &self.0)?))
     }
 }

@@ -43,10 +43,9 @@ impl<C> Builtin<C> for LoopOver {
         }
         let status = run.exec_and_reset(child)?;
         run.states[id as usize].flag = status == Status::Running;
-        Ok(if status == Status::Failure {
-            Status::Failure
-        } else {
-            Status::Running
+        Ok(match status {
+            Status::Failure => Status::Failure,
+            _ => Status::Running,
         })
     }
 }

@@ -87,10 +87,19 @@ pub(crate) type MakeBuiltin<C> = fn(&mut dyn Ports) -> Box<dyn Builtin<C>>;
 /// A built-in node: what it offers, and what makes it.
 pub(crate) type Row<C> = (NodeSpec, MakeBuiltin<C>);
 
-/// A row of the table.
-pub(crate) fn row<C>(spec: NodeSpec, make: MakeBuiltin<C>) -> Row<C> {
-    (spec, make)
+/// Rows of the table: `specification => node;`, the node made of its `ports`.
+macro_rules! table {
+    ($ports:ident: $($spec:expr => $node:expr;)*) => {
+        vec![$({
+            let make: $crate::nodes::MakeBuiltin<C> = |$ports| {
+                let _ = &$ports;
+                Box::new($node)
+            };
+            ($spec, make)
+        },)*]
+    };
 }
+pub(crate) use table;
 
 /// A control node of one child or more.
 pub(crate) fn control(id: &str, doc: &str) -> NodeSpec {
@@ -113,255 +122,79 @@ pub(crate) fn rows<C>() -> Vec<Row<C>> {
     use timing::{Delay, Sleep, Timeout};
     use updates::{IfUpdated, WasEntryUpdated};
 
-    let mut rows = vec![
+    let mut rows = table! { ports:
         // Controls.
-        row(
-            control(
-                "Sequence",
-                "Ticks children in order until one fails; resumes at the running child.",
-            ),
-            |_| Box::new(Sequence { yields: false }),
-        ),
-        row(
-            control("AsyncSequence", "A Sequence that yields after each child."),
-            |_| Box::new(Sequence { yields: true }),
-        ),
-        row(
-            control("SequenceWithMemory", "A Sequence that retries the failed child."),
-            |_| Box::new(SequenceWithMemory),
-        ),
-        row(control("SequenceStar", "Former name of SequenceWithMemory."), |_| {
-            Box::new(SequenceWithMemory)
-        }),
-        row(
-            control(
-                "ReactiveSequence",
-                "A Sequence that starts from the first child in every tick.",
-            ),
-            |_| Box::new(ReactiveSequence),
-        ),
-        row(
-            control(
-                "Fallback",
-                "Ticks children in order until one succeeds; resumes at the running child.",
-            ),
-            |_| Box::new(Fallback { yields: false }),
-        ),
-        row(
-            control("AsyncFallback", "A Fallback that yields after each child."),
-            |_| Box::new(Fallback { yields: true }),
-        ),
-        row(
-            control(
-                "ReactiveFallback",
-                "A Fallback that starts from the first child in every tick.",
-            ),
-            |_| Box::new(ReactiveFallback),
-        ),
-        row(
-            control("Parallel", "Ticks all children until enough have succeeded or failed.")
-                .input_or("success_count", Int, "-1", "successes that end it; -1: all")
-                .input_or("failure_count", Int, "1", "failures that end it; -1: all"),
-            |ports| {
-                Box::new(Parallel {
-                    success_count: ports.source("success_count"),
-                    failure_count: ports.source("failure_count"),
-                })
-            },
-        ),
-        row(
-            control("ParallelAll", "Ticks all children, each to its end.").input_or(
-                "max_failures",
-                Int,
-                "1",
-                "failures that make it fail; -1: all",
-            ),
-            |ports| {
-                Box::new(ParallelAll {
-                    max_failures: ports.source("max_failures"),
-                })
-            },
-        ),
-        row(
-            control(
-                "ParallelAny",
-                "Ticks all children until one succeeds or fails (py_trees).",
-            ),
-            |_| Box::new(ParallelAny),
-        ),
-        row(
-            NodeSpec::control("IfThenElse", "Ticks child 1 once, then runs child 2 or 3.", 2, 3),
-            |_| Box::new(IfThenElse),
-        ),
-        row(
-            NodeSpec::control(
-                "WhileDoElse",
-                "Ticks child 1 in every tick and runs child 2 or 3.",
-                2,
-                3,
-            ),
-            |_| Box::new(WhileDoElse),
-        ),
-        row(
-            NodeSpec::control(
-                "TryCatch",
-                "A Sequence whose last child cleans up after a failure.",
-                2,
-                usize::MAX,
-            )
-            .input_or("catch_on_halt", Bool, "false", "clean up after a halt too"),
-            |ports| {
-                Box::new(TryCatch {
-                    catch_on_halt: ports.source("catch_on_halt"),
-                })
-            },
-        ),
+        control("Sequence", "Ticks children in order until one fails; resumes at the running child.") => Sequence { yields: false };
+        control("AsyncSequence", "A Sequence that yields after each child.") => Sequence { yields: true };
+        control("SequenceWithMemory", "A Sequence that retries the failed child.") => SequenceWithMemory;
+        control("SequenceStar", "Former name of SequenceWithMemory.") => SequenceWithMemory;
+        control("ReactiveSequence", "A Sequence that starts from the first child in every tick.") => ReactiveSequence;
+        control("Fallback", "Ticks children in order until one succeeds; resumes at the running child.") => Fallback { yields: false };
+        control("AsyncFallback", "A Fallback that yields after each child.") => Fallback { yields: true };
+        control("ReactiveFallback", "A Fallback that starts from the first child in every tick.") => ReactiveFallback;
+        control("Parallel", "Ticks all children until enough have succeeded or failed.")
+            .input_or("success_count", Int, "-1", "successes that end it; -1: all")
+            .input_or("failure_count", Int, "1", "failures that end it; -1: all")
+            => Parallel { success_count: ports.source("success_count"), failure_count: ports.source("failure_count") };
+        control("ParallelAll", "Ticks all children, each to its end.")
+            .input_or("max_failures", Int, "1", "failures that make it fail; -1: all")
+            => ParallelAll { max_failures: ports.source("max_failures") };
+        control("ParallelAny", "Ticks all children until one succeeds or fails (py_trees).") => ParallelAny;
+        NodeSpec::control("IfThenElse", "Ticks child 1 once, then runs child 2 or 3.", 2, 3) => IfThenElse;
+        NodeSpec::control("WhileDoElse", "Ticks child 1 in every tick and runs child 2 or 3.", 2, 3) => WhileDoElse;
+        NodeSpec::control("TryCatch", "A Sequence whose last child cleans up after a failure.", 2, usize::MAX)
+            .input_or("catch_on_halt", Bool, "false", "clean up after a halt too")
+            => TryCatch { catch_on_halt: ports.source("catch_on_halt") };
         // Decorators.
-        row(decorator("Inverter", "Swaps SUCCESS and FAILURE."), |_| {
-            Box::new(Inverter)
-        }),
-        row(
-            decorator("ForceSuccess", "SUCCESS whatever the child ends with."),
-            |_| Box::new(Force(Status::Success)),
-        ),
-        row(
-            decorator("ForceFailure", "FAILURE whatever the child ends with."),
-            |_| Box::new(Force(Status::Failure)),
-        ),
-        row(
-            decorator("RetryUntilSuccessful", "Retries until the child succeeds.").input(
-                "num_attempts",
-                Int,
-                "attempts in all; -1: unlimited",
-            ),
-            |ports| Box::new(Retry(ports.source("num_attempts"))),
-        ),
-        row(
-            decorator("Repeat", "Repeats while the child succeeds.").input("num_cycles", Int, "cycles; -1: unlimited"),
-            |ports| Box::new(Repeat(ports.source("num_cycles"))),
-        ),
-        row(
-            decorator("KeepRunningUntilFailure", "RUNNING until the child fails."),
-            |_| Box::new(KeepRunningUntilFailure),
-        ),
-        row(
-            decorator("Timeout", "FAILURE if the child takes longer.").input(
-                "msec",
-                Unsigned,
-                "time for the child, ms; 0: unlimited",
-            ),
-            |ports| Box::new(Timeout(ports.source("msec"))),
-        ),
-        row(
-            decorator("Delay", "Waits before the child.").input("delay_msec", Unsigned, "wait, ms"),
-            |ports| Box::new(Delay(ports.source("delay_msec"))),
-        ),
-        row(
-            decorator("RunOnce", "Runs the child once in the life of the tree.").input_or(
-                "then_skip",
-                Bool,
-                "true",
-                "afterwards SKIPPED, not the same status again",
-            ),
-            |ports| {
-                Box::new(RunOnce {
-                    then_skip: ports.source("then_skip"),
-                })
-            },
-        ),
-        row(
-            decorator("Precondition", "Runs the child if a script is true.")
-                .input("if", Script, "condition")
-                .input_or("else", PortType::Status, "FAILURE", "status if the condition is false"),
-            |ports| {
-                Box::new(Precondition {
-                    condition: ports.program("if"),
-                    otherwise: ports.source("else"),
-                })
-            },
-        ),
-        row(
-            decorator("SkipUnlessUpdated", "SKIPPED unless the entry has been written.").input(
-                "entry",
-                Key,
-                "entry to watch",
-            ),
-            |ports| {
-                Box::new(IfUpdated {
-                    slot: ports.slot("entry"),
-                    otherwise: Status::Skipped,
-                })
-            },
-        ),
-        row(
-            decorator("WaitValueUpdate", "RUNNING unless the entry has been written.").input(
-                "entry",
-                Key,
-                "entry to watch",
-            ),
-            |ports| {
-                Box::new(IfUpdated {
-                    slot: ports.slot("entry"),
-                    otherwise: Status::Running,
-                })
-            },
-        ),
+        decorator("Inverter", "Swaps SUCCESS and FAILURE.") => Inverter;
+        decorator("ForceSuccess", "SUCCESS whatever the child ends with.") => Force(Status::Success);
+        decorator("ForceFailure", "FAILURE whatever the child ends with.") => Force(Status::Failure);
+        decorator("RetryUntilSuccessful", "Retries until the child succeeds.")
+            .input("num_attempts", Int, "attempts in all; -1: unlimited")
+            => Retry(ports.source("num_attempts"));
+        decorator("Repeat", "Repeats while the child succeeds.").input("num_cycles", Int, "cycles; -1: unlimited")
+            => Repeat(ports.source("num_cycles"));
+        decorator("KeepRunningUntilFailure", "RUNNING until the child fails.") => KeepRunningUntilFailure;
+        decorator("Timeout", "FAILURE if the child takes longer.").input("msec", Unsigned, "time for the child, ms; 0: unlimited")
+            => Timeout(ports.source("msec"));
+        decorator("Delay", "Waits before the child.").input("delay_msec", Unsigned, "wait, ms") => Delay(ports.source("delay_msec"));
+        decorator("RunOnce", "Runs the child once in the life of the tree.")
+            .input_or("then_skip", Bool, "true", "afterwards SKIPPED, not the same status again")
+            => RunOnce { then_skip: ports.source("then_skip") };
+        decorator("Precondition", "Runs the child if a script is true.")
+            .input("if", Script, "condition")
+            .input_or("else", PortType::Status, "FAILURE", "status if the condition is false")
+            => Precondition { condition: ports.program("if"), otherwise: ports.source("else") };
+        decorator("SkipUnlessUpdated", "SKIPPED unless the entry has been written.").input("entry", Key, "entry to watch")
+            => IfUpdated { slot: ports.slot("entry"), otherwise: Status::Skipped };
+        decorator("WaitValueUpdate", "RUNNING unless the entry has been written.").input("entry", Key, "entry to watch")
+            => IfUpdated { slot: ports.slot("entry"), otherwise: Status::Running };
         // Leaves.
-        row(NodeSpec::action("AlwaysSuccess", "SUCCESS."), |_| {
-            Box::new(Always(Status::Success))
-        }),
-        row(NodeSpec::action("AlwaysFailure", "FAILURE."), |_| {
-            Box::new(Always(Status::Failure))
-        }),
-        row(
-            NodeSpec::action("Sleep", "Waits.").input("msec", Unsigned, "wait, ms"),
-            |ports| Box::new(Sleep(ports.source("msec"))),
-        ),
-        row(
-            NodeSpec::action("SetBlackboard", "Writes an entry.")
-                .input("value", Any, "literal or entry to copy")
-                .inout("output_key", Key, "entry to write"),
-            |ports| {
-                Box::new(SetBlackboard {
-                    value: ports.source("value"),
-                    slot: ports.slot("output_key"),
-                })
-            },
-        ),
-        row(
-            NodeSpec::action("UnsetBlackboard", "Removes an entry.").input("key", Key, "entry to remove"),
-            |ports| Box::new(UnsetBlackboard(ports.slot("key"))),
-        ),
-        row(
-            NodeSpec::action("Script", "Runs a script.").input("code", Script, "script"),
-            |ports| Box::new(RunScript(ports.program("code"))),
-        ),
-        row(
-            NodeSpec::condition("ScriptCondition", "SUCCESS if a script is true.").input("code", Script, "condition"),
-            |ports| Box::new(ScriptCondition(ports.program("code"))),
-        ),
-        row(
-            NodeSpec::action(
-                "WasEntryUpdated",
-                "SUCCESS if the entry has been written since the last tick.",
-            )
-            .input("entry", Key, "entry to watch"),
-            |ports| Box::new(WasEntryUpdated(ports.slot("entry"))),
-        ),
-    ];
+        NodeSpec::action("AlwaysSuccess", "SUCCESS.") => Always(Status::Success);
+        NodeSpec::action("AlwaysFailure", "FAILURE.") => Always(Status::Failure);
+        NodeSpec::action("Sleep", "Waits.").input("msec", Unsigned, "wait, ms") => Sleep(ports.source("msec"));
+        NodeSpec::action("SetBlackboard", "Writes an entry.")
+            .input("value", Any, "literal or entry to copy")
+            .inout("output_key", Key, "entry to write")
+            => SetBlackboard { value: ports.source("value"), slot: ports.slot("output_key") };
+        NodeSpec::action("UnsetBlackboard", "Removes an entry.").input("key", Key, "entry to remove")
+            => UnsetBlackboard(ports.slot("key"));
+        NodeSpec::action("Script", "Runs a script.").input("code", Script, "script") => RunScript(ports.program("code"));
+        NodeSpec::condition("ScriptCondition", "SUCCESS if a script is true.").input("code", Script, "condition")
+            => ScriptCondition(ports.program("code"));
+        NodeSpec::action("WasEntryUpdated", "SUCCESS if the entry has been written since the last tick.")
+            .input("entry", Key, "entry to watch")
+            => WasEntryUpdated(ports.slot("entry"));
+    };
     for cases in 2..=6 {
         let doc = "Runs the child whose case equals the variable, else the last.";
         let spec = NodeSpec::control(&format!("Switch{cases}"), doc, cases + 1, cases + 1);
         let spec = (1..=cases).fold(spec.input("variable", Text, "value to compare"), |spec, case| {
             spec.input(&format!("case_{case}"), Text, "value that selects this child")
         });
-        rows.push(row(spec, |ports| {
-            Box::new(Switch {
-                variable: ports.source("variable"),
-                cases: ports.sources("case_"),
-                enums: ports.enums(),
-            })
-        }));
+        rows.extend(table! { ports:
+            spec => Switch { variable: ports.source("variable"), cases: ports.sources("case_"), enums: ports.enums() };
+        });
     }
     for (id, item) in [
         ("LoopInt", Int),
@@ -374,14 +207,14 @@ pub(crate) fn rows<C>() -> Vec<Row<C>> {
             .inout("queue", queue, "the list: 1;2;3, or an entry that is consumed")
             .input_or("if_empty", PortType::Status, "SUCCESS", "status when no item is left")
             .output("value", item, "the current item");
-        rows.push(row(spec, |ports| {
-            Box::new(LoopOver {
+        rows.extend(table! { ports:
+            spec => LoopOver {
                 queue: ports.source("queue"),
                 value: ports.source("value"),
                 if_empty: ports.source("if_empty"),
                 item: ports.value_type("value"),
-            })
-        }));
+            };
+        });
     }
     rows
 }

@@ -59,17 +59,13 @@ impl<C> Builtin<C> for Parallel {
             let state = &run.states[id as usize];
             let (successes, failures) = (i64::from(state.cursor), i64::from(state.count));
             if successes >= needed || (asked < 0 && successes + skipped >= needed) {
-                return Ok(finish(run, id, Status::Success));
+                return Ok(run.finish(id, Status::Success));
             }
             if all - failures < needed || failures == allowed {
-                return Ok(finish(run, id, Status::Failure));
+                return Ok(run.finish(id, Status::Failure));
             }
         }
-        Ok(if skipped == all {
-            Status::Skipped
-        } else {
-            Status::Running
-        })
+        Ok(Status::Running.unless_skipped(skipped == all))
     }
 }
 
@@ -110,7 +106,7 @@ impl<C> Builtin<C> for ParallelAll {
             return Ok(Status::Running);
         }
         let failed = i64::from(run.states[id as usize].count) >= limit;
-        Ok(finish(run, id, if failed { Status::Failure } else { Status::Success }))
+        Ok(run.finish(id, Status::from_truth(!failed)))
     }
 }
 
@@ -130,21 +126,10 @@ impl<C> Builtin<C> for ParallelAny {
                 _ => {}
             }
         }
-        Ok(if failed {
-            finish(run, id, Status::Failure)
-        } else if succeeded {
-            finish(run, id, Status::Success)
-        } else if skipped == kids.len() {
-            Status::Skipped
+        Ok(if failed || succeeded {
+            run.finish(id, Status::from_truth(!failed))
         } else {
-            Status::Running
+            Status::Running.unless_skipped(skipped == kids.len())
         })
     }
-}
-
-fn finish<C>(run: &mut Run<'_, C>, id: NodeId, status: Status) -> Status {
-    run.reset_children(id);
-    let state = &mut run.states[id as usize];
-    (state.cursor, state.count) = (0, 0);
-    status
 }

@@ -54,9 +54,5 @@ fn react<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, otherwise: Status) ->
         }
     }
     run.reset_children(id);
-    Ok(if skipped == kids.len() {
-        Status::Skipped
-    } else {
-        otherwise
-    })
+    Ok(otherwise.unless_skipped(skipped == kids.len()))
 }

@@ -55,9 +55,7 @@ fn until<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, yields: bool, before:
             return Ok(Status::Running);
         }
         if status == end {
-            run.reset_children(id);
-            run.states[id as usize].cursor = 0;
-            return Ok(end);
+            return Ok(run.finish(id, end));
         }
         let state = &mut run.states[id as usize];
         bump(&mut state.cursor);
@@ -69,17 +67,9 @@ fn until<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, yields: bool, before:
             return Ok(Status::Running);
         }
     }
-    run.reset_children(id);
-    let state = &mut run.states[id as usize];
-    state.cursor = 0;
-    if state.skipped as usize == kids.len() {
-        return Ok(Status::Skipped);
-    }
-    Ok(if end == Status::Failure {
-        Status::Success
-    } else {
-        Status::Failure
-    })
+    let otherwise = Status::from_truth(end == Status::Failure);
+    let skipped = run.states[id as usize].skipped as usize == kids.len();
+    Ok(run.finish(id, otherwise.unless_skipped(skipped)))
 }
 
 /// [`Sequence`], but `Failure` keeps the index, so that the next activation retries the failed
@@ -106,14 +96,8 @@ impl<C> Builtin<C> for SequenceWithMemory {
             }
             bump(&mut run.states[id as usize].cursor);
         }
-        run.reset_children(id);
-        let state = &mut run.states[id as usize];
-        state.cursor = 0;
-        Ok(if state.skipped as usize == kids.len() {
-            Status::Skipped
-        } else {
-            Status::Success
-        })
+        let skipped = run.states[id as usize].skipped as usize == kids.len();
+        Ok(run.finish(id, Status::Success.unless_skipped(skipped)))
     }
 
     fn after_halt(&self, state: &mut NodeState) {

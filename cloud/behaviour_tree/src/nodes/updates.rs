@@ -38,10 +38,7 @@ pub(crate) struct WasEntryUpdated(pub(crate) Slot);
 
 impl<C> Builtin<C> for WasEntryUpdated {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        Ok(match was_written(run, id, self.0) {
-            true => Status::Success,
-            false => Status::Failure,
-        })
+        Ok(Status::from_truth(was_written(run, id, self.0)))
     }
 }
 

@@ -32,6 +32,12 @@ impl Element {
     pub(super) fn attribute(&self, name: &str) -> Option<&Attribute> {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
+
+    /// Attributes that name an entry or a port of the node's own.
+    pub(super) fn remappings(&self) -> impl Iterator<Item = &Attribute> {
+        let is_own = |name: &str| !matches!(name, "ID" | "name") && !name.starts_with('_');
+        self.attributes.iter().filter(move |attribute| is_own(&attribute.name))
+    }
 }
 
 /// A `<BehaviorTree>`.
@@ -364,11 +370,8 @@ fn models(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
             continue;
         };
         let Some(name) = element.attribute("ID").map(|id| id.value.clone()) else {
-            errors.add(
-                element.at,
-                format!("<{}> without ID", element.tag),
-                "the registration id",
-            );
+            let message = format!("<{}> without ID", element.tag);
+            errors.add(element.at, message, "the registration id");
             continue;
         };
         let mut spec = NodeSpec::new(category, name.clone(), element.text.clone());

@@ -159,12 +159,8 @@ impl<C> Builder<'_, C> {
             .and_then(|remap| parse_bool(&remap.value))
             .unwrap_or(false);
         let inner = self.board.add_scope(name.to_owned(), outer, autoremap);
-        let mut remapped: Vec<(&str, &str)> = element
-            .attributes
-            .iter()
-            .filter(|attribute| !matches!(attribute.name.as_str(), "ID" | "name") && !attribute.name.starts_with('_'))
-            .map(|attribute| (attribute.name.as_str(), attribute.value.as_str()))
-            .collect();
+        let own = element.remappings();
+        let mut remapped: Vec<(&str, &str)> = own.map(|own| (own.name.as_str(), own.value.as_str())).collect();
         let forest = self.forest;
         if let Some(model) = forest.subtree_models.get(tree)
             && !autoremap
@@ -282,12 +278,7 @@ impl<C> Site<'_, '_, C> {
             .collect();
         if spec.open {
             let element = self.element;
-            let extra = element.attributes.iter().filter(|attribute| {
-                !matches!(attribute.name.as_str(), "ID" | "name")
-                    && !attribute.name.starts_with('_')
-                    && spec.find_port(&attribute.name).is_none()
-            });
-            for attribute in extra {
+            for attribute in element.remappings().filter(|own| spec.find_port(&own.name).is_none()) {
                 let source = self.source_of(&attribute.name, &attribute.value, &PortType::Any, attribute.at);
                 ports.push(BoundPort {
                     name: Arc::from(attribute.name.as_str()),
@@ -307,6 +298,12 @@ impl<C> Site<'_, '_, C> {
         }
         let default = self.spec.find_port(port)?.default.clone()?;
         Some((default, self.element.at))
+    }
+
+    /// The name of an entry on a port, with or without braces.
+    fn key(&self, port: &str) -> String {
+        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
+        pointer(&text, port).unwrap_or(text.trim()).to_owned()
     }
 
     fn source_of(&mut self, port: &str, value: &str, kind: &PortType, at: Place) -> Source {
@@ -375,15 +372,13 @@ impl<C> Ports for Site<'_, '_, C> {
     }
 
     fn slot(&mut self, port: &str) -> Slot {
-        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
-        let key = pointer(&text, port).unwrap_or(text.trim());
-        self.builder.board.resolve(self.scope, key)
+        let key = self.key(port);
+        self.builder.board.resolve(self.scope, &key)
     }
 
     #[cfg(feature = "nav2")]
     fn root_slot(&mut self, port: &str) -> Slot {
-        let text = self.text(port).map(|(text, _)| text).unwrap_or_default();
-        let key = pointer(&text, port).unwrap_or(text.trim());
+        let key = self.key(port);
         self.builder.board.resolve(0, key.trim_start_matches('@'))
     }
 

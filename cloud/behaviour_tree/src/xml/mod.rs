@@ -18,6 +18,7 @@ use super::registry::Registry;
 use super::tree::Tree;
 
 pub use check::Summary;
+pub(crate) use error::shortened;
 pub use error::{TreeError, TreeErrors};
 pub use inline::inline;
 

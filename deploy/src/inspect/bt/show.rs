@@ -34,6 +34,6 @@ pub(super) fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: For
             )));
         }
     };
-    std::fs::write(out, picture).map_err(|error| Failure::usage(format!("{}: {error}", out.display())))?;
+    std::fs::write(out, picture).map_err(Failure::usage_at(out))?;
     Ok(exit_code::OK)
 }

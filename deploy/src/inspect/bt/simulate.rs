@@ -12,8 +12,7 @@ use crate::output::{self, Format};
 
 pub(super) fn simulate(file: &str, script: Option<&Path>, id: Option<&str>, format: Format) -> Outcome {
     let script: simulate::Script = match script {
-        Some(path) => serde_json::from_str(&files::text(path)?)
-            .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?,
+        Some(path) => serde_json::from_str(&files::text(path)?).map_err(Failure::usage_at(path))?,
         None => simulate::Script::default(),
     };
     let source = Source::read(file)?;

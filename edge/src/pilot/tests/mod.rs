@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+mod rig;
+mod wall;
+
 use proptest::prelude::*;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{
@@ -10,7 +13,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::trajectory::TrajectoryPoint;
 
-use super::rig::{ROOM, Rig};
+use rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::control_io::Persisted;
