@@ -291,7 +291,14 @@ impl MotionWorker {
                 profile: request.profile,
             };
             let settings = &self.settings.smoothing;
-            let smoothed = smooth(&space, &query, &model, settings, Some(&given.cancel.smoothing), &mut *given.clock);
+            let smoothed = smooth(
+                &space,
+                &query,
+                &model,
+                settings,
+                Some(&given.cancel.smoothing),
+                &mut *given.clock,
+            );
             let trajectory = smoothed.sampled(SAMPLE_PERIOD);
             reply.statistics = sum(reply.statistics, smoothed.statistics);
             let Some(last) = trajectory.last() else {
