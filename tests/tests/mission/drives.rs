@@ -197,7 +197,7 @@ fn a_stopped_robot_gets_no_plan_until_it_is_let_go() {
 fn a_robot_that_does_not_get_on_fails_the_drive() {
     let mut rig = Rig::new();
     rig.wheels = Some([0.0; 2]);
-    rig.config.settings.progress.secs = 3.0;
+    rig.config.settings.progress.timeout = 3.0;
     rig.start();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     let goal = rig.end_of("a", 240.0);
