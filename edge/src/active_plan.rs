@@ -6,9 +6,13 @@ use zenav_protocol::robot::{ControllerGains, Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
+use crate::avoidance::Ahead;
 use crate::local_obstacles::LocalObstacles;
 use crate::settings::{EdgeSettings, PlanSettings};
 use crate::trackers::{Law, Progress, Tracker, TrackerInput};
+
+/// Time between two places of the plan ahead, s.
+const AHEAD_STEP: f64 = 0.1;
 
 /// The plan in force.
 #[derive(Clone, Debug)]
@@ -132,7 +136,7 @@ impl ActivePlan {
                 (plan.trajectory.clone(), 0.0)
             }
         };
-        let obstacles: Vec<_> = scene.obstacles.seen_in(scene.map_from_odom).collect();
+        let obstacles: Vec<_> = scene.obstacles.standing_in(scene.map_from_odom).collect();
         judge_free(
             &trajectory,
             scene.model,
@@ -164,15 +168,44 @@ impl ActivePlan {
             dt,
             map_from_base,
             velocity,
-            speed_cap: self.speed_cap(drive, self.expiry.secs_since(now), dt),
+            speed_cap: self.speed_cap_now(now, dt, drive),
         };
         self.tracker.step(&view, gains)
     }
 
-    /// Why the plan can no longer be followed, if so.
+    /// The rest of the plan at its own pace, some time apart and to its end or `secs` from now, and its end; odometry frame.
+    pub fn ahead(&self, odom_from_map: Pose2, secs: f64, out: &mut Vec<Ahead>) {
+        out.clear();
+        let Some((trajectory, now)) = self.tracker.followed() else {
+            return;
+        };
+        let left = (trajectory.end_time() - now).max(0.0);
+        let steps = (left.min(secs) / AHEAD_STEP).ceil() as u32;
+        out.extend((0..=steps).map(|step| {
+            let secs = (AHEAD_STEP * f64::from(step)).min(left);
+            Ahead {
+                secs,
+                pose: odom_from_map * trajectory.sample(now + secs).pose(),
+            }
+        }));
+    }
+
+    /// Something else drives the robot: the tracker goes on from the nearest place on the plan.
+    pub fn rejoin(&mut self, map_from_base: &Pose2) {
+        self.tracker.rejoin(map_from_base);
+    }
+
+    /// Largest wheel surface speed at which the robot is still at rest by the expiry, m/s.
     #[must_use]
-    pub fn lost(&self) -> Option<&'static str> {
-        (self.tracker.off_track() > self.settings.off_track).then_some("too far off the trajectory")
+    pub fn speed_cap_now(&self, now: Stamp, dt: f64, drive: &Drive) -> f64 {
+        self.speed_cap(drive, self.expiry.secs_since(now), dt)
+    }
+
+    /// Why the plan can no longer be followed, if so; `off_track` is the distance at which it is lost, m, if not the usual one.
+    #[must_use]
+    pub fn lost(&self, off_track: Option<f64>) -> Option<&'static str> {
+        let limit = off_track.unwrap_or(self.settings.off_track);
+        (self.tracker.off_track() > limit).then_some("too far off the trajectory")
     }
 
     /// True once, when the end has been reached.

@@ -3,8 +3,8 @@
 use std::mem::discriminant;
 
 use zenav_protocol::messages::{
-    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Leader, Marker, Odometry, Plan, PoseEstimate, Refusal,
-    Scan, Teleop,
+    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Leader, Marker, Obstacles, Odometry, Plan,
+    PoseEstimate, Refusal, Scan, Teleop,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
@@ -66,6 +66,8 @@ pub enum Publication {
     State(Box<EdgeState>),
     /// An event of the event log.
     Event(Event),
+    /// The moving obstacles that it tracks.
+    Obstacles(Obstacles),
     /// Shapes to draw.
     Marker(Marker),
 }

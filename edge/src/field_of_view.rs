@@ -176,6 +176,16 @@ impl ScanProjector {
         }
     }
 
+    /// The lidar whose sweeps it projects.
+    pub(crate) fn lidar(&self) -> &LidarModel {
+        &self.lidar
+    }
+
+    /// Directions of the beams of the sweep projected last, odometry frame.
+    pub(crate) fn rays(&self) -> &[Vector2<f64>] {
+        &self.rays
+    }
+
     /// A sweep of a robot at `odom_from_base`; `None` for another number of beams.
     pub(crate) fn project<'a>(&'a mut self, sweep: &'a Sweep, odom_from_base: Pose2) -> Option<ProjectedScan<'a>> {
         if sweep.ranges.len() != self.beams.len() {

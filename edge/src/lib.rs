@@ -7,12 +7,13 @@
 //! |---|---|
 //! | [`body`] | what must hardware offer to be driven? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | [`local_obstacles`], [`moving_obstacles`], [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
+//! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
 //! | [`arbitration`] | which source moves it: plan, teleop, maneuver, wall follower, return to home, or nothing? |
 //! | [`maneuvers`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
+//! | [`avoidance`] | does the plan lead into the way of somebody, and what does the robot do instead? |
 //! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
 //! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, record and publish? |
@@ -26,6 +27,7 @@ pub mod acceptance;
 pub mod active_plan;
 pub mod arbitration;
 pub mod authority;
+pub mod avoidance;
 pub mod blind_spot_grid;
 pub mod body;
 pub mod collision_monitor;
@@ -43,6 +45,7 @@ pub mod local_obstacles;
 pub mod loop_timing;
 pub mod maneuvers;
 pub mod moving_obstacles;
+pub mod obstacle_tracks;
 pub mod params;
 pub mod passive_safety;
 pub mod pilot;

@@ -37,6 +37,9 @@ struct LidarView {
     stamp: Option<Stamp>,
     /// The returns of its newest sweep, odometry frame.
     seen: Vec<Point2<f64>>,
+    /// Where it was then, and all ranges, m.
+    odom_from_laser: Isometry2<f64>,
+    ranges: Vec<f32>,
 }
 
 impl LocalObstacles {
@@ -55,6 +58,8 @@ impl LocalObstacles {
             projector: ScanProjector::new(lidar),
             stamp: None,
             seen: Vec::new(),
+            odom_from_laser: Isometry2::identity(),
+            ranges: Vec::new(),
         });
         Self {
             lidars: lidars.collect(),
@@ -73,7 +78,12 @@ impl LocalObstacles {
             return false;
         };
         let Some(LidarView {
-            projector, stamp, seen, ..
+            projector,
+            stamp,
+            seen,
+            odom_from_laser,
+            ranges,
+            ..
         }) = self.lidars.get_mut(index)
         else {
             return false;
@@ -92,6 +102,8 @@ impl LocalObstacles {
             remember(&mut self.remembered, seen, &self.view, base_from_odom, &self.settings);
         }
         seen.clear();
+        *odom_from_laser = scan.odom_from_laser;
+        ranges.clone_from(&sweep.ranges);
         let laser = scan.laser();
         for (range, ray) in scan.ranges.iter().zip(scan.rays) {
             let range = f64::from(*range);
@@ -132,11 +144,56 @@ impl LocalObstacles {
         seen.chain(&self.remembered).map(move |point| base_from_odom * point)
     }
 
-    /// The points of all lidars' newest sweeps in another frame.
-    pub fn seen_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+    /// All known points in the odometry frame.
+    pub fn in_odom(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
+        seen.chain(&self.remembered).copied()
+    }
+
+    /// Whether a beam of a newest sweep passes through a place (odometry frame).
+    #[must_use]
+    pub fn is_seen_free(&self, place: Point2<f64>) -> bool {
+        self.lidars.iter().any(|lidar| {
+            let model = lidar.projector.lidar();
+            let local = lidar.odom_from_laser.inverse() * place;
+            let angle = local.y.atan2(local.x) - model.angle_min();
+            let beam = (angle / model.angle_increment()).round();
+            let range = lidar.ranges.get(if beam >= 0.0 { beam as usize } else { usize::MAX });
+            range.is_some_and(|range| f64::from(*range) > local.coords.norm())
+        })
+    }
+
+    /// The points of all lidars' newest sweeps that are on no track, in another frame.
+    pub fn standing_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let frame_from_odom = rigid(frame_from_odom);
         let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
-        seen.map(move |point| frame_from_odom * point)
+        let standing = seen.filter(|point| self.moving.tracks().at(**point).is_none());
+        standing.map(move |point| frame_from_odom * point)
+    }
+
+    /// The runs of beams of a lidar's newest sweep that met a tracked obstacle: the first beam, and the one after the last.
+    #[must_use]
+    pub fn moving_beams(&self, lidar: &str) -> Vec<[u32; 2]> {
+        let mut runs: Vec<[u32; 2]> = Vec::new();
+        let tracks = self.moving.tracks();
+        let Some(lidar) = self.lidars.iter().find(|known| known.name == lidar) else {
+            return runs;
+        };
+        if tracks.iter().next().is_none() {
+            return runs;
+        }
+        let rays = lidar.projector.rays();
+        let laser = Point2::from(lidar.odom_from_laser.translation.vector);
+        for (beam, (range, ray)) in (0_u32..).zip(lidar.ranges.iter().zip(rays)) {
+            if !range.is_finite() || tracks.at(laser + ray * f64::from(*range)).is_none() {
+                continue;
+            }
+            match runs.last_mut().filter(|run| run[1] == beam) {
+                Some(run) => run[1] += 1,
+                None => runs.push([beam, beam + 1]),
+            }
+        }
+        runs
     }
 
     /// The points of each lidar's newest sweep in the order of its beams, odometry frame.

@@ -1,11 +1,12 @@
 //! Moving obstacles. Which returns of a scan belong to something that moves? Those where earlier scans saw free space, and those just
 //! behind a return that has departed.
 //!
-//! No tracking and no motion model: a return well inside the range of an earlier scan's beams through the same place has appeared there
+//! No motion model: a return well inside the range of an earlier scan's beams through the same place has appeared there
 //! (visibility-based detection, after Pomerleau et al., "Long-term 3D map maintenance in dynamic environments", ICRA 2014). An obstacle
 //! that moves away leaves no such evidence: there, beams pass through a return of an earlier scan, and the next return behind it, no farther
-//! than anything moves in that time, is the same obstacle. The collision monitor assumes how fast it moves; one last seen beside the
-//! blind spot is remembered there for a while.
+//! than anything moves in that time, is the same obstacle. What moves for a few scans becomes a track ([`crate::obstacle_tracks`]) with a
+//! velocity of its own; for the rest the collision monitor assumes a speed. One last seen beside the blind spot is remembered there for a
+//! while.
 
 use std::collections::VecDeque;
 
@@ -15,6 +16,7 @@ use zenav_protocol::robot::{LidarModel, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
+use crate::obstacle_tracks::{ObstacleTracks, Track};
 use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::scan_reprojection::ScanReprojection;
 use crate::settings::{EdgeSettings, MovingObstacleSettings};
@@ -40,6 +42,10 @@ pub struct MovingObstacles {
     circumscribed_radius: f64,
     /// Places where a moving obstacle entered the blind spot.
     occluded: RecentPlaces,
+    /// The tracks that were taken for one that had entered it.
+    came_out: VecDeque<u64>,
+    /// What moves, over time.
+    tracks: ObstacleTracks,
 }
 
 /// Finds what moves in the scans of one lidar.
@@ -55,6 +61,10 @@ struct Detector {
     references: VecDeque<ReferenceScan>,
     /// Points of moving obstacles in the newest scan, odometry frame.
     points: Vec<Point2<f64>>,
+    /// The beams that evidently met something that moves.
+    moved_beams: Vec<bool>,
+    /// Beams beyond this range tell nothing about motion, m.
+    range: f64,
     /// Beams of the newest scan whose return lies just behind a departed one.
     departed: Vec<bool>,
     /// Beams of the newest scan whose return lies where a reference scan saw free space.
@@ -101,6 +111,8 @@ impl MovingObstacles {
             fastest_out_of_sight: settings.passive_safety.speed_out_of_sight(top_speed),
             circumscribed_radius: model.footprint.circumscribed_radius(),
             occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
+            came_out: VecDeque::new(),
+            tracks: ObstacleTracks::new(&settings.tracking),
         }
     }
 
@@ -114,6 +126,9 @@ impl MovingObstacles {
         let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(scan)) else {
             return;
         };
+        if let Some(detector) = self.detectors.get(index) {
+            self.tracks.insert(scan, &detector.moved_beams);
+        }
         self.track_occlusions(index, scan);
         if let Some(detector) = self.detectors.get_mut(index) {
             detector.note_moved(evident, scan.stamp);
@@ -138,21 +153,71 @@ impl MovingObstacles {
                 && detector.moved.any_within(since, **place)
         };
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
-        let fastest = self.fastest_out_of_sight;
-        self.occluded.retain(|occluded| {
-            let age = now.secs_since(occluded.stamp);
-            let reach = fastest * age + settings.reappearance_tolerance;
-            let is_out = places.is_empty() && points.iter().any(|place| occluded.is_within(reach, *place));
-            age <= settings.memory && !is_out
-        });
+        self.forget_reappeared(index, scan, beside, places.is_empty());
         for place in places {
-            self.note_occlusion(place, now);
+            let track = self.tracks.at(place);
+            self.occluded.note(RecentPlace {
+                place,
+                stamp: now,
+                speed: track.map_or(self.fastest_out_of_sight, Track::most_speed),
+                track: track.map(|track| track.id),
+            });
+        }
+    }
+
+    /// Forgets obstacles that are too old, or have come out of the blind spot: no more than have come out.
+    fn forget_reappeared(&mut self, index: usize, scan: &ProjectedScan<'_>, beside: f64, none_beside: bool) {
+        let (now, settings, view) = (scan.stamp, &self.settings, &self.view);
+        let base_from_odom = scan.odom_from_base.inverse();
+        let points = self.detectors.get(index).map_or(&[][..], |detector| &detector.points);
+        let may_be = |occluded: &RecentPlace, place: Point2<f64>| {
+            let reach = occluded.speed * now.secs_since(occluded.stamp) + settings.reappearance_tolerance;
+            occluded.is_within(reach, place)
+        };
+        self.occluded.retain(|occluded| {
+            let untracked = occluded.track.is_none() && none_beside;
+            let is_out = untracked && points.iter().any(|point| may_be(occluded, *point));
+            now.secs_since(occluded.stamp) <= settings.memory && !is_out
+        });
+        let mut waiting: Vec<RecentPlace> = Vec::new();
+        for occluded in self.occluded.iter().filter(|occluded| occluded.track.is_some()) {
+            if waiting.iter().all(|known| known.track != occluded.track) {
+                waiting.push(*occluded);
+            }
+        }
+        for occluded in waiting {
+            // The same one, or somebody new who has not been taken for another one before.
+            let in_sight = |track: &&Track| {
+                track.seen == now && view.distance_to_blind_spot(base_from_odom * track.position) > beside
+            };
+            let out = self
+                .tracks
+                .iter()
+                .filter(in_sight)
+                .map(|track| (track.id, track))
+                .find(|(id, track)| {
+                    occluded.track == Some(*id)
+                        || (track.born > occluded.stamp
+                            && !self.came_out.contains(id)
+                            && may_be(&occluded, track.position))
+                });
+            let Some((id, _)) = out else { continue };
+            self.occluded.retain(|known| known.track != occluded.track);
+            if self.came_out.len() == OCCLUDED_PLACES {
+                self.came_out.pop_front();
+            }
+            self.came_out.push_back(id);
         }
     }
 
     /// A moving obstacle was last seen, or felt by the bumper, at a place (odometry frame).
     pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
-        self.occluded.note(place, stamp);
+        self.occluded.note(RecentPlace {
+            place,
+            stamp,
+            speed: self.fastest_out_of_sight,
+            track: None,
+        });
     }
 
     /// Where moving obstacles entered the blind spot.
@@ -160,11 +225,23 @@ impl MovingObstacles {
         self.occluded.iter()
     }
 
-    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`.
-    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
+    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`, and how fast each moves at most, m/s: a tracked one
+    /// as fast as its track, any other one as fast as is assumed.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
         let points = self.detectors.iter().flat_map(|detector| &detector.points);
-        points.map(move |point| base_from_odom * point)
+        points.map(move |point| (base_from_odom * point, self.speed_at(*point).unwrap_or(self.fastest)))
+    }
+
+    /// The greatest speed of the track that a point (odometry frame) belongs to, m/s.
+    fn speed_at(&self, point: Point2<f64>) -> Option<f64> {
+        self.tracks.at(point).map(Track::most_speed)
+    }
+
+    /// The tracks of moving obstacles.
+    #[must_use]
+    pub fn tracks(&self) -> &ObstacleTracks {
+        &self.tracks
     }
 }
 
@@ -178,6 +255,8 @@ impl Detector {
             free: Vec::new(),
             references: VecDeque::new(),
             points: Vec::new(),
+            moved_beams: Vec::new(),
+            range: settings.moving_obstacles.range.max(settings.tracking.range),
             departed: Vec::new(),
             appeared: Vec::new(),
             moved: RecentPlaces::new(MOVED_PLACES, settings.moving_obstacles.place_spacing),
@@ -201,10 +280,12 @@ impl Detector {
         let laser = scan.laser();
         let (low, high) = self.moved.bounds(self.settings.turning_distance);
         let (mut begun, mut still) = (0, Vec::new());
+        self.moved_beams.clear();
+        self.moved_beams.resize(scan.ranges.len(), false);
         for (beam, (range, ray)) in scan.ranges.iter().zip(scan.rays).enumerate() {
             let range = f64::from(*range);
             if !self.is_near(range) {
-                self.end_run(&mut begun, laser);
+                self.end_run(&mut begun, laser, beam);
                 continue;
             }
             let point = laser + ray * range;
@@ -213,12 +294,14 @@ impl Detector {
                 self.points.push(point);
                 continue;
             }
-            self.end_run(&mut begun, laser);
+            self.end_run(&mut begun, laser, beam);
             if point >= low && point <= high && self.moved.any_within(self.settings.turning_distance, point) {
                 still.push(point);
             }
         }
-        self.end_run(&mut begun, laser);
+        self.end_run(&mut begun, laser, scan.ranges.len());
+        let range = self.settings.range;
+        self.points.retain(|point| (point - laser).norm() <= range);
         thin(&mut self.points, self.settings.spacing);
         let evident = self.points.len();
         thin(&mut still, self.settings.spacing);
@@ -230,13 +313,18 @@ impl Detector {
     /// Notes where something has evidently moved: the first of the points.
     fn note_moved(&mut self, evident: usize, stamp: Stamp) {
         for place in self.points.iter().take(evident) {
-            self.moved.note(*place, stamp);
+            self.moved.note(RecentPlace {
+                place: *place,
+                stamp,
+                speed: self.fastest,
+                track: None,
+            });
         }
     }
 
     /// Whether a range is a return near enough to matter.
     fn is_near(&self, range: f64) -> bool {
-        range >= self.lidar.range_min && range <= self.settings.range.min(self.lidar.range_max)
+        range >= self.lidar.range_min && range <= self.range.min(self.lidar.range_max)
     }
 
     /// Finds the beams whose return lies just behind a departed one.
@@ -291,11 +379,15 @@ impl Detector {
         }
     }
 
-    /// Drops a run of neighbouring returns that is too narrow to be trusted.
-    fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>) {
+    /// Ends a run of neighbouring returns before a beam: one that is too narrow to be trusted is dropped.
+    fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>, beam: usize) {
         if let [first, .., last] = self.points.get(*begun..).unwrap_or_default() {
             let least = self.least_width((first - laser).norm());
             if (last - first).norm() >= least {
+                let beams = beam.saturating_sub(self.points.len() - *begun)..beam;
+                for moved in self.moved_beams.get_mut(beams).unwrap_or_default() {
+                    *moved = true;
+                }
                 *begun = self.points.len();
             }
         }
@@ -401,7 +493,7 @@ mod tests {
             let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
             tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
-        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).collect();
+        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).map(|(point, _)| point).collect();
         assert!(
             !points.is_empty() && points.iter().all(|point| point.x < -1.0),
             "{points:?}"

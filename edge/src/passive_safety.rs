@@ -7,7 +7,7 @@
 //! (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous Robots
 //! 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
-use nalgebra::{Isometry2, Point2, Vector2};
+use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint};
@@ -25,6 +25,8 @@ pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
 /// Spacing of the samples of the outline, and of the poses that they are checked at, m.
 const SAMPLE: f64 = 0.04;
+/// Steps that the time until rest is cut into.
+const STOPPING_STEPS: u32 = 5;
 /// Most poses that are checked along the stopping distance.
 const MAX_POSES: f64 = 100.0;
 /// Contact at this speed is no harm, m/s.
@@ -45,10 +47,6 @@ pub struct Motion<'a> {
     pub braking: f64,
     /// Time constant of the motors, s.
     pub lag: f64,
-    /// Assumed speed of moving obstacles in view, m/s.
-    pub speed_in_view: f64,
-    /// Assumed speed of moving obstacles out of sight, m/s.
-    pub speed_out_of_sight: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
     /// Tunables.
@@ -74,8 +72,6 @@ impl<'a> Motion<'a> {
             reaction: age + tick + drive.motor_lag,
             braking: drive.hard_braking,
             lag: drive.motor_lag,
-            speed_in_view: settings.speed_in_view(drive.top_speed()),
-            speed_out_of_sight: settings.speed_out_of_sight(drive.top_speed()),
             margin,
             settings,
         }
@@ -136,42 +132,59 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Limit by moving obstacles in view.
+    /// Limit by moving obstacles in view: wherever one may be by then, at its own speed and turning at will, no point of the outline that
+    /// it can reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let mut shares = SHARES.iter();
-        let mut share = shares.next().copied().unwrap_or(0.0);
-        let mut reach = self.reach(share);
-        let near = self.footprint.circumscribed_radius()
-            + self.protective_distance(1.0, self.speed_in_view)
-            + self.stopping_distance(1.0);
-        for point in obstacles.moving().in_base(odom_from_base) {
-            if point.coords.norm_squared() > near * near
-                || closing_speed(self.footprint, self.twist, point) < -self.settings.left_behind * self.speed
-            {
-                continue;
-            }
-            while share > 0.0 && reach.contains(self.footprint, point) {
-                share = shares.next().copied().unwrap_or(0.0);
-                reach = self.reach(share);
-            }
+        let stopping_time = self.stopping_time(1.0);
+        let radius = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
+        let moving = obstacles.moving().in_base(odom_from_base);
+        let near: Vec<_> = moving
+            .filter(|(point, speed)| point.coords.norm() <= radius + speed * stopping_time)
+            .collect();
+        if near.is_empty() {
+            return 1.0;
         }
-        share
+        let samples = outline_samples(self.footprint, 0.0);
+        let safe = |share: &&f64| !self.may_be_touched(**share, &samples, &near);
+        SHARES.iter().find(safe).copied().unwrap_or(0.0)
+    }
+
+    /// Whether one of these points (base frame, with its speed, m/s) may touch the outline where it moves outwards, before the robot is at
+    /// rest from a share of its speed.
+    fn may_be_touched(
+        &self,
+        share: f64,
+        samples: &[(Point2<f64>, Vector2<f64>)],
+        points: &[(Point2<f64>, f64)],
+    ) -> bool {
+        let (speed, all) = (share * self.speed, self.stopping_time(share));
+        let mut travelled = 0.0;
+        let mut before = 0.0;
+        for step in 1..=STOPPING_STEPS {
+            let until = all * f64::from(step) / f64::from(STOPPING_STEPS);
+            // The fastest that the robot may be within this step, as a share of the wanted twist.
+            let now = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
+            let pose = Pose2::IDENTITY.advance(self.twist, travelled);
+            let here_from_base = rigid(pose.inverse());
+            for (point, speed) in points {
+                let (point, reach) = (here_from_base * point, self.margin + speed * until);
+                let touched = samples.iter().any(|(at, normal)| {
+                    (point - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
+                });
+                if touched {
+                    return true;
+                }
+            }
+            travelled += now * (until - before);
+            before = until;
+        }
+        false
     }
 
     /// Distance that an obstacle of this speed covers until the robot is at rest, plus the margin, m (ISO 13855's separation distance).
     fn protective_distance(&self, share: f64, speed: f64) -> f64 {
         self.margin + speed * self.stopping_time(share)
-    }
-
-    /// Where a moving obstacle may reach the robot before it is at rest.
-    fn reach(&self, share: f64) -> Reach {
-        let secs = self.stopping_distance(share) / (share * self.speed).max(1e-9);
-        let twist = Twist2::new(share * self.twist.v, share * self.twist.w);
-        Reach {
-            protective_distance: self.protective_distance(share, self.speed_in_view),
-            there_from_here: [0.0, 0.5, 1.0].map(|part| rigid(Pose2::IDENTITY.advance(twist, part * secs).inverse())),
-        }
     }
 
     /// Limit by the lidar's blind spot: the robot moves only over floor that was seen before, and straight into the blind spot no faster
@@ -234,9 +247,7 @@ impl<'a> Motion<'a> {
         for occluded in obstacles.moving().occluded() {
             let age = now.secs_since(occluded.stamp).max(0.0);
             let distance = self.footprint.distance(base_from_odom * occluded.place);
-            while share > 0.0
-                && distance <= self.protective_distance(share, self.speed_out_of_sight) + self.speed_out_of_sight * age
-            {
+            while share > 0.0 && distance <= self.protective_distance(share, occluded.speed) + occluded.speed * age {
                 share = shares.next().copied().unwrap_or(0.0);
             }
         }
@@ -259,20 +270,6 @@ impl<'a> Motion<'a> {
     /// How fast a point of the outline moves along its normal, m/s.
     fn outward(&self, at: Point2<f64>, normal: Vector2<f64>) -> f64 {
         Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x).dot(&normal)
-    }
-}
-
-/// The outline grown by the protective distance, now and until rest.
-struct Reach {
-    protective_distance: f64,
-    there_from_here: [Isometry2<f64>; 3],
-}
-
-impl Reach {
-    fn contains(&self, footprint: &Footprint, point: Point2<f64>) -> bool {
-        self.there_from_here
-            .iter()
-            .any(|there_from_here| footprint.distance(there_from_here * point) <= self.protective_distance)
     }
 }
 

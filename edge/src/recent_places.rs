@@ -12,6 +12,10 @@ pub struct RecentPlace {
     pub place: Point2<f64>,
     /// When it was there last.
     pub stamp: Stamp,
+    /// How fast it moves at most, m/s.
+    pub speed: f64,
+    /// Its track, if it has one.
+    pub track: Option<u64>,
 }
 
 impl RecentPlace {
@@ -42,17 +46,21 @@ impl RecentPlaces {
         }
     }
 
-    /// Something is at a place (odometry frame) now.
-    pub fn note(&mut self, place: Point2<f64>, stamp: Stamp) {
+    /// Something is at a place now.
+    pub fn note(&mut self, seen: RecentPlace) {
         let spacing = self.spacing;
-        if let Some(known) = self.places.iter_mut().find(|known| known.is_within(spacing, place)) {
-            *known = RecentPlace { place, stamp };
+        if let Some(known) = self
+            .places
+            .iter_mut()
+            .find(|known| known.is_within(spacing, seen.place))
+        {
+            *known = seen;
             return;
         }
         if self.places.len() == self.most {
             self.places.pop_front();
         }
-        self.places.push_back(RecentPlace { place, stamp });
+        self.places.push_back(seen);
     }
 
     /// Keeps the places that `keeps` is true for.
@@ -87,18 +95,27 @@ impl RecentPlaces {
 mod tests {
     use super::*;
 
+    fn at(x: f64, secs: f64) -> RecentPlace {
+        RecentPlace {
+            place: Point2::new(x, 0.0),
+            stamp: Stamp::from_secs(secs),
+            speed: 1.0,
+            track: None,
+        }
+    }
+
     #[test]
     fn the_newest_of_neighbours_is_kept_and_the_first_of_too_many_is_not() {
         let mut places = RecentPlaces::new(2, 0.1);
         for (x, secs) in [(0.0, 1.0), (0.05, 2.0), (1.0, 3.0)] {
-            places.note(Point2::new(x, 0.0), Stamp::from_secs(secs));
+            places.note(at(x, secs));
         }
         assert_eq!(places.iter().count(), 2);
         assert!(places.iter().all(|known| known.stamp >= Stamp::from_secs(2.0)));
         assert!(places.any_within(0.2, Point2::new(1.1, 0.1)));
         assert!(!places.any_within(0.2, Point2::new(0.5, 0.0)));
         assert_eq!(places.bounds(0.2).1, Point2::new(1.2, 0.2));
-        places.note(Point2::new(2.0, 0.0), Stamp::from_secs(4.0));
+        places.note(at(2.0, 4.0));
         assert!(!places.any_within(0.2, Point2::new(0.0, 0.0)));
     }
 }

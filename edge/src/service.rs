@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
-    Battery, Bump, EdgeState, Event, Imu, Marker, Odometry, PoseEstimate, Refusal, Scan, SimClock,
+    Battery, Bump, EdgeState, Event, Imu, Marker, Obstacles, Odometry, PoseEstimate, Refusal, Scan, SimClock,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::robot::RobotModel;
@@ -202,6 +202,7 @@ struct Publishers {
     pose: Publisher<PoseEstimate>,
     state: Publisher<EdgeState>,
     event: Publisher<Event>,
+    obstacles: Publisher<Obstacles>,
     marker: Publisher<Marker>,
     clock: Option<Publisher<SimClock>>,
 }
@@ -250,6 +251,7 @@ impl Publishers {
             pose: bus.publisher(&topics::POSE, robot)?,
             state: bus.publisher(&topics::STATE, robot)?,
             event: bus.publisher(&topics::EVENT, robot)?,
+            obstacles: bus.publisher(&topics::OBSTACLES, robot)?,
             marker: bus.publisher(&topics::MARKER, robot)?,
             clock: gives_the_time
                 .then(|| bus.publisher(&topics::SIM_CLOCK, &[]))
@@ -276,6 +278,7 @@ impl Publishers {
                 Publication::Pose(message) => self.pose.put(message),
                 Publication::State(message) => self.state.put(message),
                 Publication::Event(message) => self.event.put(message),
+                Publication::Obstacles(message) => self.obstacles.put(message),
                 Publication::Marker(message) => self.marker.put(message),
             }
         }

@@ -37,6 +37,10 @@ zenav_protocol::settings! {
         pub scan_reprojection: ScanReprojectionSettings;
         /// Detection of moving obstacles.
         pub moving_obstacles: MovingObstacleSettings;
+        /// Tracks of moving obstacles.
+        pub tracking: TrackingSettings;
+        /// Predictive control among moving obstacles.
+        pub avoidance: AvoidanceSettings;
         /// Pose estimator.
         pub estimator: EstimatorSettings;
         /// Telemetry.
@@ -194,8 +198,6 @@ zenav_protocol::settings! {
         pub speed_out_of_sight: Option<f64> = None, "m/s";
         /// Least time to contact while creeping inside the margin.
         pub creep_time: f64 = 1.0, "s", 0.1..=10.0;
-        /// An obstacle that recedes faster than this share of the robot's speed is left behind.
-        pub left_behind: f64 = 0.3, "", 0.0..=1.0;
         /// Distance kept from unseen floor beyond the margin: odometry drifts, and cells are coarse.
         pub unseen_margin: f64 = 0.03, "m", 0.0..=0.5;
         /// Time constants of the motors until rest after braking: a first-order lag is at 5 % after three.
@@ -285,6 +287,46 @@ zenav_protocol::settings! {
         pub spacing: f64 = 0.02, "m", 0.001..=0.5;
         /// Least spacing of the places that are kept where something moved or entered the blind spot.
         pub place_spacing: f64 = 0.1, "m", 0.01..=1.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Tracks of moving obstacles.
+    pub struct TrackingSettings {
+        /// Returns beyond this range are not tracked.
+        pub range: f64 = 9.0, "m", 0.5..=100.0;
+        /// Standard deviation of where a scan shows the center of an obstacle: its far side is never seen.
+        pub position_noise: f64 = 0.05, "m", 0.005..=1.0;
+        /// Standard deviation of an obstacle's acceleration: how soon a person turns or stops.
+        pub acceleration: f64 = 2.0, "m/s²", 0.1..=20.0;
+        /// A track goes on with what is seen this near to where it is expected, plus two standard deviations.
+        pub gate: f64 = 0.35, "m", 0.05..=3.0;
+        /// What is wider than this is no moving obstacle.
+        pub widest: f64 = 1.3, "m", 0.1..=10.0;
+        /// Slower than this an obstacle stands.
+        pub least_speed: f64 = 0.08, "m/s", 0.0..=2.0;
+        /// An obstacle that has stood for this long is a static one.
+        pub standing: f64 = 2.0, "s", 0.1..=60.0;
+        /// A track that is hidden goes on by its prediction for this long.
+        pub memory: f64 = 2.0, "s", 0.1..=60.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Predictive control among moving obstacles.
+    pub struct AvoidanceSettings {
+        /// How far ahead moving obstacles are predicted.
+        pub horizon: f64 = 4.8, "s", 1.0..=10.0;
+        /// Distance kept from where a moving obstacle is predicted.
+        pub clearance: f64 = 0.25, "m", 0.0..=2.0;
+        /// And this much for each second of prediction, for people who turn.
+        pub clearance_per_second: f64 = 0.08, "m/s", 0.0..=1.0;
+        /// Largest of these together.
+        pub clearance_most: f64 = 0.6, "m", 0.0..=3.0;
+        /// The way of a moving obstacle is left this long before it comes.
+        pub lead: f64 = 1.2, "s", 0.0..=5.0;
+        /// Farther than this from where the plan has the robot, the plan is discarded while the robot makes way.
+        pub off_track: f64 = 3.0, "m", 0.1..=20.0;
     }
 }
 

@@ -17,9 +17,9 @@ use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
-    ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree,
-    SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
+    ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan,
+    SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -308,6 +308,7 @@ crate::sensor_kinds!(key_table [
         POSE: PoseEstimate = "zenav/{robot}/edge/pose", Edge, Qos::Latest, 4 * KIB;
         STATE: EdgeState = "zenav/{robot}/edge/state", Edge, Qos::Latest, 16 * KIB;
         EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, 16 * KIB;
+        OBSTACLES: Obstacles = "zenav/{robot}/edge/obstacles", Edge, Qos::Latest, 64 * KIB;
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;

@@ -16,9 +16,9 @@ use zenav_protocol::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Odometry, ParamReply,
-    ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan,
-    SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
+    ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest,
+    Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -58,6 +58,7 @@ zenav_protocol::sensor_kinds!(messages [
     PoseEstimate
     EdgeState
     Event
+    Obstacles
     Marker
     MapInfo
     MapPatch

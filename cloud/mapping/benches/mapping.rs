@@ -110,6 +110,7 @@ impl Flat {
                     range_min: 0.02,
                     range_max,
                     ranges: Vec::new(),
+                    moving: Vec::new(),
                     base_from_laser: Pose2::IDENTITY,
                     map_from_odom: Pose2::IDENTITY,
                     odom_from_base: Pose2::new(at.x, at.y, turn + 0.5 * PI),

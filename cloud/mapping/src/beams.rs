@@ -64,6 +64,7 @@ impl BeamReader {
             .max_range
             .filter(|range| *range > 0.0)
             .map_or(scan.range_max, |range| range.min(scan.range_max));
+        let mut moving = scan.moving.iter().peekable();
         let laser = scan.map_from_laser();
         let (origin, per_metre) = (frame.cells(laser.position()), frame.resolution.recip());
         let (yaw_sin, yaw_cos) = laser.yaw.sin_cos();
@@ -76,14 +77,22 @@ impl BeamReader {
             .skip(trim)
         {
             let measured = f64::from(*range);
-            let hit = measured <= usable;
+            while moving.next_if(|[_, end]| *end as usize <= number).is_some() {}
+            let on_moving = moving.peek().is_some_and(|[first, _]| *first as usize <= number);
+            let hit = measured <= usable && !on_moving;
             if measured.is_nan()
                 || measured < scan.range_min
                 || (measured > scan.range_max && !settings.clear_without_return)
             {
                 continue;
             }
-            let length = measured.min(usable) * per_metre;
+            // A lost beam looks like one that met nothing: it clears no farther than its neighbours saw.
+            let seen = if measured > scan.range_max {
+                least_nearby(scan, number, settings.lost_neighbours)
+            } else {
+                measured
+            };
+            let length = seen.min(usable) * per_metre;
             let direction = Vector2::new(yaw_cos * cos - yaw_sin * sin, yaw_sin * cos + yaw_cos * sin);
             beams.push(Beam {
                 end: origin + direction * length,
@@ -94,6 +103,14 @@ impl BeamReader {
             });
         }
     }
+}
+
+/// The least range of the beams beside one, m; infinite where none of them has a return.
+fn least_nearby(scan: &Scan, beam: usize, neighbours: usize) -> f64 {
+    let beside = beam.saturating_sub(neighbours)..(beam + neighbours + 1).min(scan.ranges.len());
+    let ranges = scan.ranges.get(beside).unwrap_or_default().iter();
+    let returns = ranges.filter(|range| scan.is_return(**range));
+    returns.fold(f64::INFINITY, |least, range| least.min(f64::from(*range)))
 }
 
 #[cfg(test)]
@@ -143,6 +160,7 @@ mod tests {
             trim: 0,
             max_range: Some(4.0),
             clear_without_return: true,
+            lost_neighbours: 0,
         };
         let beams = read(&scan, &settings);
         assert_eq!(
@@ -163,6 +181,32 @@ mod tests {
             .len(),
             2
         );
+    }
+
+    #[test]
+    fn a_lost_beam_clears_no_farther_than_its_neighbours_saw_and_a_moving_obstacle_is_no_hit() {
+        let lost = f32::INFINITY;
+        let settings = BeamSettings {
+            trim: 0,
+            lost_neighbours: 2,
+            ..BeamSettings::default()
+        };
+        let mut scan = scan(0.1, vec![2.0, lost, 3.0, lost, lost, lost, lost, 1.0]);
+        scan.moving = vec![[2, 3], [7, 9]];
+        let beams = read(&scan, &settings);
+        let lengths: Vec<(bool, f64)> = beams.iter().map(|beam| (beam.hit, beam.length)).collect();
+        let free = |range: f64| (false, 2.0 * range);
+        let expected = [
+            (true, 4.0),
+            free(2.0),
+            free(3.0),
+            free(3.0),
+            free(3.0),
+            free(1.0),
+            free(1.0),
+            free(1.0),
+        ];
+        assert_eq!(lengths, expected);
     }
 
     #[test]

@@ -155,6 +155,7 @@ mod tests {
         trim: 0,
         max_range: None,
         clear_without_return: false,
+        lost_neighbours: 0,
     };
 
     /// Two scans that see four things.
@@ -167,6 +168,7 @@ mod tests {
                 range_min: 0.02,
                 range_max: 20.0,
                 ranges: vec![1.0, 2.5, f32::INFINITY],
+                moving: Vec::new(),
                 base_from_laser: Pose2::IDENTITY,
                 map_from_odom: Pose2::IDENTITY,
                 odom_from_base: Pose2::new(0.5, -0.5, yaw),

@@ -240,6 +240,7 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
         range_min: 0.02,
         range_max,
         ranges,
+        moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,
         odom_from_base: laser,
@@ -251,6 +252,7 @@ pub const LOG_BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
     clear_without_return: false,
+    lost_neighbours: 0,
 };
 
 #[cfg(test)]

@@ -59,6 +59,8 @@ zenav_protocol::settings! {
         pub max_range: Option<f64> = None, "m";
         /// Whether a beam without a return clears its cells up to the range; some lidars also lose black and glass.
         pub clear_without_return: bool = true;
+        /// It clears no farther than this many beams on each side saw: a lost beam looks the same.
+        pub lost_neighbours: usize = 8, "", 0..=1000;
     }
     check = |beams: &BeamSettings| match beams.max_range {
         Some(range) if !(range.is_finite() && range > 0.0) => {

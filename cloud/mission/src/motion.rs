@@ -20,6 +20,8 @@ const SPACING: (f64, f64) = (0.05, 0.1);
 const NEAR: f64 = 0.1;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
+/// Clearances above this are all the same to a recheck, m.
+const CONTACT: f64 = 2e-3;
 /// A robot that says nothing of an accepted plan for this long has dropped it, s.
 const DROPPED: f64 = 0.6;
 
@@ -373,7 +375,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         let end = (first + BLOCK).min(poses.len());
         let Some(block) = poses.get(first..end) else { break };
         let sweep: Vec<Pose2> = block.iter().map(|(_, pose)| *pose).collect();
-        if space.sweep_min_clearance(&sweep) <= 0.0 {
+        if space.sweep_clearance_within(&sweep, CONTACT) <= 0.0 {
             return Recheck::Blocked((block.first().map_or(from, |(t, _)| *t) - from).max(0.0));
         }
         if end == poses.len() {

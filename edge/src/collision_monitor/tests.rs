@@ -188,7 +188,7 @@ fn an_obstacle_that_moves_away_may_turn_round() {
     let model = jackal();
     let fast = Twist2::new(1.5, 0.0);
     let share = |velocity: f64| {
-        let (obstacles, stamp) = beside(&model, Point2::new(1.2 - 0.95 * velocity, 0.0), velocity);
+        let (obstacles, stamp) = beside(&model, Point2::new(0.9 - 0.95 * velocity, 0.0), velocity);
         let mut monitor = CollisionMonitor::new(&model, 0.02);
         let verdict = monitor.judge(stamp.plus_secs(0.02), fast, &obstacles, Pose2::IDENTITY, &NO_BUMP);
         (verdict.twist.v / fast.v, verdict.change.unwrap_or_default())
@@ -322,7 +322,7 @@ fn a_moving_obstacle_stops_the_robot_earlier_than_a_static_one() {
     let wanted = Twist2::new(0.5, 0.0);
     assert_eq!(judge(&model, &standing, wanted).twist.v, 0.5);
     let verdict = judge(&model, &moving, wanted);
-    assert!(verdict.twist.v < 0.4 && verdict.change.unwrap().contains("moving obstacle"));
+    assert!(verdict.twist.v <= 0.4 && verdict.change.unwrap().contains("moving obstacle"));
 }
 
 proptest! {

@@ -6,9 +6,13 @@ use zenav_protocol::time::Stamp;
 
 use super::Pilot;
 use crate::arbitration::MotionSource;
+use crate::avoidance::{AvoidanceInput, Control};
 use crate::limiter::Braking;
 use crate::trackers::TrackerInput;
 use crate::wall_follower::WallFollowerInput;
+
+/// The plan is looked at this far ahead, s.
+const AHEAD_SECS: f64 = 12.0;
 
 impl Pilot {
     /// The wanted twist of the source that may move the robot, and how it brakes.
@@ -86,21 +90,40 @@ impl Pilot {
                 }
                 (self.dead_man.twist(now), Braking::Normal)
             }
-            MotionSource::Plan => match &mut self.active_plan {
-                Some(active) => {
-                    let wanted = active.step(
-                        now,
-                        dt,
-                        self.estimator.map_from_base(),
-                        self.estimator.velocity(),
-                        &self.config.model.drive,
-                        &self.gains,
-                    );
-                    self.mode = if active.is_finished() { Mode::Idle } else { Mode::Follow };
-                    (wanted, Braking::Normal)
-                }
-                None => (Twist2::ZERO, Braking::Normal),
-            },
+            MotionSource::Plan => (self.follow_plan(now, dt), Braking::Normal),
         }
+    }
+
+    /// The twist of the plan's tracker, or another one where the plan leads into the way of somebody.
+    fn follow_plan(&mut self, now: Stamp, dt: f64) -> Twist2 {
+        let Some(active) = &mut self.active_plan else {
+            return Twist2::ZERO;
+        };
+        let drive = &self.config.model.drive;
+        let map_from_base = self.estimator.map_from_base();
+        if !active.is_finished() {
+            let odom_from_map = self.estimator.map_from_odom().inverse();
+            active.ahead(odom_from_map, AHEAD_SECS, &mut self.ahead);
+            let control = self.avoidance.step(&AvoidanceInput {
+                dt,
+                age: self.obstacles.stamp().map_or(0.0, |stamp| now.secs_since(stamp)),
+                odom_from_base: self.estimator.odom_from_base(),
+                command: self.limiter.twist(),
+                blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
+                speed_cap: active.speed_cap_now(now, dt, drive),
+                ahead: &self.ahead,
+                obstacles: &self.obstacles,
+            });
+            if control != Control::Follow {
+                active.rejoin(&map_from_base);
+            }
+            if let Control::Evade(twist) = control {
+                self.mode = Mode::Follow;
+                return twist;
+            }
+        }
+        let wanted = active.step(now, dt, map_from_base, self.estimator.velocity(), drive, &self.gains);
+        self.mode = if active.is_finished() { Mode::Idle } else { Mode::Follow };
+        wanted
     }
 }

@@ -26,6 +26,7 @@ use zenav_protocol::wall_following::WallFollowing;
 
 use crate::active_plan::ActivePlan;
 use crate::authority::Authority;
+use crate::avoidance::{Ahead, Avoidance};
 use crate::collision_monitor::CollisionMonitor;
 use crate::config::EdgeConfig;
 use crate::control_io::{Inbox, Outbox, Persisted};
@@ -58,10 +59,13 @@ pub struct Pilot {
     pub(crate) obstacles: LocalObstacles,
     pub(crate) collision_monitor: CollisionMonitor,
     pub(crate) active_plan: Option<ActivePlan>,
+    avoidance: Avoidance,
+    /// The plan ahead; kept for its memory.
+    ahead: Vec<Ahead>,
     pub(crate) wall_following: WallFollowing,
     wall_follower: WallFollower,
     return_home: ReturnHome,
-    limiter: Limiter,
+    pub(crate) limiter: Limiter,
     wheel_coordination: WheelCoordination,
     dead_man: DeadMan,
     telemetry: Telemetry,
@@ -71,6 +75,8 @@ pub struct Pilot {
     discarded: VecDeque<u64>,
     last: Option<Stamp>,
     pressed: bool,
+    /// Whether the last published obstacles were any.
+    tracked: bool,
     battery_is_low: bool,
     mode: Mode,
     missed_ticks: u64,
@@ -91,6 +97,8 @@ impl Pilot {
             obstacles: LocalObstacles::with_settings(model, settings),
             collision_monitor: CollisionMonitor::new(model, config.tick).with_settings(settings),
             active_plan: None,
+            avoidance: Avoidance::new(model, &settings.avoidance),
+            ahead: Vec::new(),
             wall_following: model.wall_following.clone(),
             wall_follower: WallFollower::new(model, &settings.wall_follower),
             return_home: ReturnHome::new(&settings.return_home),
@@ -103,6 +111,7 @@ impl Pilot {
             discarded: VecDeque::new(),
             last: None,
             pressed: false,
+            tracked: false,
             battery_is_low: false,
             mode: Mode::Idle,
             missed_ticks: 0,
@@ -191,7 +200,8 @@ impl Pilot {
         let drive = &self.config.model.drive;
         let limited = drive.twist(self.limiter.limit(wanted, dt, braking));
         self.collision_monitor.blind_speed = match self.mode {
-            Mode::Behaviour => self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
+            Mode::Follow if !self.avoidance.is_evading() => self.gains.blind_speed,
+            Mode::Behaviour | Mode::Follow => self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
             _ => self.gains.blind_speed,
         };
         let verdict = self.collision_monitor.judge(

@@ -133,7 +133,12 @@ impl Pilot {
     /// Ends the plan when it is reached, expired or lost.
     pub(super) fn end_plan(&mut self, now: Stamp) {
         let pose = self.estimator.map_from_base();
+        let off_track = self
+            .avoidance
+            .is_evading()
+            .then_some(self.config.settings.avoidance.off_track);
         let Some(active) = &mut self.active_plan else {
+            self.avoidance.reset();
             return;
         };
         if active.ends(&pose) {
@@ -152,7 +157,7 @@ impl Pilot {
                     goal_id: active.plan().goal_id.clone(),
                 },
             );
-        } else if let Some(reason) = active.lost() {
+        } else if let Some(reason) = active.lost(off_track) {
             self.discard_plan(now, reason);
         }
     }

@@ -1,6 +1,6 @@
 //! Sensing. What do the readings of a tick change? The estimate, the obstacles around the robot, and the events about bumper and battery.
 
-use zenav_protocol::messages::{Correction, EventKind};
+use zenav_protocol::messages::{Correction, EventKind, Obstacle, Obstacles};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 
@@ -31,10 +31,16 @@ impl Pilot {
         for sweep in &readings.sweeps {
             if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
                 && self.obstacles.insert(sweep, odom_from_base)
-                && let Some(scan) = telemetry::scan(sweep, &self.config.model, &self.estimator)
             {
-                out.push(Publication::Scan(sweep.lidar.clone(), scan));
+                let moving = self.obstacles.moving_beams(&sweep.lidar);
+                let scan = telemetry::scan(sweep, moving, &self.config.model, &self.estimator);
+                out.extend(scan.map(|scan| Publication::Scan(sweep.lidar.clone(), scan)));
             }
+        }
+        let tracked = self.obstacles.moving().tracks().iter().next().is_some();
+        if !readings.sweeps.is_empty() && (tracked || self.tracked) {
+            out.push(Publication::Obstacles(self.tracked_obstacles()));
+            self.tracked = tracked;
         }
         if readings.bump.pressed {
             let place = contact_point(&self.config.model.footprint, &readings.bump);
@@ -51,5 +57,30 @@ impl Pilot {
         }
         // One event until it has been charged.
         self.battery_is_low = charge < low + if self.battery_is_low { CHARGED } else { 0.0 };
+    }
+
+    /// The tracks of moving obstacles as a message, in the map frame.
+    fn tracked_obstacles(&self) -> Obstacles {
+        let map_from_odom = self.estimator.map_from_odom();
+        let tracks = self.obstacles.moving().tracks().iter();
+        Obstacles {
+            stamp: self.obstacles.stamp().unwrap_or_default(),
+            obstacles: tracks
+                .map(|track| {
+                    let place = map_from_odom.transform_point(track.position);
+                    let (sin, cos) = map_from_odom.yaw.sin_cos();
+                    Obstacle {
+                        id: track.id,
+                        x: place.x,
+                        y: place.y,
+                        vx: cos * track.velocity.x - sin * track.velocity.y,
+                        vy: sin * track.velocity.x + cos * track.velocity.y,
+                        radius: track.radius,
+                        variance: track.variance,
+                        unseen_for: track.stamp.secs_since(track.seen),
+                    }
+                })
+                .collect(),
+        }
     }
 }

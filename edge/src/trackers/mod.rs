@@ -49,6 +49,9 @@ pub trait Tracker: std::fmt::Debug + Send + Sync {
     /// The trajectory and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
     fn followed(&self) -> Option<(&Trajectory, f64)>;
 
+    /// Goes on from the place on the path nearest to the robot: something else drives it now.
+    fn rejoin(&mut self, map_from_base: &Pose2);
+
     /// Distance from where the plan has the robot, m, at the last tick.
     fn off_track(&self) -> f64;
 

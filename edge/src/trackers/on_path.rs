@@ -86,6 +86,10 @@ impl<L: PathLaw> Tracker for OnPath<L> {
         Some(self.projection.followed())
     }
 
+    fn rejoin(&mut self, map_from_base: &Pose2) {
+        self.projection.advance(map_from_base);
+    }
+
     fn off_track(&self) -> f64 {
         self.projection.off_track()
     }

@@ -14,6 +14,9 @@ use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 use super::{AT_REST, Progress, Tracker, TrackerInput, capped};
 use crate::passive_safety::GENTLE;
 
+/// A robot that left the trajectory comes back to it this far ahead at most, m.
+const REJOIN_WINDOW: f64 = 1.5;
+
 /// Follows a trajectory.
 #[derive(Clone, Debug)]
 pub struct TrajectoryTracker {
@@ -151,6 +154,14 @@ impl Tracker for TrajectoryTracker {
 
     fn followed(&self) -> Option<(&Trajectory, f64)> {
         Some((&self.trajectory, self.time))
+    }
+
+    fn rejoin(&mut self, map_from_base: &Pose2) {
+        let nearest = self
+            .trajectory
+            .nearest_ahead(self.time, map_from_base.position(), REJOIN_WINDOW);
+        self.time = self.time.max(nearest.t);
+        self.off = nearest.distance;
     }
 
     fn off_track(&self) -> f64 {

@@ -96,6 +96,12 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
         self.projection.as_ref().map(PathProjection::followed)
     }
 
+    fn rejoin(&mut self, map_from_base: &Pose2) {
+        if let Some(projection) = &mut self.projection {
+            projection.advance(map_from_base);
+        }
+    }
+
     fn off_track(&self) -> f64 {
         self.projection.as_ref().map_or(0.0, PathProjection::off_track)
     }

@@ -251,6 +251,7 @@ fn scan() -> Scan {
         range_min: 0.05,
         range_max: 12.0,
         ranges,
+        moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,
         odom_from_base: Pose2::IDENTITY,

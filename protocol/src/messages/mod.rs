@@ -12,6 +12,7 @@
 //! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
 //! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
+//! | `obstacles` | the moving obstacles that the robot tracks |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
 //! | `behaviour` | manoeuvres that the robot executes by itself |
@@ -34,6 +35,7 @@ mod lease;
 mod map;
 mod mission;
 mod motion;
+mod obstacles;
 mod plan;
 mod refusal;
 mod remote;
@@ -50,6 +52,7 @@ pub use lease::*;
 pub use map::*;
 pub use mission::*;
 pub use motion::*;
+pub use obstacles::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;

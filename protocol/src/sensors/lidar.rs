@@ -176,6 +176,9 @@ pub struct Scan {
     /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
     #[serde(with = "no_return_as_null")]
     pub ranges: Vec<f32>,
+    /// Runs of beams that met a moving obstacle: the first beam, and the one after the last. A map leaves them out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moving: Vec<[u32; 2]>,
     /// Where the lidar sits on the robot.
     pub base_from_laser: Pose2,
     /// Correction of odometry at the stamp.
@@ -313,6 +316,7 @@ mod tests {
             range_min: 0.02,
             range_max: 5.6,
             ranges: vec![1.5, f32::INFINITY, 0.25],
+            moving: Vec::new(),
             base_from_laser: Pose2::new(0.2, 0.0, 0.0),
             map_from_odom: Pose2::IDENTITY,
             odom_from_base: Pose2::new(1.0, 2.0, 0.5),

@@ -229,6 +229,7 @@ mod tests {
                     range_min: 0.02,
                     range_max: 6.0,
                     ranges: vec![range; 21],
+                    moving: Vec::new(),
                     base_from_laser: Pose2::IDENTITY,
                     map_from_odom: Pose2::IDENTITY,
                     odom_from_base: Pose2::new(0.01, 0.01, yaw),

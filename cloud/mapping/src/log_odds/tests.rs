@@ -13,6 +13,7 @@ const BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
     clear_without_return: true,
+    lost_neighbours: 0,
 };
 
 /// A scan from a pose whose beams start straight ahead and go counter-clockwise by `step`.
@@ -24,6 +25,7 @@ fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
         range_min: 0.02,
         range_max: 5.0,
         ranges,
+        moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,
         odom_from_base: pose,

@@ -1,0 +1,447 @@
+//! Obstacle tracks. Which moving obstacles are around the robot, where are they going, and how sure is that?
+//!
+//! Each scan is cut into segments of neighbouring returns. A segment that holds points which evidently moved
+//! ([`crate::moving_obstacles`]) begins a track; one that lies where a track is expected continues it. A track is a disc with a position
+//! and a velocity, estimated by a Kalman filter with a constant-velocity model (white acceleration on each axis; Bar-Shalom, Li,
+//! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.2). A track that is hidden goes on by its
+//! prediction for a while; one whose place is seen to be empty ends.
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::time::Stamp;
+
+use crate::field_of_view::ProjectedScan;
+use crate::settings::TrackingSettings;
+
+/// Most tracks kept.
+const MAX_TRACKS: usize = 64;
+/// Variance of a new track's velocity, (m/s)².
+const START_VELOCITY_VARIANCE: f64 = 1.0;
+/// Scans in which a track must have been seen before its velocity counts.
+const LEAST_HITS: u32 = 3;
+/// Scans in which its place was seen to be empty, after which a track ends.
+const MOST_MISSES: u32 = 3;
+/// Neighbouring returns belong together up to this distance, m, and this many times their spacing.
+const GAP: (f64, f64) = (0.12, 3.0);
+/// A point this near to a track's disc belongs to it, m.
+const ON_TRACK: f64 = 0.2;
+/// Radius of a tracked disc, m.
+const RADII: (f64, f64) = (0.05, 0.6);
+
+/// A moving obstacle: a disc that goes on at constant velocity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// Its number, never given twice.
+    pub id: u64,
+    /// Center, odometry frame, m.
+    pub position: Point2<f64>,
+    /// Velocity over the floor, odometry frame, m/s.
+    pub velocity: Vector2<f64>,
+    /// Variance of the position on each axis, m²; covariance of position and velocity, m²/s; variance of the velocity, (m/s)².
+    pub variance: [f64; 3],
+    /// Radius of the disc, m.
+    pub radius: f64,
+    /// When it was seen first.
+    pub born: Stamp,
+    /// When it was seen last.
+    pub seen: Stamp,
+    /// The time that position and velocity are for.
+    pub stamp: Stamp,
+    /// Scans that it was seen in.
+    hits: u32,
+    /// Scans in a row that saw its place empty.
+    misses: u32,
+    /// Since when it has been slower than anything that moves.
+    still_since: Option<Stamp>,
+}
+
+impl Track {
+    fn new(id: u64, seen: &Segment, stamp: Stamp, settings: &TrackingSettings) -> Self {
+        Self {
+            id,
+            position: seen.center,
+            velocity: Vector2::zeros(),
+            variance: [settings.position_noise.powi(2), 0.0, START_VELOCITY_VARIANCE],
+            radius: seen.radius,
+            born: stamp,
+            seen: stamp,
+            stamp,
+            hits: 1,
+            misses: 0,
+            still_since: None,
+        }
+    }
+
+    /// Whether it has been seen often enough to have a velocity.
+    #[must_use]
+    pub fn is_confirmed(&self) -> bool {
+        self.hits >= LEAST_HITS
+    }
+
+    /// As fast as it may be: its speed and a standard deviation of it, m/s.
+    #[must_use]
+    pub fn most_speed(&self) -> f64 {
+        self.velocity.norm() + self.variance[2].max(0.0).sqrt()
+    }
+
+    /// Standard deviation of its position on an axis `secs` after its stamp, m.
+    #[must_use]
+    pub fn position_std(&self, secs: f64) -> f64 {
+        let [position, mixed, velocity] = self.variance;
+        (position + 2.0 * secs * mixed + secs * secs * velocity).max(0.0).sqrt()
+    }
+
+    /// Center `secs` after its stamp, odometry frame.
+    #[must_use]
+    pub fn at(&self, secs: f64) -> Point2<f64> {
+        self.position + self.velocity * secs
+    }
+
+    /// Goes on to a time.
+    fn predict(&mut self, stamp: Stamp, acceleration: f64) {
+        let dt = stamp.secs_since(self.stamp).max(0.0);
+        let [position, mixed, velocity] = self.variance;
+        let q = acceleration * acceleration;
+        self.position += self.velocity * dt;
+        self.variance = [
+            position + 2.0 * dt * mixed + dt * dt * velocity + 0.25 * q * dt.powi(4),
+            mixed + dt * velocity + 0.5 * q * dt.powi(3),
+            velocity + q * dt * dt,
+        ];
+        self.stamp = stamp;
+    }
+
+    /// Takes in where it was seen.
+    fn update(&mut self, seen: &Segment, settings: &TrackingSettings) {
+        let [position, mixed, velocity] = self.variance;
+        let gain = Vector2::new(position, mixed) / (position + settings.position_noise.powi(2));
+        let off = seen.center - self.position;
+        self.position += off * gain.x;
+        self.velocity += off * gain.y;
+        self.variance = [
+            (1.0 - gain.x) * position,
+            (1.0 - gain.x) * mixed,
+            velocity - gain.y * mixed,
+        ];
+        // What is half hidden looks smaller than it is.
+        let share = if seen.radius > self.radius { 0.5 } else { 0.05 };
+        self.radius += share * (seen.radius - self.radius);
+        self.seen = self.stamp;
+        self.hits += 1;
+        self.misses = 0;
+        let moves = self.velocity.norm() > settings.least_speed;
+        self.still_since = if moves {
+            None
+        } else {
+            self.still_since.or(Some(self.stamp))
+        };
+    }
+}
+
+/// Neighbouring returns that look like one thing.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    /// Center of the disc that would look so, odometry frame.
+    center: Point2<f64>,
+    /// Its radius, m.
+    radius: f64,
+    /// Its first and its last beam.
+    beams: (usize, usize),
+    /// How many of its returns evidently moved.
+    moved: usize,
+}
+
+/// All tracks of a robot.
+#[derive(Clone, Debug, Default)]
+pub struct ObstacleTracks {
+    settings: TrackingSettings,
+    tracks: Vec<Track>,
+    segments: Vec<Segment>,
+    /// For each segment whether a track has taken it.
+    taken: Vec<bool>,
+    next_id: u64,
+}
+
+impl ObstacleTracks {
+    /// None yet.
+    #[must_use]
+    pub fn new(settings: &TrackingSettings) -> Self {
+        Self {
+            settings: settings.clone(),
+            ..Self::default()
+        }
+    }
+
+    /// Takes a scan; `moved` says of each beam whether its return evidently moved.
+    pub(crate) fn insert(&mut self, scan: &ProjectedScan<'_>, moved: &[bool]) {
+        self.cut(scan, moved);
+        for track in &mut self.tracks {
+            track.predict(scan.stamp, self.settings.acceleration);
+        }
+        self.associate(scan);
+        for (segment, taken) in self.segments.iter().zip(&self.taken) {
+            // A few returns alone may be noise.
+            if !taken
+                && segment.moved >= 2
+                && 2 * segment.moved > segment.beams.1 - segment.beams.0
+                && self.tracks.len() < MAX_TRACKS
+            {
+                self.tracks
+                    .push(Track::new(self.next_id, segment, scan.stamp, &self.settings));
+                self.next_id += 1;
+            }
+        }
+    }
+
+    /// Cuts a scan into segments that may be a moving obstacle.
+    fn cut(&mut self, scan: &ProjectedScan<'_>, moved: &[bool]) {
+        self.segments.clear();
+        let (laser, spacing) = (scan.laser(), scan.lidar.angle_increment());
+        let mut run: Option<(usize, usize)> = None;
+        let mut last: Option<(usize, f64)> = None;
+        for (beam, range) in scan.ranges.iter().enumerate() {
+            let range = f64::from(*range);
+            if !scan.is_return(range) || range > self.settings.range {
+                // A lost beam does not part what belongs together.
+                if last.is_some_and(|(at, _)| beam - at > 2) {
+                    self.segments
+                        .extend(run.take().and_then(|run| segment(scan, moved, run, laser)));
+                    last = None;
+                }
+                continue;
+            }
+            let gap = GAP.0.max(GAP.1 * spacing * range);
+            if last.is_some_and(|(_, before)| (range - before).abs() > gap) {
+                self.segments
+                    .extend(run.take().and_then(|run| segment(scan, moved, run, laser)));
+            }
+            run = Some((run.map_or(beam, |(first, _)| first), beam));
+            last = Some((beam, range));
+        }
+        self.segments
+            .extend(run.and_then(|run| segment(scan, moved, run, laser)));
+        let widest = self.settings.widest;
+        self.segments.retain(|segment| 2.0 * segment.radius <= widest);
+        self.taken.clear();
+        self.taken.resize(self.segments.len(), false);
+    }
+
+    /// Gives each track the segment nearest to where it is expected, nearest pairs first; ends those whose place is empty.
+    fn associate(&mut self, scan: &ProjectedScan<'_>) {
+        let settings = &self.settings;
+        let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+        for (of, track) in self.tracks.iter().enumerate() {
+            let gate = settings.gate + 2.0 * track.position_std(0.0).min(1.0);
+            for (to, segment) in self.segments.iter().enumerate() {
+                let off = (segment.center - track.position).norm();
+                if off <= gate {
+                    // Rather with what moves than with what stands there, too.
+                    let still = if segment.moved > 0 { 0.0 } else { settings.gate };
+                    pairs.push((off + still, of, to));
+                }
+            }
+        }
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut matched = vec![false; self.tracks.len()];
+        for (_, of, to) in pairs {
+            let (Some(track), Some(segment)) = (self.tracks.get_mut(of), self.segments.get(to)) else {
+                continue;
+            };
+            let (Some(matched), Some(taken)) = (matched.get_mut(of), self.taken.get_mut(to)) else {
+                continue;
+            };
+            if !*matched && !*taken {
+                track.update(segment, settings);
+                (*matched, *taken) = (true, true);
+            }
+        }
+        let mut nth = 0;
+        self.tracks.retain_mut(|track| {
+            let matched = matched.get(nth).copied().unwrap_or(false);
+            nth += 1;
+            if !matched && is_seen_empty(scan, track) {
+                track.misses += 1;
+            }
+            let still = track.still_since.map_or(0.0, |since| track.stamp.secs_since(since));
+            let hidden = track.stamp.secs_since(track.seen);
+            let memory = if track.is_confirmed() { settings.memory } else { 0.3 };
+            track.misses < MOST_MISSES && still <= settings.standing && hidden <= memory
+        });
+    }
+
+    /// The tracks whose velocity is known.
+    pub fn iter(&self) -> impl Iterator<Item = &Track> + '_ {
+        self.tracks.iter().filter(|track| track.is_confirmed())
+    }
+
+    /// The track that a point (odometry frame) belongs to.
+    #[must_use]
+    pub fn at(&self, point: Point2<f64>) -> Option<&Track> {
+        let off = |track: &Track| (point - track.position).norm() - track.radius;
+        let tracks = self.iter().map(|track| (off(track), track));
+        let nearest = tracks.min_by(|a, b| a.0.total_cmp(&b.0));
+        nearest.filter(|(off, _)| *off <= ON_TRACK).map(|(_, track)| track)
+    }
+}
+
+/// The disc that a run of returns looks like; `None` for a single return.
+fn segment(scan: &ProjectedScan<'_>, moved: &[bool], beams: (usize, usize), laser: Point2<f64>) -> Option<Segment> {
+    let (first, last) = beams;
+    let ranges = scan.ranges.get(first..=last)?;
+    let nearest = ranges
+        .iter()
+        .map(|range| f64::from(*range))
+        .filter(|range| scan.is_return(*range))
+        .fold(f64::INFINITY, f64::min);
+    let (from, to) = (scan.rays.get(first)?, scan.rays.get(last)?);
+    let moved = moved.get(first..=last)?.iter().filter(|moved| **moved).count();
+    if last == first {
+        return None;
+    }
+    let toward = (from + to).try_normalize(1e-6)?;
+    // The tangents to a disc of radius R in distance d + R enclose twice the angle asin(R / (d + R)).
+    let half = 0.5 * from.angle(to) + 0.5 * scan.lidar.angle_increment();
+    let sine = half.sin().min(0.9);
+    let radius = (nearest * sine / (1.0 - sine)).clamp(RADII.0, f64::INFINITY);
+    let depth = radius.min(RADII.1);
+    Some(Segment {
+        center: laser + toward * (nearest + depth),
+        radius,
+        beams,
+        moved,
+    })
+}
+
+/// Whether the beams through a track's place go on behind it.
+fn is_seen_empty(scan: &ProjectedScan<'_>, track: &Track) -> bool {
+    let off = track.position - scan.laser();
+    let range = off.norm();
+    let Some(toward) = off.try_normalize(1e-6) else {
+        return false;
+    };
+    let increment = scan.lidar.angle_increment();
+    let Some(first) = scan.rays.first() else { return false };
+    let angle = first
+        .perp(&toward)
+        .atan2(first.dot(&toward))
+        .rem_euclid(std::f64::consts::TAU);
+    let beam = (angle / increment).round() as usize;
+    let half = ((track.radius / range.max(0.1)) / increment) as usize;
+    let beams = beam.saturating_sub(half)..(beam + half + 1).min(scan.ranges.len());
+    let through = scan.ranges.get(beams).unwrap_or_default();
+    !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range + track.radius)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::field_of_view::{FieldOfView, ScanProjector};
+    use crate::moving_obstacles::MovingObstacles;
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::readings::Sweep;
+    use zenav_protocol::robot::{LidarModel, RobotModel};
+
+    /// Range of a ray from `from` to a disc, m; infinite past it.
+    fn to_disc(from: Point2<f64>, ray: Vector2<f64>, center: Point2<f64>, radius: f64) -> f64 {
+        let off = center - from;
+        let along = off.dot(&ray);
+        let aside = off.perp(&ray).abs();
+        if along <= 0.0 || aside >= radius {
+            return f64::INFINITY;
+        }
+        along - (radius * radius - aside * aside).sqrt()
+    }
+
+    /// What a lidar sees of discs in front of a wall at x = 7.
+    fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> Sweep {
+        let laser = base * lidar.mount;
+        let range = |beam: usize| {
+            let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            let ray = Vector2::new(angle.cos(), angle.sin());
+            let wall = if ray.x > 0.05 {
+                (7.0 - laser.x) / ray.x
+            } else {
+                f64::INFINITY
+            };
+            let discs = discs.iter().map(|disc| to_disc(laser.position(), ray, *disc, 0.25));
+            discs.fold(wall, f64::min) as f32
+        };
+        Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
+    }
+
+    /// Ten scans a second of a robot that drives at 0.3 m/s past discs that move as `place` says.
+    fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> MovingObstacles {
+        let lidar = robot.first_lidar().unwrap();
+        let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
+        let mut moving = MovingObstacles::new(robot, view, &crate::settings::EdgeSettings::default());
+        let mut projector = ScanProjector::new(lidar);
+        for step in 0..=(10.0 * secs) as u32 {
+            let now = 0.1 * f64::from(step);
+            let base = Pose2::new(0.3 * now, 0.0, 0.1 * now);
+            moving.insert(
+                0,
+                &projector.project(&sweep(lidar, now, base, &place(now)), base).unwrap(),
+            );
+        }
+        moving
+    }
+
+    #[test]
+    fn a_walker_has_a_track_with_its_velocity_and_what_stands_has_none() {
+        let robot = zenav_fixtures::robot("tiago");
+        let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
+        let post = Point2::new(2.5, 1.8);
+        let moving = watch(&robot, 2.5, |now| vec![walker(now), post]);
+        let tracks: Vec<_> = moving.tracks().iter().collect();
+        assert_eq!(tracks.len(), 1, "{tracks:?}");
+        let off = tracks[0].position - walker(2.5);
+        assert!(off.norm() < 0.1, "{off}");
+        assert!(
+            (tracks[0].velocity - Vector2::new(0.0, 0.8)).norm() < 0.2,
+            "{}",
+            tracks[0].velocity
+        );
+        assert!((tracks[0].radius - 0.25).abs() < 0.08, "{}", tracks[0].radius);
+        assert!(moving.tracks().at(walker(2.5)).is_some() && moving.tracks().at(post).is_none());
+    }
+
+    #[test]
+    fn two_walkers_who_meet_keep_their_tracks() {
+        let robot = zenav_fixtures::robot("tiago");
+        let places = |now: f64| vec![Point2::new(2.5, -1.2 + 0.6 * now), Point2::new(4.2, 1.2 - 0.6 * now)];
+        let before: Vec<_> = watch(&robot, 1.2, places).tracks().iter().cloned().collect();
+        let moving = watch(&robot, 3.2, places);
+        assert_eq!(before.len(), 2, "{before:?}");
+        for track in before {
+            let after = moving.tracks().iter().find(|after| after.id == track.id);
+            let after = after.unwrap_or_else(|| panic!("{} was lost", track.id));
+            assert!(after.velocity.dot(&track.velocity) > 0.0, "{after:?} was {track:?}");
+        }
+    }
+
+    #[test]
+    fn a_walker_who_stops_is_an_obstacle_like_any_other_after_a_while() {
+        let robot = zenav_fixtures::robot("tiago");
+        let settings = TrackingSettings::default();
+        let place = |now: f64| vec![Point2::new(3.0, -1.0 + 0.8 * now.min(1.5))];
+        assert_eq!(watch(&robot, 1.5, place).tracks().iter().count(), 1);
+        assert_eq!(watch(&robot, 3.0 + settings.standing, place).tracks().iter().count(), 0);
+    }
+
+    #[test]
+    fn a_hidden_track_goes_on_and_one_whose_place_is_empty_ends() {
+        let robot = zenav_fixtures::robot("tiago");
+        let nowhere = Point2::new(-9.0, 0.0);
+        let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
+        let gone = watch(&robot, 2.6, |now| vec![if now < 2.0 { walker(now) } else { nowhere }]);
+        assert_eq!(gone.tracks().iter().count(), 0);
+        // A column comes in between.
+        let column = |now: f64| Point2::new(1.6, if now < 2.0 { -9.0 } else { 0.25 });
+        let hidden = watch(&robot, 2.6, |now| {
+            vec![if now < 2.0 { walker(now) } else { nowhere }, column(now)]
+        });
+        let walkers: Vec<_> = hidden.tracks().iter().filter(|track| track.velocity.y > 0.4).collect();
+        assert_eq!(walkers.len(), 1, "{:?}", hidden.tracks());
+        assert!((walkers[0].position - walker(2.6)).norm() < 0.2);
+    }
+}
