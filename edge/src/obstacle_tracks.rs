@@ -18,6 +18,8 @@ const MAX_TRACKS: usize = 64;
 const START_VELOCITY_VARIANCE: f64 = 1.0;
 /// Scans in which a track must have been seen before its velocity counts.
 const LEAST_HITS: u32 = 3;
+/// And how far it must have come, m: what only appears, as from behind a corner, stands.
+const LEAST_TRAVEL: f64 = 0.12;
 /// Scans in which its place was seen to be empty, after which a track ends.
 const MOST_MISSES: u32 = 3;
 /// Neighbouring returns belong together up to this distance, m, and this many times their spacing.
@@ -46,6 +48,9 @@ pub struct Track {
     pub seen: Stamp,
     /// The time that position and velocity are for.
     pub stamp: Stamp,
+    /// Where it was seen first, odometry frame, and whether it has clearly moved since.
+    origin: Point2<f64>,
+    moved: bool,
     /// Scans that it was seen in.
     hits: u32,
     /// Scans in a row that saw its place empty.
@@ -65,16 +70,18 @@ impl Track {
             born: stamp,
             seen: stamp,
             stamp,
+            origin: seen.center,
+            moved: false,
             hits: 1,
             misses: 0,
             still_since: None,
         }
     }
 
-    /// Whether it has been seen often enough to have a velocity.
+    /// Whether it has clearly moved, and been seen often enough to have a velocity.
     #[must_use]
     pub fn is_confirmed(&self) -> bool {
-        self.hits >= LEAST_HITS
+        self.moved && self.hits >= LEAST_HITS
     }
 
     /// As fast as it may be: its speed and a standard deviation of it, m/s.
@@ -128,6 +135,7 @@ impl Track {
         self.seen = self.stamp;
         self.hits += 1;
         self.misses = 0;
+        self.moved |= (self.position - self.origin).norm() > LEAST_TRAVEL;
         let moves = self.velocity.norm() > settings.least_speed;
         self.still_since = if moves {
             None

@@ -66,7 +66,7 @@ fn a_run_takes_the_settings_of_its_deployment() {
             "edge",
             "[robots.tiago.edge.plan]\nbraking_share = 0.5\n[robots.tiago.edge.estimator]\nslip = 1e-3\n",
         ),
-        ("mission", "[mission]\nlatency_budget = 1.0\n"),
+        ("mission", "[mission]\nplan_valid = 1.5\n"),
     ] {
         std::fs::write(folder.path().join("tuned.toml"), text).unwrap();
         let tuned = drive(folder.path(), "11", "tuned.csv", &["--deployment", "tuned.toml"]).1;

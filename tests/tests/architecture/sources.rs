@@ -79,7 +79,27 @@ fn read(path: &Path, with_tests: bool) -> Reader {
         ..Reader::default()
     };
     reader.stream(tokens);
+    if path.ends_with("sim/src/sensors/mod.rs") {
+        reader.modules.extend(sensor_kinds());
+    }
     reader
+}
+
+/// The sensor kinds whose modules a macro declares: the rows of `sensor_kinds!`.
+fn sensor_kinds() -> Vec<String> {
+    let text = std::fs::read_to_string(root().join("protocol/src/sensors/mod.rs")).unwrap();
+    let row = |line: &str| {
+        Some(
+            line.trim()
+                .split_once(": ")
+                .filter(|(_, rest)| rest.contains("Model =>"))?
+                .0
+                .to_owned(),
+        )
+    };
+    let kinds: Vec<String> = text.lines().filter_map(row).collect();
+    assert!(!kinds.is_empty(), "no row of `sensor_kinds!` found");
+    kinds
 }
 
 fn follow(path: &Path, children: &Path, found: &mut Vec<Source>) {
