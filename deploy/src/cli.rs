@@ -6,7 +6,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::exit_code;
 use crate::failure::Outcome;
-use crate::{batch, config, demo, goal, inspect, launch, lockstep, operator, wall_following};
+use crate::{batch, bench, config, demo, goal, inspect, launch, lockstep, operator, wall_following};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
@@ -63,8 +63,8 @@ enum Command {
     Tune(wall_following::TuneArgs),
     /// Draw a world, serve one to robots on several machines, measure the simulator
     Sim(batch::SimArgs),
-    /// Measure the bus on this machine
-    Bench(batch::BenchArgs),
+    /// Measure the bus on this machine, or how well robots drive
+    Bench(bench::BenchArgs),
     /// Print the configuration of a deployment
     Config(config::ConfigArgs),
     /// Print shell completions
@@ -124,7 +124,7 @@ fn run(command: Command) -> Outcome {
         Command::Smooth(args) => batch::smooth(&args),
         Command::Tune(args) => wall_following::tune(&args),
         Command::Sim(args) => batch::sim(&args),
-        Command::Bench(args) => batch::bench(&args),
+        Command::Bench(args) => bench::bench(&args),
         Command::Config(args) => config::run(&args),
         Command::Completions { shell } => {
             // Into memory first: a closed pipe is no reason to panic.

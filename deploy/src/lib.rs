@@ -14,12 +14,14 @@
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
 //! | `batch` | planning, smoothing and mapping offline |
+//! | `bench` | how fast is the bus, how well do robots drive |
 //! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `drawing` | pictures: maps, worlds, films, trees |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod batch;
+pub mod bench;
 pub mod cli;
 pub mod components;
 pub mod config;

@@ -1,13 +1,12 @@
-//! Benchmarks. How much can this machine simulate and send? Rays per second and real-time factor of the simulator; the bus beside raw Zenoh.
+//! The simulator's commands. How much can this machine simulate? Rays per second and real-time factor.
 
 use std::time::Duration;
 
-use zenav_protocol::bus::overhead;
 use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
 use super::{sim_bench, thread_time};
-use crate::connect::{self, positive};
+use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -109,67 +108,6 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
             report.real_time_factor,
             report.steps,
             report.single_real_time_factor
-        )
-    })?;
-    Ok(exit_code::OK)
-}
-
-/// What this machine holds.
-#[derive(Debug, clap::Args)]
-pub struct BenchArgs {
-    #[command(subcommand)]
-    command: BenchCommand,
-}
-
-#[derive(Debug, clap::Subcommand)]
-enum BenchCommand {
-    /// The typed bus beside raw Zenoh: identical bytes, the same codec, taking turns
-    Bus {
-        /// Samples of each kind
-        #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-        samples: u32,
-        /// Output format
-        #[arg(short, long, value_enum, default_value_t)]
-        output: Format,
-    },
-}
-
-/// Runs a bench.
-///
-/// # Errors
-/// When this machine does not let it listen and connect.
-pub fn bench(args: &BenchArgs) -> Outcome {
-    let BenchCommand::Bus {
-        samples,
-        output: format,
-    } = &args.command;
-    let rows = connect::block_on(async { Ok(overhead::measure(*samples as usize).await?) })?;
-    output::values(*format, &rows, |rows| {
-        let row = |row: &overhead::Comparison| {
-            let us = |value: f64| format!("{value:.1}");
-            vec![
-                row.what.clone(),
-                row.bytes.to_string(),
-                us(row.typed.p50_us),
-                us(row.raw.p50_us),
-                format!("{:.3}", row.ratio_p50),
-                us(row.typed.p99_us),
-                us(row.raw.p99_us),
-                format!("{:.3}", row.ratio_p99),
-            ]
-        };
-        output::table(
-            &[
-                "WHAT",
-                "BYTES",
-                "TYPED p50 us",
-                "RAW p50 us",
-                "RATIO",
-                "TYPED p99 us",
-                "RAW p99 us",
-                "RATIO",
-            ],
-            &rows.iter().map(row).collect::<Vec<_>>(),
         )
     })?;
     Ok(exit_code::OK)

@@ -1,4 +1,4 @@
-//! Offline commands. What can be done in batches without a robot, and measured? Planning, smoothing, simulating, and the bus itself.
+//! Offline commands. What can be done in batches without a robot? Planning, smoothing, simulating.
 //!
 //! | file | answers |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | `watchdog` | how is a search ended in time? |
 //! | `plan` | `zenav plan`: searches alone |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
-//! | `bench` | `zenav sim bench`, `zenav bench bus` |
+//! | `bench` | `zenav sim bench` |
 //! | `show` | `zenav sim show`: a picture of a world |
 
 mod bench;
@@ -17,7 +17,7 @@ pub mod sim_bench;
 mod smooth;
 mod watchdog;
 
-pub use bench::{BenchArgs, SimArgs, bench, sim};
+pub use bench::{SimArgs, sim};
 pub use plan::{PlanArgs, plan};
 pub(crate) use show::backdrop;
 pub use smooth::{SmoothArgs, smooth};
@@ -111,7 +111,7 @@ fn folder(path: Option<&Path>) -> Result<(), Failure> {
 }
 
 /// The value in the middle; NaN for none.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

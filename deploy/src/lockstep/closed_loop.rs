@@ -7,6 +7,7 @@
 //! [`ClosedLoop::advance`], [`ClosedLoop::step_mission`], [`ClosedLoop::carry_out`].
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_cloud::motion::{self, MotionSettings};
@@ -21,6 +22,7 @@ use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionReques
 use zenav_sim::{Simulation, Truth};
 
 use super::delay::Link;
+use crate::batch::thread_time;
 
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
@@ -81,6 +83,7 @@ pub struct ClosedLoop {
     goal: Option<GoalState>,
     ticks: u64,
     clients: u64,
+    cpu: Duration,
 }
 
 impl ClosedLoop {
@@ -113,6 +116,7 @@ impl ClosedLoop {
             goal: None,
             ticks: 0,
             clients: 0,
+            cpu: Duration::ZERO,
         }
     }
 
@@ -136,19 +140,23 @@ impl ClosedLoop {
     /// One control tick.
     pub fn tick(&mut self) {
         self.advance();
+        let begun = thread_time();
         for effect in self.step_mission() {
             self.carry_out(effect);
         }
+        self.cpu += thread_time().saturating_sub(begun);
     }
 
     /// One control tick of world, robot and mapper. Returns what the robot gave out.
     pub fn advance(&mut self) -> Outbox {
         self.simulation.step();
+        let begun = thread_time();
         self.ticks += 1;
         let now = self.simulation.now();
         let outbox = self.step_edge(now);
         self.simulation.drive(0, outbox.wheels);
         self.deliver(now);
+        self.cpu += thread_time().saturating_sub(begun);
         outbox
     }
 
@@ -279,6 +287,12 @@ impl ClosedLoop {
     #[must_use]
     pub fn truth(&self) -> Truth {
         self.simulation.truth(0)
+    }
+
+    /// What [`Self::tick`] has computed so far, the simulator left out: robot, mapper, mission and motion.
+    #[must_use]
+    pub fn cpu(&self) -> Duration {
+        self.cpu
     }
 
     /// The newest state of the goal.

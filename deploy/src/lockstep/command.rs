@@ -6,28 +6,16 @@ use std::path::PathBuf;
 use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
-use zenav_mission::MissionConfig;
-use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::id::{Id, InvalidId};
-use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest};
-use zenav_protocol::topics::MissionRequest;
+use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
-use zenav_sim::{RobotSpec, Simulation, World};
 
-use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
-use crate::components::{edge_config, places};
+use super::referee::{ContactKind, ContactReport};
+use super::scenario::Scenario;
 use crate::config::Layers;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, value};
-use crate::report::per_metre;
-
-/// The robot's name in a run.
-const ROBOT: &str = "robot";
-/// Largest side of a known map, cells.
-const MAX_CELLS: f64 = 16_384.0;
 
 /// Arguments of `zenav run`.
 #[derive(Debug, Args)]
@@ -65,6 +53,9 @@ pub struct RunArgs {
     /// Driving profile, `fastest` or `economy`, instead of the deployment's
     #[arg(long)]
     profile: Option<DrivingProfile>,
+    /// Report the processor time of robot, mapper, mission and motion as `cpu_s`: no two runs give the same
+    #[arg(long)]
+    cpu: bool,
     /// Write the driven path as CSV `t,x,y,yaw,v,w`
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
@@ -77,17 +68,17 @@ pub struct RunArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RunOutcome {
-    /// Within the tolerance of the goal.
+    /// At rest within the tolerance of the goal, by truth; something may have touched the robot on its way.
     Reached,
     /// Not in time.
     Timeout,
-    /// The robot touched something.
+    /// The robot touched something by its own motion, however the run went on.
     Collision,
     /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,
-    /// The mission gave up.
+    /// The mission gave up, or took itself for being there.
     Aborted,
 }
 
@@ -96,22 +87,32 @@ pub enum RunOutcome {
 pub struct RunReport {
     /// How it ended.
     pub outcome: RunOutcome,
-    /// Why, where the mission said so.
+    /// Why, unless the goal was reached.
     pub reason: Option<String>,
     /// Simulated time, s.
     pub time_s: f64,
+    /// When the robot came within the tolerance first, at whatever speed, s.
+    pub time_entered_s: Option<f64>,
     /// Driven, m.
     pub length_m: f64,
     /// Least distance of the footprint to an obstacle, m.
     pub min_clearance_m: f64,
     /// Contacts.
     pub collisions: u32,
+    /// Each contact.
+    pub contacts: Vec<ContactReport>,
     /// Motions that replaced another one.
     pub replans: u64,
     /// Motions published.
     pub plans: u64,
+    /// Recoveries started.
+    pub recoveries: u64,
     /// Distance from the goal at the end, m.
     pub final_error_m: f64,
+    /// How far the robot's estimate lies from its true place at the end, m.
+    pub pose_error_m: f64,
+    /// How far its estimated heading lies from the true one at the end, rad.
+    pub pose_error_rad: f64,
     /// Energy drawn, J.
     pub energy_j: f64,
     /// Energy drawn for each metre driven, J/m.
@@ -120,6 +121,9 @@ pub struct RunReport {
     pub seed: u64,
     /// Mean delay from scan to plan, ms.
     pub cloud_delay_ms: f64,
+    /// Processor time of robot, mapper, mission and motion, s, where asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_s: Option<f64>,
 }
 
 /// `zenav run`.
@@ -142,21 +146,26 @@ pub fn run(args: &RunArgs) -> Outcome {
         }
     }
     let layers = Layers::load(args.deployment.as_deref())?;
-    let deployment = &layers.deployment;
-    let world = files::world(args.world.as_ref().unwrap_or(&deployment.simulation.world))?;
-    let config = closed_loop(args, &layers, &world)?;
-    let spec = RobotSpec {
-        id: config.edge.robot.clone(),
-        model: config.edge.model.clone(),
-        start: config.edge.start,
+    let world = files::world(args.world.as_ref().unwrap_or(&layers.deployment.simulation.world))?;
+    let scenario = Scenario {
+        world: &world,
+        robot: args.robot.as_deref(),
+        seed: args.seed,
+        known_map: args.known_map,
+        zones: args.zones.as_deref(),
+        cloud_delay_ms: args.cloud_delay_ms,
+        goal: Point2::new(args.goal[0], args.goal[1]),
+        tolerance: args.tolerance,
+        profile: args.profile,
+        timeout: args.timeout,
     };
-    let seed = config.seed;
-    let tolerance = args.tolerance.unwrap_or(config.mission.settings.tolerance);
-    let simulation =
-        Simulation::new(&world, vec![spec], config.seed).map_err(|error| Failure::usage(error.to_string()))?;
-    let mut stage = ClosedLoop::new(simulation, config);
     let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
-    let report = drive(args, tolerance, seed, &mut stage, &mut rows);
+    let mut report = scenario.run(&layers, |now, truth| {
+        let point = TrajectoryPoint::new(now.as_secs(), truth.map_from_base, truth.twist);
+        // Writing to a String cannot fail.
+        let _ = writeln!(rows, "{point}");
+    })?;
+    report.cpu_s = report.cpu_s.filter(|_| args.cpu);
     if let Some(file) = &args.trajectory {
         files::write(file, rows)?;
     }
@@ -169,155 +178,9 @@ pub fn run(args: &RunArgs) -> Outcome {
     })
 }
 
-/// The parts of a run, with the deployment's settings.
-fn closed_loop(args: &RunArgs, layers: &Layers, world: &World) -> Result<ClosedLoopConfig, Failure> {
-    let deployment = &layers.deployment;
-    let failed = |error: InvalidId| Failure::failed(error.to_string());
-    let id = Id::robot(ROBOT).map_err(failed)?;
-    let named = args.robot.as_ref().and_then(|robot| deployment.robots.get(robot));
-    let mut section = named.or(deployment.robots.values().next()).cloned().unwrap_or_default();
-    if let (Some(robot), None) = (&args.robot, named) {
-        section.model.clone_from(robot);
-    }
-    let start = section
-        .start
-        .map_or_else(|| world.start(), |start| Pose2::new(start.x, start.y, start.yaw));
-    let mut mission = deployment.mission.settings.clone();
-    if !layers.sets("mission.latency_budget") {
-        mission.latency_budget = (1e-3 * args.cloud_delay_ms * 2.0).max(0.1);
-    }
-    let mut mapping = deployment.mapping.settings.clone();
-    let known_map = args
-        .known_map
-        .then(|| true_map(world, mapping.resolution))
-        .transpose()?;
-    if let Some(map) = &known_map {
-        mapping.resolution = map.spec().resolution;
-    }
-    Ok(ClosedLoopConfig {
-        edge: edge_config(&id, &section, files::robot(&section.model)?, start),
-        mission: MissionConfig {
-            robot: id,
-            holder: "lockstep".to_owned(),
-            store: PathBuf::new(),
-            places: places(world),
-            zones: files::zones(args.zones.as_deref().or(deployment.zones.file.as_deref()))?,
-            planner: deployment.planning.run.planner.clone(),
-            settings: mission,
-        },
-        mapping,
-        motion: deployment.motion(),
-        known_map,
-        cloud_delay: 1e-3 * args.cloud_delay_ms,
-        seed: args.seed.unwrap_or(deployment.simulation.seed),
-    })
-}
-
-/// The world as a map: its own, or every cell that something solid touches.
-///
-/// # Errors
-/// A world that is too large to be a map.
-fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
-    if let Some(map) = world.map() {
-        return Ok(map.clone());
-    }
-    let (lower, upper) = world.bounds();
-    let cells = |length: f64| (length / resolution).ceil();
-    let (width, height) = (cells(upper.x - lower.x), cells(upper.y - lower.y));
-    if !(width <= MAX_CELLS && height <= MAX_CELLS) {
-        return Err(Failure::usage(format!(
-            "--known-map: a world of {width} by {height} cells: expected at most {MAX_CELLS} a side"
-        )));
-    }
-    let spec = GridSpec {
-        origin: lower,
-        resolution,
-        width: width as u32,
-        height: height as u32,
-    };
-    let mut map = Grid::filled(spec, Occupancy::FREE);
-    let cell = zenav_protocol::robot::Footprint::Polygon(
-        [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
-            .map(|(x, y)| Point2::new(x * resolution, y * resolution))
-            .to_vec(),
-    );
-    for y in 0..spec.height {
-        for x in 0..spec.width {
-            let center = spec.center(Cell::new(x, y));
-            if world.clearance(&cell, Pose2::new(center.x, center.y, 0.0)) <= 0.0 {
-                map[Cell::new(x, y)] = Occupancy::OCCUPIED;
-            }
-        }
-    }
-    Ok(map)
-}
-
-fn drive(args: &RunArgs, tolerance: f64, seed: u64, stage: &mut ClosedLoop, rows: &mut String) -> RunReport {
-    let goal = Point2::new(args.goal[0], args.goal[1]);
-    stage.ask(MissionRequest::Goal(GoalRequest {
-        id: Some("run".to_owned()),
-        x: Some(goal.x),
-        y: Some(goal.y),
-        tolerance: Some(tolerance),
-        profile: args.profile,
-        ..GoalRequest::default()
-    }));
-    let mut reason = None;
-    let outcome = loop {
-        stage.tick();
-        let truth = stage.truth();
-        let (pose, twist) = (truth.map_from_base, truth.twist);
-        // Writing to a String cannot fail.
-        let _ = writeln!(rows, "{}", TrajectoryPoint::new(stage.now().as_secs(), pose, twist));
-        if truth.collisions > 0 {
-            break RunOutcome::Collision;
-        }
-        if (pose.position() - goal).norm() <= tolerance {
-            break RunOutcome::Reached;
-        }
-        if let Some(Err(refusal)) = stage.replies().first() {
-            reason = Some(refusal.to_string());
-            break RunOutcome::Rejected;
-        }
-        if let Some(state) = stage.goal().filter(|state| state.state.is_end()) {
-            reason.clone_from(&state.reason);
-            break match state.state {
-                GoalPhase::Rejected => RunOutcome::Rejected,
-                _ if reason
-                    .as_ref()
-                    .is_some_and(|reason| reason.contains("no path") || reason.contains("the goal is occupied")) =>
-                {
-                    RunOutcome::NoPath
-                }
-                _ => RunOutcome::Aborted,
-            };
-        }
-        if stage.now().as_secs() >= args.timeout {
-            break RunOutcome::Timeout;
-        }
-    };
-    let truth = stage.truth();
-    let feedback = stage.goal().map(|goal| goal.feedback.clone()).unwrap_or_default();
-    RunReport {
-        outcome,
-        reason,
-        time_s: stage.now().as_secs(),
-        length_m: truth.length,
-        min_clearance_m: truth.min_clearance,
-        collisions: truth.collisions,
-        replans: feedback.replans,
-        plans: feedback.plans,
-        final_error_m: (truth.map_from_base.position() - goal).norm(),
-        energy_j: truth.drawn_j,
-        energy_per_m: per_metre(truth.drawn_j, truth.length),
-        seed,
-        cloud_delay_ms: args.cloud_delay_ms,
-    }
-}
-
 fn text(report: &RunReport) -> String {
-    format!(
-        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans, {:.0} J ({:.0} J/m)",
+    let mut lines = vec![format!(
+        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans, {} recoveries, {:.0} J ({:.0} J/m)",
         report.outcome,
         report
             .reason
@@ -330,7 +193,29 @@ fn text(report: &RunReport) -> String {
         report.final_error_m,
         report.collisions,
         report.replans,
+        report.recoveries,
         report.energy_j,
         report.energy_per_m
-    )
+    )];
+    lines.push(format!(
+        "the estimate is off by {:.3} m and {:.3} rad{}",
+        report.pose_error_m,
+        report.pose_error_rad,
+        report
+            .cpu_s
+            .map(|cpu| format!("; {cpu:.2} s of processor time"))
+            .unwrap_or_default()
+    ));
+    lines.extend(report.contacts.iter().map(|contact| {
+        let kind = match contact.kind {
+            ContactKind::Own => "by its own motion",
+            ContactKind::AfterOwnMotion => "within 2 s of its own motion",
+            ContactKind::AtRest => "at rest",
+        };
+        format!(
+            "contact after {:.2} s {kind}, at {:.3} m/s of its own",
+            contact.time_s, contact.own_speed
+        )
+    }));
+    lines.join("\n")
 }

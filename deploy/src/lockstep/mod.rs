@@ -4,11 +4,17 @@
 //! |---|---|
 //! | `closed_loop` | how do body, pilot, mapper, workers and mission take turns? |
 //! | `delay` | when does a message arrive? |
+//! | `scenario` | how does one goal go, to its end? |
+//! | `referee` | how did it go, by truth? |
 //! | `command` | what does `zenav run` do and print? |
 
 mod closed_loop;
 mod command;
 mod delay;
+mod referee;
+mod scenario;
 
 pub use closed_loop::{ClosedLoop, ClosedLoopConfig};
-pub use command::{RunArgs, run};
+pub use command::{RunArgs, RunOutcome, RunReport, run};
+pub use referee::{ContactKind, ContactReport, Referee};
+pub(crate) use scenario::Scenario;

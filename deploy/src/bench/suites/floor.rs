@@ -1,0 +1,91 @@
+//! Floor. How is a world put together? As the text of a world file, with walls around it.
+
+use std::fmt::Write as _;
+
+/// Thickness of the walls around a floor, m.
+const WALL: f64 = 0.1;
+/// Radius of a person seen as a disc, m.
+pub(super) const PERSON: f64 = 0.25;
+/// A mover that has come to stay, s.
+pub(super) const FOR_GOOD: f64 = 10_000.0;
+
+/// A rectangle from the origin, walled in.
+pub(super) struct Floor {
+    size: [f64; 2],
+    things: String,
+}
+
+impl Floor {
+    /// Of a width and a height inside its walls, m; the robot starts at a pose.
+    pub(super) fn new(size: [f64; 2], [x, y, yaw]: [f64; 3]) -> Self {
+        let mut things = format!("[start]\nx = {x}\ny = {y}\nyaw = {yaw}\n");
+        let [w, h] = size;
+        let (low, half) = (-WALL, 0.5 * WALL);
+        for (from, to) in [
+            ([low, -half], [w + WALL, -half]),
+            ([low, h + half], [w + WALL, h + half]),
+            ([-half, low], [-half, h + WALL]),
+            ([w + half, low], [w + half, h + WALL]),
+        ] {
+            // Writing to a String cannot fail.
+            let _ = writeln!(things, "[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = {WALL}");
+        }
+        Self { size, things }
+    }
+
+    /// A solid box between two corners, m.
+    pub(super) fn block(mut self, [l, b]: [f64; 2], [r, t]: [f64; 2]) -> Self {
+        let _ = writeln!(
+            self.things,
+            "[[polygon]]\npoints = [[{l}, {b}], [{r}, {b}], [{r}, {t}], [{l}, {t}]]"
+        );
+        self
+    }
+
+    /// A solid disc, m.
+    pub(super) fn disc(mut self, [x, y]: [f64; 2], radius: f64) -> Self {
+        let _ = writeln!(self.things, "[[circle]]\nx = {x}\ny = {y}\nradius = {radius}");
+        self
+    }
+
+    /// A disc on a closed path, which rests at each of its corners, s.
+    pub(super) fn mover(mut self, radius: f64, speed: f64, path: &[([f64; 2], f64)]) -> Self {
+        let (path, rests): (Vec<[f64; 2]>, Vec<f64>) = path.iter().copied().unzip();
+        let _ = writeln!(
+            self.things,
+            "[[mover]]\nradius = {radius}\nspeed = {speed}\npath = {path:?}\nrest_secs = {rests:?}"
+        );
+        self
+    }
+
+    /// A person who walks from one random place to another, all over the floor.
+    pub(super) fn walker(mut self, speed: f64, start: [f64; 2]) -> Self {
+        let [w, h] = self.size.map(|side| side - 2.0 * PERSON);
+        let _ = writeln!(
+            self.things,
+            "[[mover]]\nradius = {PERSON}\nspeed = {speed}\nwalk = [[{l}, {l}], [{r}, {t}]]\nstart = {start:?}",
+            l = 2.0 * PERSON,
+            r = w,
+            t = h
+        );
+        self
+    }
+
+    /// A sliding door between two points: `shut` s shut, `open` s open.
+    pub(super) fn door(mut self, from: [f64; 2], to: [f64; 2], shut: f64, open: f64) -> Self {
+        let _ = writeln!(
+            self.things,
+            "[[door]]\nfrom = {from:?}\nto = {to:?}\nthickness = 0.06\nclosed_secs = {shut}\nopen_secs = {open}\nslide_secs = 1.5"
+        );
+        self
+    }
+
+    /// The world file.
+    pub(super) fn text(&self, name: &str) -> String {
+        let [w, h] = self.size.map(|side| side + 2.0 * WALL);
+        format!(
+            "name = \"{name}\"\nsize = [{w}, {h}]\norigin = [-{WALL}, -{WALL}]\n{}",
+            self.things
+        )
+    }
+}

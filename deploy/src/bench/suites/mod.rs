@@ -1,0 +1,197 @@
+//! Suites. In which worlds is driving judged? All are made here, from seeds, with the shipped robots as they are.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `floor` | how is a world put together? |
+//! | `people` | who walks about? (S2, S3) |
+//! | `places` | how tight and how crooked is it? (S5, S6) |
+//! | `patience` | who leaves again? (S7) |
+
+mod floor;
+mod patience;
+mod people;
+mod places;
+
+use clap::ValueEnum;
+use nalgebra::Point2;
+use rand::SeedableRng as _;
+use rand_pcg::Pcg64Mcg;
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_sim::World;
+
+use crate::failure::Failure;
+use crate::files;
+use floor::Floor;
+
+/// All robots that a suite is driven with, unless it says otherwise.
+const ROBOTS: [&str; 4] = ["tiago", "jackal", "turtlebot3_waffle", "neato"];
+/// Time for any run, s, and for each second of the straight way.
+const TIME: [f64; 2] = [60.0, 6.0];
+
+/// A suite of the benchmark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Suite {
+    /// Open field among discs on random polylines
+    S2,
+    /// Blind walkers: crowds, crossing, oncoming, a blind corner
+    S3,
+    /// Tight doors, dead ends, goals beside walls
+    S5,
+    /// Clutter, a trap and an office, unknown and known
+    S6,
+    /// What leaves again: a stander, a door, a taken goal, a slow one ahead
+    S7,
+}
+
+impl Suite {
+    /// All scenarios with their runs, in order; `seeds` of each where it is given.
+    ///
+    /// # Errors
+    /// Never for shipped robots; a world's own text is read like any world.
+    pub(super) fn cases(self, seeds: Option<u64>) -> Result<Vec<Case>, Failure> {
+        match self {
+            Self::S2 => people::field(seeds.unwrap_or(20)),
+            Self::S3 => people::encounters(seeds.unwrap_or(3)),
+            Self::S5 => places::tight(seeds.unwrap_or(3)),
+            Self::S6 => places::rooms(seeds.unwrap_or(3)),
+            Self::S7 => patience::patience(seeds.unwrap_or(3)),
+        }
+    }
+}
+
+/// One run: a world, a robot, a goal and a seed.
+pub(super) struct Case {
+    /// Suite and scenario, as a row of the table.
+    pub scenario: String,
+    /// The scenario, the robot and the seed.
+    pub name: String,
+    /// The world file's text.
+    pub text: String,
+    /// The world.
+    pub world: World,
+    /// Shipped name of the robot.
+    pub robot: &'static str,
+    /// The same.
+    pub model: RobotModel,
+    /// m.
+    pub goal: Point2<f64>,
+    /// Distance that counts as reached, m; the deployment's where it is `None`.
+    pub tolerance: Option<f64>,
+    /// Whether the robot starts with the true map.
+    pub known_map: bool,
+    /// Of all noise.
+    pub seed: u64,
+    /// Whether the anchors drive it too: where discs walk about.
+    pub anchored: bool,
+    /// Simulated time after which the run has failed, s.
+    pub timeout: f64,
+}
+
+impl Case {
+    fn new(scenario: &str, robot: &'static str, seed: u64, floor: Floor, goal: [f64; 2]) -> Result<Self, Failure> {
+        let model = files::robot(robot)?;
+        let label = scenario.split_once(' ').map_or(scenario, |(_, name)| name);
+        let words = label
+            .split(|character: char| !character.is_ascii_alphanumeric())
+            .filter(|word| !word.is_empty());
+        let name = format!("{}-{robot}-{seed}", words.collect::<Vec<_>>().join("-"));
+        let text = floor.text(&name);
+        let world =
+            World::from_toml(&text, &name, &|_| Err("a made world has no map".to_owned())).map_err(Failure::failed)?;
+        let goal = Point2::from(goal);
+        let straight = (world.start().position() - goal).norm() / model.drive.top_speed();
+        Ok(Self {
+            scenario: scenario.to_owned(),
+            name,
+            text,
+            world,
+            robot,
+            model,
+            goal,
+            tolerance: None,
+            known_map: false,
+            seed,
+            anchored: scenario.starts_with("S2") || scenario.starts_with("S3"),
+            timeout: (TIME[0] + TIME[1] * straight).round(),
+        })
+    }
+
+    /// The command that runs it, beside its world's file.
+    pub(super) fn command(&self) -> String {
+        let Self {
+            name,
+            robot,
+            goal,
+            seed,
+            timeout,
+            ..
+        } = self;
+        let tolerance = self
+            .tolerance
+            .map_or_else(String::new, |metres| format!(" --tolerance {metres}"));
+        let known = if self.known_map { " --known-map" } else { "" };
+        format!(
+            "zenav run --world {name}.toml --robot {robot} --goal {} {} --seed {seed} --timeout {timeout}{tolerance}{known}",
+            goal.x, goal.y
+        )
+    }
+
+    /// The world's file, with the command that runs it.
+    pub(super) fn file(&self) -> String {
+        format!("# {}\n{}", self.command(), self.text)
+    }
+}
+
+/// What a scenario's worlds are drawn from.
+fn rng(scenario: &str, seed: u64) -> Pcg64Mcg {
+    // FNV-1a: scenarios draw alike on every machine, and each its own.
+    let name = scenario.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    Pcg64Mcg::seed_from_u64(name ^ seed)
+}
+
+/// Half the width of a robot that drives straight ahead, m.
+fn half_width(model: &RobotModel) -> f64 {
+    match &model.footprint {
+        Footprint::Radius(radius) => *radius,
+        Footprint::Polygon(corners) => corners.iter().map(|corner| corner.y.abs()).fold(0.0, f64::max),
+    }
+}
+
+/// How far a robot reaches ahead of its centre and behind it, m.
+fn ends(model: &RobotModel) -> [f64; 2] {
+    match &model.footprint {
+        Footprint::Radius(radius) => [*radius; 2],
+        Footprint::Polygon(corners) => {
+            [1.0, -1.0].map(|way| corners.iter().map(|corner| way * corner.x).fold(0.0, f64::max))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn a_seed_makes_the_same_worlds_where_robot_and_goal_have_room() {
+        for suite in Suite::value_variants() {
+            let (cases, again) = (suite.cases(Some(2)).unwrap(), suite.cases(Some(2)).unwrap());
+            let mut names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
+            names.sort_unstable();
+            names.dedup();
+            assert_eq!(names.len(), cases.len(), "{suite:?}: names");
+            for (case, again) in cases.iter().zip(&again) {
+                assert_eq!(case.file(), again.file());
+                let start = case.world.clearance(&case.model.footprint, case.world.start());
+                let disc = Footprint::Radius(case.model.footprint.inscribed_radius());
+                let goal = case.world.clearance(
+                    &disc,
+                    zenav_protocol::geometry::Pose2::new(case.goal.x, case.goal.y, 0.0),
+                );
+                assert!(start > 0.01 && goal > 0.01, "{}: {start} {goal}", case.name);
+            }
+        }
+    }
+}

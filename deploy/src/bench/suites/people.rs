@@ -1,0 +1,124 @@
+//! People. Who walks about? Nobody of them looks out for the robot.
+
+use std::f64::consts::FRAC_PI_2;
+
+use rand::RngExt as _;
+use rand_pcg::Pcg64Mcg;
+
+use super::floor::{FOR_GOOD, Floor, PERSON};
+use super::{Case, ROBOTS, rng};
+use crate::failure::Failure;
+
+/// Radius of a disc in the open field, m.
+const DISC: f64 = 0.3;
+/// Nobody begins nearer to the robot, m.
+const BERTH: f64 = 2.5;
+
+/// A place in a box, off the start.
+fn place(rng: &mut Pcg64Mcg, [w, h]: [f64; 2], start: [f64; 2]) -> [f64; 2] {
+    loop {
+        let at = [rng.random_range(0.5..w - 0.5), rng.random_range(0.5..h - 0.5)].map(centimetres);
+        if (at[0] - start[0]).hypot(at[1] - start[1]) > BERTH {
+            return at;
+        }
+    }
+}
+
+/// Rounded, so that a world's file is short.
+fn centimetres(metres: f64) -> f64 {
+    (100.0 * metres).round() / 100.0
+}
+
+/// S2, after DynaBARN (Nair et al., "DynaBARN: Benchmarking Metric Ground Navigation in Dynamic Environments", 2022): an open field of
+/// 10 m by 20 m, a Jackal, discs on random polylines; harder by number and speed.
+pub(super) fn field(seeds: u64) -> Result<Vec<Case>, Failure> {
+    let (size, start) = ([10.0, 20.0], [5.0, 1.0]);
+    let mut cases = Vec::new();
+    for (level, discs, speeds) in [("easy", 6, 0.4..0.8), ("medium", 10, 0.6..1.2), ("hard", 14, 0.8..1.6)] {
+        let scenario = format!("S2 field {level}");
+        for seed in 0..seeds {
+            let mut rng = rng(&scenario, seed);
+            let mut floor = Floor::new(size, [start[0], start[1], FRAC_PI_2]);
+            for _ in 0..discs {
+                let corners: Vec<([f64; 2], f64)> = (0..6).map(|_| (place(&mut rng, size, start), 0.0)).collect();
+                floor = floor.mover(DISC, centimetres(rng.random_range(speeds.clone())), &corners);
+            }
+            cases.push(Case::new(&scenario, "jackal", seed, floor, [5.0, 19.0])?);
+        }
+    }
+    Ok(cases)
+}
+
+/// S3: crowds of blind walkers in a hall, people who cross, who come along, who come round a corner.
+pub(super) fn encounters(seeds: u64) -> Result<Vec<Case>, Failure> {
+    let mut cases = Vec::new();
+    let scenarios: [(&str, fn(&mut Pcg64Mcg) -> (Floor, [f64; 2])); 7] = [
+        ("S3 crowd 5", |rng| crowd(rng, 5)),
+        ("S3 crowd 10", |rng| crowd(rng, 10)),
+        ("S3 crowd 20", |rng| crowd(rng, 20)),
+        ("S3 crossing 1", |rng| crossing(rng, 1)),
+        ("S3 crossing 3", |rng| crossing(rng, 3)),
+        ("S3 oncoming 3 m", oncoming),
+        ("S3 blind corner", blind_corner),
+    ];
+    for (scenario, make) in scenarios {
+        for robot in ROBOTS {
+            for seed in 0..seeds {
+                let (floor, goal) = make(&mut rng(scenario, seed));
+                cases.push(Case::new(scenario, robot, seed, floor, goal)?);
+            }
+        }
+    }
+    Ok(cases)
+}
+
+/// A hall of 14 m by 8 m, walkers of 0.5 to 1.5 m/s.
+fn crowd(rng: &mut Pcg64Mcg, walkers: u32) -> (Floor, [f64; 2]) {
+    let (size, start) = ([14.0, 8.0], [1.0, 4.0]);
+    let mut floor = Floor::new(size, [start[0], start[1], 0.0]);
+    for _ in 0..walkers {
+        let speed = centimetres(rng.random_range(0.5..1.5));
+        floor = floor.walker(speed, place(rng, size, start));
+    }
+    (floor, [13.0, 4.0])
+}
+
+/// People who go to and fro across the robot's way.
+fn crossing(rng: &mut Pcg64Mcg, people: u32) -> (Floor, [f64; 2]) {
+    let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
+    for person in 0..people {
+        let x = centimetres(4.0 + 2.0 * f64::from(person) + rng.random_range(-0.4..0.4));
+        let (speed, rest) = (rng.random_range(0.8..1.3), rng.random_range(0.0..3.0));
+        let mut path = [([x, 0.7], centimetres(rest)), ([x, 7.3], 0.5)];
+        if rng.random() {
+            path.reverse();
+        }
+        floor = floor.mover(PERSON, centimetres(speed), &path);
+    }
+    (floor, [10.0, 4.0])
+}
+
+/// A person comes along the middle of a corridor 3 m wide, and stays at its end.
+fn oncoming(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
+    let y = centimetres(rng.random_range(1.3..1.7));
+    let speed = centimetres(rng.random_range(0.7..1.3));
+    let floor =
+        Floor::new([16.0, 3.0], [1.5, 1.5, 0.0]).mover(PERSON, speed, &[([15.5, y], 0.0), ([0.4, y], FOR_GOOD)]);
+    (floor, [13.5, 1.5])
+}
+
+/// A corridor 1.5 m wide with a niche before its corner, round which a person comes.
+fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
+    let speed = centimetres(rng.random_range(0.6..1.0));
+    let wait = centimetres(rng.random_range(0.0..3.0));
+    let floor = Floor::new([9.0, 9.0], [1.3, 0.75, 0.0])
+        .block([0.0, 1.5], [3.6, 9.0])
+        .block([3.6, 2.7], [4.9, 9.0])
+        .block([4.9, 1.5], [7.5, 9.0])
+        .mover(
+            PERSON,
+            speed,
+            &[([8.25, 8.6], wait), ([8.25, 0.75], 0.0), ([0.4, 0.75], FOR_GOOD)],
+        );
+    (floor, [8.25, 7.0])
+}
