@@ -50,9 +50,10 @@ impl<'a> Window<'a> {
         let (top, turn) = (drive.top_speed(), drive.top_yaw_rate());
         let gain = drive.acceleration() * REACH;
         let spin = 2.0 * gain / drive.wheel_separation;
+        // Finer around what it drives now.
         let tried = |now: f64, gain: f64, low: f64, high: f64, count: u32| {
-            let (low, high) = ((now - gain).max(low), (now + gain).min(high));
-            (0..count).map(move |index| low + (high - low) * f64::from(index) / f64::from(count - 1))
+            let share = move |index| 2.0 * f64::from(index) / f64::from(count - 1) - 1.0;
+            (0..count).map(move |index| (now + gain * share(index) * share(index).abs()).clamp(low, high))
         };
         // Whatever it costs beats what touches; of those, the latest to touch.
         let mut best = (f64::INFINITY, Twist2::ZERO);

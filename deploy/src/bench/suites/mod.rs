@@ -142,6 +142,23 @@ impl Case {
     }
 }
 
+/// Draws a scenario's world, and the goal in it, m.
+type Make = fn(&mut Pcg64Mcg) -> (Floor, [f64; 2]);
+
+/// All robots in the worlds of some scenarios.
+fn each(scenarios: &[(&str, Make)], seeds: u64) -> Result<Vec<Case>, Failure> {
+    let mut cases = Vec::new();
+    for (scenario, make) in scenarios {
+        for robot in ROBOTS {
+            for seed in 0..seeds {
+                let (floor, goal) = make(&mut rng(scenario, seed));
+                cases.push(Case::new(scenario, robot, seed, floor, goal)?);
+            }
+        }
+    }
+    Ok(cases)
+}
+
 /// What a scenario's worlds are drawn from.
 fn rng(scenario: &str, seed: u64) -> Pcg64Mcg {
     // FNV-1a: scenarios draw alike on every machine, and each its own.

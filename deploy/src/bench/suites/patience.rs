@@ -1,10 +1,9 @@
 //! Patience. Who leaves again? The way is shut for a while, and there is no other.
 
 use rand::RngExt as _;
-use rand_pcg::Pcg64Mcg;
 
 use super::floor::{FOR_GOOD, Floor, PERSON};
-use super::{Case, ROBOTS, rng};
+use super::{Case, Make, each};
 use crate::failure::Failure;
 
 /// Two rooms with a door of 0.9 m in between.
@@ -16,8 +15,7 @@ fn two_rooms() -> Floor {
 
 /// S7: somebody in a door for 20 s, a door that cycles, a goal that is taken for 22 s, a slow one ahead.
 pub(super) fn patience(seeds: u64) -> Result<Vec<Case>, Failure> {
-    let mut cases = Vec::new();
-    let scenarios: [(&str, fn(&mut Pcg64Mcg) -> (Floor, [f64; 2])); 4] = [
+    let scenarios: [(&str, Make); 4] = [
         ("S7 stander in a door, 20 s", |rng| {
             let aside = [5.0 + rng.random_range(0.0..1.0), 0.6];
             let floor = two_rooms().mover(PERSON, 0.8, &[([4.0, 2.5], 20.0), ([5.0, 2.5], 0.0), (aside, FOR_GOOD)]);
@@ -42,13 +40,5 @@ pub(super) fn patience(seeds: u64) -> Result<Vec<Case>, Failure> {
             (floor.mover(PERSON, speed, &path), [14.5, 0.6])
         }),
     ];
-    for (scenario, make) in scenarios {
-        for robot in ROBOTS {
-            for seed in 0..seeds {
-                let (floor, goal) = make(&mut rng(scenario, seed));
-                cases.push(Case::new(scenario, robot, seed, floor, goal)?);
-            }
-        }
-    }
-    Ok(cases)
+    each(&scenarios, seeds)
 }

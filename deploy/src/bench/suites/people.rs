@@ -6,7 +6,7 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 
 use super::floor::{FOR_GOOD, Floor, PERSON};
-use super::{Case, ROBOTS, rng};
+use super::{Case, Make, each, rng};
 use crate::failure::Failure;
 
 /// Radius of a disc in the open field, m.
@@ -51,8 +51,7 @@ pub(super) fn field(seeds: u64) -> Result<Vec<Case>, Failure> {
 
 /// S3: crowds of blind walkers in a hall, people who cross, who come along, who come round a corner.
 pub(super) fn encounters(seeds: u64) -> Result<Vec<Case>, Failure> {
-    let mut cases = Vec::new();
-    let scenarios: [(&str, fn(&mut Pcg64Mcg) -> (Floor, [f64; 2])); 7] = [
+    let scenarios: [(&str, Make); 7] = [
         ("S3 crowd 5", |rng| crowd(rng, 5)),
         ("S3 crowd 10", |rng| crowd(rng, 10)),
         ("S3 crowd 20", |rng| crowd(rng, 20)),
@@ -61,15 +60,7 @@ pub(super) fn encounters(seeds: u64) -> Result<Vec<Case>, Failure> {
         ("S3 oncoming 3 m", oncoming),
         ("S3 blind corner", blind_corner),
     ];
-    for (scenario, make) in scenarios {
-        for robot in ROBOTS {
-            for seed in 0..seeds {
-                let (floor, goal) = make(&mut rng(scenario, seed));
-                cases.push(Case::new(scenario, robot, seed, floor, goal)?);
-            }
-        }
-    }
-    Ok(cases)
+    each(&scenarios, seeds)
 }
 
 /// A hall of 14 m by 8 m, walkers of 0.5 to 1.5 m/s.

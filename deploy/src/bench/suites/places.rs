@@ -4,7 +4,7 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 
 use super::floor::Floor;
-use super::{Case, ROBOTS, ends, half_width, rng};
+use super::{Case, Make, ROBOTS, ends, half_width, rng};
 use crate::failure::Failure;
 use crate::files;
 
@@ -52,8 +52,7 @@ pub(super) fn tight(seeds: u64) -> Result<Vec<Case>, Failure> {
 /// S6: pillars, a trap, an office; each unknown and known.
 pub(super) fn rooms(seeds: u64) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
-    let scenarios: [(&str, fn(&mut Pcg64Mcg) -> (Floor, [f64; 2])); 3] =
-        [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
+    let scenarios: [(&str, Make); 3] = [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
     for (scenario, make) in scenarios {
         for (how, known_map) in [("unknown", false), ("known", true)] {
             for robot in ROBOTS {
