@@ -56,6 +56,8 @@ const TURN_COST: f64 = 0.6;
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
 const CALM: f64 = 0.3;
+/// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
+const LONG_CALM: f64 = 1.5;
 /// Floor this near to the plan is driven on even where no lidar sees it, m.
 const ALONG_PLAN: f64 = 0.3;
 
@@ -109,8 +111,9 @@ pub struct Avoidance {
     discs: Vec<(f64, f64)>,
     /// Time before braking begins, and until the motors' lag has faded, s.
     reaction: f64,
-    /// Radius that the value function keeps free, m.
+    /// Radius that the value function keeps free, and that of the whole outline, m.
     inscribed: f64,
+    circumscribed: f64,
     evading: bool,
     calm_for: f64,
     grid: Grid,
@@ -126,6 +129,7 @@ impl Avoidance {
             settings: settings.clone(),
             discs: covering_discs(&model.footprint),
             inscribed: model.footprint.inscribed_radius(),
+            circumscribed: model.footprint.circumscribed_radius(),
             reaction: 0.06 + 4.0 * drive.motor_lag,
             evading: false,
             calm_for: 0.0,
@@ -167,7 +171,7 @@ impl Avoidance {
             return Control::Follow;
         }
         self.calm_for = if conflict { 0.0 } else { self.calm_for + input.dt };
-        if self.evading && self.calm_for >= CALM && self.is_on_plan(input) {
+        if self.evading && (self.calm_for >= LONG_CALM || self.calm_for >= CALM && self.is_on_plan(input)) {
             self.reset();
             return Control::Rejoin;
         }
@@ -229,7 +233,7 @@ impl Avoidance {
     fn best_arc(&self, input: &AvoidanceInput<'_>, tracks: &[&Track]) -> Twist2 {
         let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
         let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
-            input.blind_speed.min(BACKWARDS * top)
+            0.9 * input.blind_speed.min(BACKWARDS * top)
         } else {
             BACKWARDS * top
         };
@@ -288,8 +292,13 @@ impl Avoidance {
             }
             let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
             let speed = self.drive.surface_speed(twist);
+            let reach = self.circumscribed + self.settings.clearance_most;
             for track in tracks {
                 let at = track.at(secs + input.age);
+                let far = reach + track.radius + track.velocity.norm() * self.settings.lead;
+                if (at - pose.position()).norm_squared() > far * far {
+                    continue;
+                }
                 let distance = self.distance(pose, at) - track.radius;
                 nearest = nearest.min(self.distance_from_way(pose, track, secs + input.age) - self.clearance(secs));
                 // Nearer than this the collision monitor slows the robot down.

@@ -49,6 +49,7 @@ pub mod obstacle_tracks;
 pub mod params;
 pub mod passive_safety;
 pub mod pilot;
+mod range_noise;
 pub mod recent_places;
 pub mod remote_body;
 pub mod requests;

@@ -10,13 +10,14 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Isometry2, Point2};
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::{LidarModel, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
 use crate::obstacle_tracks::{ObstacleTracks, Track};
+use crate::range_noise::RangeNoise;
 use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::scan_reprojection::ScanReprojection;
 use crate::settings::{EdgeSettings, MovingObstacleSettings};
@@ -53,6 +54,7 @@ pub struct MovingObstacles {
 struct Detector {
     lidar: LidarModel,
     reprojection: ScanReprojection,
+    noise: RangeNoise,
     settings: MovingObstacleSettings,
     /// Assumed speed of moving obstacles, m/s.
     fastest: f64,
@@ -65,6 +67,8 @@ struct Detector {
     moved_beams: Vec<bool>,
     /// Beams beyond this range tell nothing about motion, m.
     range: f64,
+    /// Returns that others pass through even if they are farther away than they were measured.
+    passed: Vec<bool>,
     /// Beams of the newest scan whose return lies just behind a departed one.
     departed: Vec<bool>,
     /// Beams of the newest scan whose return lies where a reference scan saw free space.
@@ -159,7 +163,7 @@ impl MovingObstacles {
             self.occluded.note(RecentPlace {
                 place,
                 stamp: now,
-                speed: track.map_or(self.fastest_out_of_sight, Track::most_speed),
+                speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
                 track: track.map(|track| track.id),
             });
         }
@@ -230,12 +234,12 @@ impl MovingObstacles {
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
         let points = self.detectors.iter().flat_map(|detector| &detector.points);
-        points.map(move |point| (base_from_odom * point, self.speed_at(*point).unwrap_or(self.fastest)))
-    }
-
-    /// The greatest speed of the track that a point (odometry frame) belongs to, m/s.
-    fn speed_at(&self, point: Point2<f64>) -> Option<f64> {
-        self.tracks.at(point).map(Track::most_speed)
+        points.map(move |point| {
+            (
+                base_from_odom * point,
+                self.tracks.most_speed_at(*point).unwrap_or(self.fastest),
+            )
+        })
     }
 
     /// The tracks of moving obstacles.
@@ -250,6 +254,7 @@ impl Detector {
         Self {
             lidar: lidar.clone(),
             reprojection: ScanReprojection::new(lidar, settings.scan_reprojection),
+            noise: RangeNoise::new(lidar.noise),
             settings: settings.moving_obstacles.clone(),
             fastest,
             free: Vec::new(),
@@ -257,6 +262,7 @@ impl Detector {
             points: Vec::new(),
             moved_beams: Vec::new(),
             range: settings.moving_obstacles.range.max(settings.tracking.range),
+            passed: Vec::new(),
             departed: Vec::new(),
             appeared: Vec::new(),
             moved: RecentPlaces::new(MOVED_PLACES, settings.moving_obstacles.place_spacing),
@@ -272,6 +278,9 @@ impl Detector {
     /// Takes a scan; returns how many of the points found in it moved by themselves, not only near to something that moves.
     fn insert(&mut self, scan: &ProjectedScan<'_>) -> usize {
         self.points.clear();
+        let near = self.lidar.range_min..=self.settings.range.min(self.lidar.range_max);
+        let noise = self.noise.update(scan.ranges, |range| near.contains(&range));
+        self.reprojection.set_noise(noise);
         self.reprojection.free_ranges(scan.ranges, &mut self.free);
         self.find_departed(scan);
         self.find_appeared(scan);
@@ -337,11 +346,17 @@ impl Detector {
         self.departed.resize(scan.ranges.len(), false);
         let gone_for = scan.stamp.secs_since(reference.stamp);
         let laser_from_reference = scan.odom_from_laser.inverse() * reference.odom_from_laser;
-        self.reprojection.reproject(&laser_from_reference, &reference.ranges);
+        self.reprojection
+            .reproject(&laser_from_reference, &reference.ranges, self.reprojection.beyond);
+        self.passed.clear();
+        self.passed
+            .extend(self.reprojection.beams_through(&self.free).map(|beam| beam.is_some()));
+        self.reprojection
+            .reproject(&laser_from_reference, &reference.ranges, 0.0);
         let (mut runs, mut run): (Vec<DepartedRun>, Option<DepartedRun>) = (Vec::new(), None);
-        let beams = self.reprojection.beams_through(&self.free).zip(&reference.ranges);
-        for (from, (beam, range)) in beams.enumerate() {
-            let beam = beam.filter(|_| self.is_near(f64::from(*range)));
+        let beams = self.reprojection.beams_through(&self.free).zip(&self.passed);
+        for (from, ((beam, passed), range)) in beams.zip(&reference.ranges).enumerate() {
+            let beam = beam.filter(|_| *passed && self.is_near(f64::from(*range)));
             let through = beam.and_then(|beam| Some((beam, self.reprojection.point(from)?)));
             if let Some((beam, here)) = through {
                 // At the seam of a full circle the beam numbers wrap.
@@ -369,7 +384,7 @@ impl Detector {
     /// Marks the returns just behind a departed run.
     fn mark(&mut self, gone: &DepartedRun, ranges: &[f32], gone_for: f64) {
         let least = self.least_width(gone.depth);
-        if (gone.ends[1] - gone.ends[0]).norm() < least {
+        if width(gone.ends[0].coords, gone.ends[1].coords) < least {
             return;
         }
         let farthest = gone.depth + self.fastest * gone_for + self.reprojection.depth;
@@ -383,7 +398,7 @@ impl Detector {
     fn end_run(&mut self, begun: &mut usize, laser: Point2<f64>, beam: usize) {
         if let [first, .., last] = self.points.get(*begun..).unwrap_or_default() {
             let least = self.least_width((first - laser).norm());
-            if (last - first).norm() >= least {
+            if width(first - laser, last - laser) >= least {
                 let beams = beam.saturating_sub(self.points.len() - *begun)..beam;
                 for moved in self.moved_beams.get_mut(beams).unwrap_or_default() {
                     *moved = true;
@@ -400,13 +415,15 @@ impl Detector {
         self.appeared.resize(scan.ranges.len(), false);
         for reference in &self.references {
             let reference_from_laser = reference.odom_from_laser.inverse() * scan.odom_from_laser;
-            self.reprojection.reproject(&reference_from_laser, scan.ranges);
-            for (appeared, beam) in self
-                .appeared
-                .iter_mut()
-                .zip(self.reprojection.beams_through(&reference.free))
-            {
-                *appeared |= beam.is_some();
+            self.reprojection
+                .reproject(&reference_from_laser, scan.ranges, self.reprojection.beyond);
+            self.passed.clear();
+            let passed = self.reprojection.beams_through(&reference.free);
+            self.passed.extend(passed.map(|beam| beam.is_some()));
+            self.reprojection.reproject(&reference_from_laser, scan.ranges, 0.0);
+            let passed = self.reprojection.beams_through(&reference.free).zip(&self.passed);
+            for (appeared, (beam, passed)) in self.appeared.iter_mut().zip(passed) {
+                *appeared |= beam.is_some() && *passed;
             }
         }
     }
@@ -435,6 +452,11 @@ impl Detector {
             free,
         });
     }
+}
+
+/// How far apart two returns are across the beams, m: along them it may be noise.
+fn width(from: Vector2<f64>, to: Vector2<f64>) -> f64 {
+    from.perp(&to).abs() / from.norm().max(to.norm()).max(1e-9)
 }
 
 /// Drops points nearer than this, m, to the one before.

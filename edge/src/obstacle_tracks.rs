@@ -20,6 +20,10 @@ const START_VELOCITY_VARIANCE: f64 = 1.0;
 const LEAST_HITS: u32 = 3;
 /// And how far it must have come, m: what only appears, as from behind a corner, stands.
 const LEAST_TRAVEL: f64 = 0.12;
+/// The greatest speed of late is forgotten this fast, m/s².
+const SLOWS_DOWN: f64 = 0.1;
+/// Two obstacles this near to one another may be taken for one, m.
+const MAY_BE_ONE: f64 = 0.6;
 /// Scans in which its place was seen to be empty, after which a track ends.
 const MOST_MISSES: u32 = 3;
 /// Neighbouring returns belong together up to this distance, m, and this many times their spacing.
@@ -51,8 +55,11 @@ pub struct Track {
     /// Where it was seen first, odometry frame, and whether it has clearly moved since.
     origin: Point2<f64>,
     moved: bool,
-    /// Scans that it was seen in.
+    /// The greatest speed of late, m/s.
+    most_speed: f64,
+    /// Scans that it was seen in, and in how many of them it evidently moved.
     hits: u32,
+    evidence: u32,
     /// Scans in a row that saw its place empty.
     misses: u32,
     /// Since when it has been slower than anything that moves.
@@ -72,7 +79,9 @@ impl Track {
             stamp,
             origin: seen.center,
             moved: false,
+            most_speed: 0.0,
             hits: 1,
+            evidence: 1,
             misses: 0,
             still_since: None,
         }
@@ -81,12 +90,16 @@ impl Track {
     /// Whether it has clearly moved, and been seen often enough to have a velocity.
     #[must_use]
     pub fn is_confirmed(&self) -> bool {
-        self.moved && self.hits >= LEAST_HITS
+        self.moved && self.evidence >= LEAST_HITS
     }
 
-    /// As fast as it may be: its speed and a standard deviation of it, m/s.
+    /// As fast as it may be: the greatest of late of its speed and a standard deviation of it, m/s. Who turns round is slow for a moment.
     #[must_use]
     pub fn most_speed(&self) -> f64 {
+        self.most_speed.max(self.speed_bound())
+    }
+
+    fn speed_bound(&self) -> f64 {
         self.velocity.norm() + self.variance[2].max(0.0).sqrt()
     }
 
@@ -115,6 +128,7 @@ impl Track {
             velocity + q * dt * dt,
         ];
         self.stamp = stamp;
+        self.most_speed = (self.most_speed - SLOWS_DOWN * dt).max(0.0);
     }
 
     /// Takes in where it was seen.
@@ -134,7 +148,12 @@ impl Track {
         self.radius += share * (seen.radius - self.radius);
         self.seen = self.stamp;
         self.hits += 1;
+        self.evidence += u32::from(seen.is_moving());
         self.misses = 0;
+        // Before that the filter has not settled.
+        if self.hits >= 2 * LEAST_HITS {
+            self.most_speed = self.most_speed.max(self.speed_bound());
+        }
         self.moved |= (self.position - self.origin).norm() > LEAST_TRAVEL;
         let moves = self.velocity.norm() > settings.least_speed;
         self.still_since = if moves {
@@ -156,6 +175,13 @@ struct Segment {
     beams: (usize, usize),
     /// How many of its returns evidently moved.
     moved: usize,
+}
+
+impl Segment {
+    /// Whether most of it evidently moved; a few returns alone may be noise.
+    fn is_moving(&self) -> bool {
+        self.moved >= 2 && 2 * self.moved > self.beams.1 - self.beams.0
+    }
 }
 
 /// All tracks of a robot.
@@ -187,12 +213,7 @@ impl ObstacleTracks {
         }
         self.associate(scan);
         for (segment, taken) in self.segments.iter().zip(&self.taken) {
-            // A few returns alone may be noise.
-            if !taken
-                && segment.moved >= 2
-                && 2 * segment.moved > segment.beams.1 - segment.beams.0
-                && self.tracks.len() < MAX_TRACKS
-            {
+            if !taken && segment.is_moving() && self.tracks.len() < MAX_TRACKS {
                 self.tracks
                     .push(Track::new(self.next_id, segment, scan.stamp, &self.settings));
                 self.next_id += 1;
@@ -279,6 +300,14 @@ impl ObstacleTracks {
     /// The tracks whose velocity is known.
     pub fn iter(&self) -> impl Iterator<Item = &Track> + '_ {
         self.tracks.iter().filter(|track| track.is_confirmed())
+    }
+
+    /// As fast as what is seen at a point (odometry frame) may be, if it is on a track, m/s: as the fastest track near it.
+    #[must_use]
+    pub fn most_speed_at(&self, point: Point2<f64>) -> Option<f64> {
+        self.at(point)?;
+        let near = |track: &&Track| (point - track.position).norm() <= track.radius + MAY_BE_ONE;
+        self.tracks.iter().filter(near).map(Track::most_speed).reduce(f64::max)
     }
 
     /// The track that a point (odometry frame) belongs to.

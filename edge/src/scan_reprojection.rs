@@ -28,6 +28,8 @@ pub(crate) struct ScanReprojection {
     distances: Vec<f32>,
     /// How much longer a beam is that passes through a return, m.
     pub(crate) depth: f64,
+    /// How much farther away a return may be than it was measured, m.
+    pub(crate) beyond: f64,
     settings: ScanReprojectionSettings,
 }
 
@@ -42,9 +44,16 @@ impl ScanReprojection {
             points: (vec![0.0; lidar.beams], vec![0.0; lidar.beams]),
             bearings: vec![0.0; lidar.beams],
             distances: vec![0.0; lidar.beams],
-            depth: settings.depth + settings.depth_sigmas * lidar.noise,
+            depth: settings.depth,
+            beyond: 0.0,
             settings,
         }
+    }
+
+    /// Sets the standard deviation of a range, m.
+    pub(crate) fn set_noise(&mut self, std_dev: f64) {
+        self.depth = self.settings.depth + self.settings.depth_sigmas * std_dev;
+        self.beyond = self.settings.point_sigmas * std_dev;
     }
 
     /// Up to which range each beam of a scan saw free space, m.
@@ -61,16 +70,17 @@ impl ScanReprojection {
         }));
     }
 
-    /// Reprojects the points of a scan into the lidar frame of another one.
-    pub(crate) fn reproject(&mut self, there_from_here: &Isometry2<f64>, ranges: &[f32]) {
+    /// Reprojects the points of a scan, each `farther` (m) along its beam, into the lidar frame of another one.
+    pub(crate) fn reproject(&mut self, there_from_here: &Isometry2<f64>, ranges: &[f32], farther: f64) {
         let (rotation, shift) = (there_from_here.rotation, there_from_here.translation.vector);
         let (cos, sin) = (rotation.re as f32, rotation.im as f32);
         let (east, north) = (shift.x as f32, shift.y as f32);
-        let (first, scale) = (self.first, self.beams_per_radian);
+        let (first, scale, farther) = (self.first, self.beams_per_radian, farther as f32);
         let beams = self.along.0.iter().zip(&self.along.1).zip(ranges);
         let points = self.points.0.iter_mut().zip(&mut self.points.1);
         let laid = self.bearings.iter_mut().zip(&mut self.distances).zip(points);
         for (((x, y), range), ((bearing, distance), point)) in beams.zip(laid) {
+            let range = range + farther;
             let (x, y) = ((cos * x - sin * y) * range + east, (sin * x + cos * y) * range + north);
             *bearing = (angle(x, y) - first) * scale + 0.5;
             *distance = (x * x + y * y).sqrt();
@@ -151,9 +161,10 @@ mod tests {
             let there_from_here = Isometry2::new(Vector2::new(shift.0, shift.1), shift.2);
             let settings = ScanReprojectionSettings::default();
             let mut reprojection = ScanReprojection::new(&lidar, settings);
+            reprojection.set_noise(lidar.noise);
             let mut free = Vec::new();
             reprojection.free_ranges(&there, &mut free);
-            reprojection.reproject(&there_from_here, &here);
+            reprojection.reproject(&there_from_here, &here, 0.0);
             for (nth, beam) in reprojection.beams_through(&free).enumerate() {
                 let angle = lidar.angle_min() + nth as f64 * lidar.angle_increment();
                 let point = Vector2::new(angle.cos(), angle.sin()) * f64::from(here[nth]);

@@ -249,8 +249,10 @@ zenav_protocol::settings! {
         pub neighbours: usize = 2, "beams", 0..=20;
         /// Free depth beyond the noise of ranges.
         pub depth: f64 = 0.03, "m", 0.0..=1.0;
-        /// Free depth in standard deviations of a range.
-        pub depth_sigmas: f64 = 4.0, "", 0.0..=20.0;
+        /// Free depth in standard deviations of a range, as estimated from the scans.
+        pub depth_sigmas: f64 = 1.5, "", 0.0..=20.0;
+        /// A place is passed only if what lies this many standard deviations of a range behind it, too, is passed.
+        pub point_sigmas: f64 = 2.5, "", 0.0..=20.0;
         /// Free depth for each metre of range: heading errors and the spacing of beams.
         pub depth_per_metre: f64 = 0.01, "m/m", 0.0..=0.2;
     }

@@ -189,6 +189,12 @@ impl Pilot {
         self.mode
     }
 
+    /// Whether it leaves its plan to make way for a moving obstacle.
+    #[must_use]
+    pub fn is_making_way(&self) -> bool {
+        self.avoidance.is_evading()
+    }
+
     /// State of the wall follower.
     #[must_use]
     pub fn wall_follower(&self) -> WallFollowerState {

@@ -84,14 +84,17 @@ pub struct Outcome {
     pub interventions: Vec<String>,
     /// Whether a benign plan was finished.
     pub finished: bool,
+    /// Whether the robot left a plan to make way.
+    pub made_way: bool,
 }
 
 impl Outcome {
-    /// Whether nothing was driven into, and a benign plan was finished without an intervention.
+    /// Whether nothing was driven into, and a benign plan was finished without an intervention, or left to make way for a mover.
     #[must_use]
     pub fn is_good(&self) -> bool {
-        let benign = self.command != Command::Benign || (self.finished && self.interventions.is_empty());
-        self.hardest <= GENTLE && benign
+        let unhindered = self.finished && self.interventions.is_empty();
+        let made_way = self.movers && self.made_way;
+        self.hardest <= GENTLE && (self.command != Command::Benign || unhindered || made_way)
     }
 }
 
@@ -176,6 +179,7 @@ pub fn drive_watched(
             _ => DURATION,
         };
         let mut adversary = Adversary::new(command, &model.drive);
+        let mut made_way = false;
         for tick in 0..(duration * 50.0) as usize {
             let inbox = adversary.command(&mut rng, &mut rig, tick);
             let sweeps = adversary.sweeps;
@@ -194,6 +198,7 @@ pub fn drive_watched(
                 rig.sim.drive(0, rig.model.drive.wheels(twist));
             }
             watch(&rig);
+            made_way |= rig.pilot.is_making_way();
             if command == Command::Benign && rig.finished() {
                 break;
             }
@@ -209,6 +214,7 @@ pub fn drive_watched(
             length: truth.length,
             interventions: rig.interventions().map(str::to_owned).collect(),
             finished: rig.finished(),
+            made_way,
         });
     }
     Err(SimRigError::NoPath(seed))

@@ -33,7 +33,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// [`PLAN_SHARE`] of a robot's limits.
+    /// `PLAN_SHARE` of a robot's limits.
     #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         Self::with_share(&model.drive, PLAN_SHARE)
