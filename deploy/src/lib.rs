@@ -28,7 +28,6 @@ pub mod config;
 pub mod connect;
 pub mod demo;
 pub mod drawing;
-pub mod exit_code;
 pub mod failure;
 pub mod files;
 pub mod goal;
@@ -41,6 +40,8 @@ pub mod receivers;
 pub mod report;
 pub mod wall_following;
 pub mod world_server;
+
+pub use zenav_edge::exit_code;
 
 /// Runs the command line of this process; the exit codes stand in [`exit_code`].
 #[must_use]

@@ -168,7 +168,7 @@ impl ActivePlan {
             dt,
             map_from_base,
             velocity,
-            speed_cap: self.speed_cap_now(now, dt, drive),
+            speed_cap: self.speed_cap(now, dt, drive),
         };
         self.tracker.step(&view, gains)
     }
@@ -193,12 +193,6 @@ impl ActivePlan {
     /// Something else drives the robot: the tracker goes on from the nearest place on the plan.
     pub fn rejoin(&mut self, map_from_base: &Pose2) {
         self.tracker.rejoin(map_from_base);
-    }
-
-    /// Largest wheel surface speed at which the robot is still at rest by the expiry, m/s.
-    #[must_use]
-    pub fn speed_cap_now(&self, now: Stamp, dt: f64, drive: &Drive) -> f64 {
-        self.speed_cap(drive, self.expiry.secs_since(now), dt)
     }
 
     /// Why the plan can no longer be followed, if so; `off_track` is the distance at which it is lost, m, if not the usual one.
@@ -268,9 +262,11 @@ impl ActivePlan {
         })
     }
 
-    /// Largest wheel surface speed from which the robot comes to rest within `left` seconds, the motors' lag included.
-    fn speed_cap(&self, drive: &Drive, left: f64, tick: f64) -> f64 {
-        let usable = left - 4.0 * drive.motor_lag - 2.0 * tick;
+    /// Largest wheel surface speed from which the robot comes to rest by the expiry, the motors' lag included, m/s; `tick` is the control
+    /// period, s.
+    #[must_use]
+    pub fn speed_cap(&self, now: Stamp, tick: f64, drive: &Drive) -> f64 {
+        let usable = self.expiry.secs_since(now) - 4.0 * drive.motor_lag - 2.0 * tick;
         (self.settings.braking_share * drive.acceleration() * usable).max(0.0)
     }
 }

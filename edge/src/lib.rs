@@ -20,6 +20,7 @@
 //! | [`pilot`], [`control_io`] | what does it do in one tick? |
 //! | [`config`], [`settings`] | what can be set and tuned? |
 //! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
+//! | [`exit_code`] | what does a command end with? |
 //! | [`service`], [`state_file`] | how is it connected to the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
 
@@ -36,6 +37,7 @@ pub mod control;
 pub mod control_io;
 pub mod estimator;
 pub mod event_log;
+pub mod exit_code;
 mod field_of_view;
 pub mod handoff;
 pub mod history;

@@ -140,14 +140,18 @@ impl LocalObstacles {
     /// All known points in the base frame of a robot at `odom_from_base`.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
-        let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
-        seen.chain(&self.remembered).map(move |point| base_from_odom * point)
+        self.in_odom().map(move |point| base_from_odom * point)
     }
 
     /// All known points in the odometry frame.
-    pub fn in_odom(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+    fn in_odom(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
         seen.chain(&self.remembered).copied()
+    }
+
+    /// Those of them that are on no track, in the odometry frame.
+    pub fn standing(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+        self.in_odom().filter(|point| self.moving.tracks().at(*point).is_none())
     }
 
     /// Whether a beam of a newest sweep passes through a place (odometry frame).

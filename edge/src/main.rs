@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig};
-use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, Shutdown};
+use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig, exit_code};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{LostPolicy, Refusal};
+use zenav_protocol::messages::LostPolicy;
 use zenav_protocol::robot::{OPTIONS, RobotError, RobotModel, SHIPPED};
 
 /// The robot's side of zenav.
@@ -115,45 +115,15 @@ impl Failure {
     }
 }
 
-/// Exit codes, as those of `zenav`.
-mod exit_code {
-    pub const FAILED: u8 = 1;
-    pub const USAGE: u8 = 2;
-    pub const NOT_FOUND: u8 = 3;
-    pub const CANNOT_CONNECT: u8 = 4;
-    pub const TIMEOUT: u8 = 5;
-    pub const REJECTED: u8 = 7;
-}
-
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
-        let code = match error {
-            BusError::CannotConnect { .. } | BusError::Closed => exit_code::CANNOT_CONNECT,
-            BusError::CannotListen { .. } => exit_code::FAILED,
-            BusError::Config { .. } | BusError::Key { .. } => exit_code::USAGE,
-        };
-        Self::new(code, error)
+        Self::new(exit_code::of_bus(&error), error)
     }
 }
 
 impl From<AttachError> for Failure {
     fn from(error: AttachError) -> Self {
-        let code = match &error {
-            AttachError::Ask(AskError::Closed) => exit_code::CANNOT_CONNECT,
-            AttachError::Ask(AskError::Unaskable { .. }) => exit_code::USAGE,
-            AttachError::Ask(AskError::Timeout { .. }) => exit_code::TIMEOUT,
-            AttachError::Ask(AskError::Refused(refusal)) => match refusal {
-                Refusal::Busy { .. } => exit_code::TIMEOUT,
-                Refusal::BadRequest { .. } | Refusal::TooLarge { .. } => exit_code::USAGE,
-                Refusal::NotFound { .. } => exit_code::NOT_FOUND,
-                Refusal::Internal { .. } | Refusal::NotLeader => exit_code::FAILED,
-                _ => exit_code::REJECTED,
-            },
-            AttachError::Ask(AskError::Malformed { .. }) | AttachError::Bus(_) | AttachError::Pace(..) => {
-                exit_code::FAILED
-            }
-        };
-        Self::new(code, error)
+        Self::new(exit_code::of_attach(&error), error)
     }
 }
 

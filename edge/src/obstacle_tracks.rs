@@ -16,8 +16,10 @@ use crate::settings::TrackingSettings;
 const MAX_TRACKS: usize = 64;
 /// Variance of a new track's velocity, (m/s)².
 const START_VELOCITY_VARIANCE: f64 = 1.0;
-/// Scans in which a track must have been seen before its velocity counts.
-const LEAST_HITS: u32 = 3;
+/// Scans in which a track must evidently have moved before its velocity counts.
+const LEAST_EVIDENCE: u32 = 3;
+/// Scans after which the filter has settled.
+const SETTLED: u32 = 6;
 /// And how far it must have come, m: what only appears, as from behind a corner, stands.
 const LEAST_TRAVEL: f64 = 0.12;
 /// The greatest speed of late is forgotten this fast, m/s².
@@ -90,7 +92,7 @@ impl Track {
     /// Whether it has clearly moved, and been seen often enough to have a velocity.
     #[must_use]
     pub fn is_confirmed(&self) -> bool {
-        self.moved && self.evidence >= LEAST_HITS
+        self.moved && self.evidence >= LEAST_EVIDENCE
     }
 
     /// As fast as it may be: the greatest of late of its speed and a standard deviation of it, m/s. Who turns round is slow for a moment.
@@ -114,6 +116,14 @@ impl Track {
     #[must_use]
     pub fn at(&self, secs: f64) -> Point2<f64> {
         self.position + self.velocity * secs
+    }
+
+    /// The place nearest to a point on the way that it goes from `secs` after its stamp for another `lead` s, odometry frame.
+    #[must_use]
+    pub fn nearest_on_way(&self, secs: f64, lead: f64, point: Point2<f64>) -> Point2<f64> {
+        let (from, way) = (self.at(secs), self.velocity * lead);
+        let share = ((point - from).dot(&way) / way.norm_squared().max(1e-9)).clamp(0.0, 1.0);
+        from + way * share
     }
 
     /// Goes on to a time.
@@ -150,8 +160,7 @@ impl Track {
         self.hits += 1;
         self.evidence += u32::from(seen.is_moving());
         self.misses = 0;
-        // Before that the filter has not settled.
-        if self.hits >= 2 * LEAST_HITS {
+        if self.hits >= SETTLED {
             self.most_speed = self.most_speed.max(self.speed_bound());
         }
         self.moved |= (self.position - self.origin).norm() > LEAST_TRAVEL;

@@ -382,6 +382,14 @@ impl BlindSpotGridSettings {
     }
 }
 
+impl AvoidanceSettings {
+    /// Distance kept from where a moving obstacle is predicted `secs` ahead, m.
+    #[must_use]
+    pub fn clearance_after(&self, secs: f64) -> f64 {
+        (self.clearance + self.clearance_per_second * secs).min(self.clearance_most)
+    }
+}
+
 impl PassiveSafetySettings {
     /// Assumed speed of moving obstacles in view, m/s, for a robot with this top speed.
     #[must_use]

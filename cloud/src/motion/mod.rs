@@ -3,9 +3,11 @@
 //! | file | answers |
 //! |---|---|
 //! | [`worker`] | which path can the robot drive, and what is its trajectory? Pure |
+//! | `via` | how is a path with stops on its way smoothed? |
 //! | `host` | how is one request worked on, away from the async threads and within its budget? |
 
 mod host;
+mod via;
 pub mod worker;
 
 use std::collections::BTreeMap;

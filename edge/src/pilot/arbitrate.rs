@@ -110,7 +110,7 @@ impl Pilot {
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),
                 blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
-                speed_cap: active.speed_cap_now(now, dt, drive),
+                speed_cap: active.speed_cap(now, dt, drive),
                 ahead: &self.ahead,
                 obstacles: &self.obstacles,
             });

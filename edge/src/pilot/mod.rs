@@ -65,7 +65,7 @@ pub struct Pilot {
     pub(crate) wall_following: WallFollowing,
     wall_follower: WallFollower,
     return_home: ReturnHome,
-    pub(crate) limiter: Limiter,
+    limiter: Limiter,
     wheel_coordination: WheelCoordination,
     dead_man: DeadMan,
     telemetry: Telemetry,

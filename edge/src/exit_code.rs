@@ -1,8 +1,9 @@
-//! Exit codes. What does a `zenav` command end with?
+//! Exit codes. What does a command end with, `zenav` or `zenav-edge`?
 
-use zenav_edge::AttachError;
 use zenav_protocol::bus::{AskError, BusError};
 use zenav_protocol::messages::Refusal;
+
+use crate::remote_body::AttachError;
 
 /// The command succeeded.
 pub const OK: u8 = 0;
@@ -24,7 +25,8 @@ pub const REJECTED: u8 = 7;
 pub const INTERRUPTED: u8 = 130;
 
 /// Of a command whose request was refused.
-pub(crate) const fn of_refusal(refusal: &Refusal) -> u8 {
+#[must_use]
+pub const fn of_refusal(refusal: &Refusal) -> u8 {
     match refusal {
         Refusal::Internal { .. } | Refusal::NotLeader => FAILED,
         Refusal::BadRequest { .. } | Refusal::TooLarge { .. } => USAGE,
@@ -37,7 +39,8 @@ pub(crate) const fn of_refusal(refusal: &Refusal) -> u8 {
 }
 
 /// Of a command that got no answer.
-pub(crate) const fn of_ask(error: &AskError) -> u8 {
+#[must_use]
+pub const fn of_ask(error: &AskError) -> u8 {
     match error {
         AskError::Timeout { .. } => TIMEOUT,
         AskError::Refused(refusal) => of_refusal(refusal),
@@ -48,7 +51,8 @@ pub(crate) const fn of_ask(error: &AskError) -> u8 {
 }
 
 /// Of a command without a session.
-pub(crate) const fn of_bus(error: &BusError) -> u8 {
+#[must_use]
+pub const fn of_bus(error: &BusError) -> u8 {
     match error {
         BusError::CannotConnect { .. } | BusError::Closed => CANNOT_CONNECT,
         BusError::CannotListen { .. } => FAILED,
@@ -57,7 +61,8 @@ pub(crate) const fn of_bus(error: &BusError) -> u8 {
 }
 
 /// Of an edge without a body.
-pub(crate) const fn of_attach(error: &AttachError) -> u8 {
+#[must_use]
+pub const fn of_attach(error: &AttachError) -> u8 {
     match error {
         AttachError::Ask(error) => of_ask(error),
         AttachError::Bus(_) | AttachError::Pace(..) => FAILED,

@@ -1,0 +1,354 @@
+//! Predictive control among moving obstacles. Does the plan lead into the predicted way of somebody, and what does the robot do instead?
+//!
+//! While no track ([`crate::obstacle_tracks`]) comes near the plan within the horizon, the tracker drives alone. Else two steps choose the
+//! twist, every tick:
+//!
+//! 1. `value_function`: for each place around the robot and each time up to the horizon, the time to the end of the plan among static
+//!    obstacles and predicted tracks. So the robot waits in a niche, passes behind, or backs out.
+//! 2. A dynamic window (Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997) whose arcs are checked
+//!    with the footprint against obstacles (`clearance_grid`) and predicted tracks, and judged at their end by that value function.
+//!
+//! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor keeps the
+//! last word.
+
+mod clearance_grid;
+mod value_function;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::robot::{Drive, Footprint, RobotModel};
+
+use crate::blind_spot_grid::Floor;
+use crate::field_of_view::rigid;
+use crate::local_obstacles::LocalObstacles;
+use crate::obstacle_tracks::Track;
+use crate::settings::AvoidanceSettings;
+use clearance_grid::ClearanceGrid;
+use value_function::ValueFunction;
+
+/// Arcs last this long, s, in so many steps.
+const ARC_SECS: f64 = 1.2;
+const ARC_STEPS: u32 = 12;
+/// Speeds and yaw rates of the window.
+const SPEEDS: i32 = 8;
+const YAW_RATES: i32 = 6;
+/// Share of the top speed that is used backwards.
+const BACKWARDS: f64 = 0.4;
+/// Cost of a contact at the end of an arc, s; at its beginning twice that.
+const CONTACT_COST: f64 = 12.0;
+/// Cost of an arc all along the way of a track, s.
+const NEARNESS_COST: f64 = 15.0;
+/// Cost of an arc that the collision monitor would stop, s.
+const SLOWED_COST: f64 = 4.0;
+/// Off the plan by this much the tracker takes over again, m and rad.
+const REJOINED: (f64, f64) = (0.15, 0.5);
+/// Time without a conflict after which the robot returns to the plan, s.
+const CALM: f64 = 0.3;
+/// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
+const LONG_CALM: f64 = 1.5;
+
+/// What is ahead of the robot by its plan: pose in the odometry frame, and when it gets there at the plan's pace, s.
+#[derive(Clone, Copy, Debug)]
+pub struct Ahead {
+    /// From now, s.
+    pub secs: f64,
+    /// Odometry frame.
+    pub pose: Pose2,
+}
+
+/// What predictive control sees in a tick.
+#[derive(Clone, Copy, Debug)]
+pub struct AvoidanceInput<'a> {
+    /// Since the last tick, s.
+    pub dt: f64,
+    /// Time since the tracks' stamp, s.
+    pub age: f64,
+    /// Where the robot is.
+    pub odom_from_base: Pose2,
+    /// The twist that the wheels were told last.
+    pub command: Twist2,
+    /// Largest wheel surface speed, m/s: the robot must be at rest when its plan expires.
+    pub speed_cap: f64,
+    /// Largest speed into the blind spot, m/s.
+    pub blind_speed: f64,
+    /// The rest of the plan, from where the robot should be now.
+    pub ahead: &'a [Ahead],
+    /// Obstacles and tracks.
+    pub obstacles: &'a LocalObstacles,
+}
+
+/// What drives the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Control {
+    /// The tracker alone.
+    Follow,
+    /// The tracker again, from the place on the plan that is nearest.
+    Rejoin,
+    /// This twist instead.
+    Evade(Twist2),
+}
+
+/// Keeps the robot out of the way of moving obstacles.
+#[derive(Clone, Debug)]
+pub struct Avoidance {
+    settings: AvoidanceSettings,
+    drive: Drive,
+    /// Discs that cover the footprint: place on the x axis of the base, and radius, m.
+    discs: Vec<(f64, f64)>,
+    /// Time before braking begins, and until the motors' lag has faded, s.
+    reaction: f64,
+    /// Radius of the whole outline, m.
+    circumscribed: f64,
+    evading: bool,
+    calm_for: f64,
+    values: ValueFunction,
+    clearances: ClearanceGrid,
+    /// Obstacles that are on no track, odometry frame; kept for its memory.
+    standing: Vec<Point2<f64>>,
+}
+
+impl Avoidance {
+    /// For a robot.
+    #[must_use]
+    pub fn new(model: &RobotModel, settings: &AvoidanceSettings) -> Self {
+        let drive = model.drive.clone();
+        Self {
+            settings: settings.clone(),
+            discs: covering_discs(&model.footprint),
+            circumscribed: model.footprint.circumscribed_radius(),
+            reaction: 0.06 + 4.0 * drive.motor_lag,
+            evading: false,
+            calm_for: 0.0,
+            values: ValueFunction::new(model, settings),
+            clearances: ClearanceGrid::default(),
+            standing: Vec::new(),
+            drive,
+        }
+    }
+
+    /// Whether the robot is off its plan to make way.
+    #[must_use]
+    pub fn is_evading(&self) -> bool {
+        self.evading
+    }
+
+    /// The plan has changed or ended: the tracker drives.
+    pub fn reset(&mut self) {
+        self.evading = false;
+        self.calm_for = 0.0;
+    }
+
+    /// Decides for one tick.
+    pub fn step(&mut self, input: &AvoidanceInput<'_>) -> Control {
+        let reach = self.settings.horizon * (self.drive.top_speed() + 2.0);
+        let here = input.odom_from_base.position();
+        let tracks: Vec<&Track> = input
+            .obstacles
+            .moving()
+            .tracks()
+            .iter()
+            .filter(|track| (track.position - here).norm() < reach)
+            .collect();
+        if input.ahead.is_empty() || (tracks.is_empty() && !self.evading) {
+            self.reset();
+            return Control::Follow;
+        }
+        let conflict = self.conflicts(input, &tracks);
+        if !conflict && !self.evading {
+            return Control::Follow;
+        }
+        self.calm_for = if conflict { 0.0 } else { self.calm_for + input.dt };
+        if self.evading && (self.calm_for >= LONG_CALM || self.calm_for >= CALM && self.is_on_plan(input)) {
+            self.reset();
+            return Control::Rejoin;
+        }
+        self.evading = true;
+        self.standing.clear();
+        self.standing.extend(input.obstacles.standing());
+        self.values.fill(input, &self.standing, &tracks);
+        self.clearances.fill(input.odom_from_base.position(), &self.standing);
+        Control::Evade(self.best_arc(input, &tracks))
+    }
+
+    /// Whether the plan, at its own pace, comes too near to where a track is predicted.
+    fn conflicts(&self, input: &AvoidanceInput<'_>, tracks: &[&Track]) -> bool {
+        let within = input
+            .ahead
+            .iter()
+            .take_while(|ahead| ahead.secs <= self.settings.horizon);
+        within.into_iter().any(|ahead| {
+            tracks.iter().any(|track| {
+                self.distance_from_way(ahead.pose, track, ahead.secs + input.age)
+                    < self.settings.clearance_after(ahead.secs)
+            })
+        })
+    }
+
+    /// Distance of the footprint at a pose from a point, m.
+    fn distance(&self, pose: Pose2, point: Point2<f64>) -> f64 {
+        let heading = pose.heading();
+        let off = self
+            .discs
+            .iter()
+            .map(|(x, radius)| (pose.position() + heading * *x - point).norm() - radius);
+        off.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Distance of the footprint at a pose from the way that a track takes in the moments after a time: the robot is to be out of it before.
+    fn distance_from_way(&self, pose: Pose2, track: &Track, secs: f64) -> f64 {
+        self.distance(pose, track.nearest_on_way(secs, self.settings.lead, pose.position())) - track.radius
+    }
+
+    /// Whether the robot is where its plan leads, and looks along it.
+    fn is_on_plan(&self, input: &AvoidanceInput<'_>) -> bool {
+        let here = input.odom_from_base;
+        let nearest = input
+            .ahead
+            .iter()
+            .min_by(|a, b| a.pose.distance(&here).total_cmp(&b.pose.distance(&here)));
+        nearest.is_some_and(|nearest| {
+            nearest.pose.distance(&here) < REJOINED.0 && wrap_angle(nearest.pose.yaw - here.yaw).abs() < REJOINED.1
+        })
+    }
+
+    /// The twist whose arc costs least.
+    fn best_arc(&self, input: &AvoidanceInput<'_>, tracks: &[&Track]) -> Twist2 {
+        let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
+        let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
+            0.9 * input.blind_speed.min(BACKWARDS * top)
+        } else {
+            BACKWARDS * top
+        };
+        let mut best = (f64::INFINITY, Twist2::ZERO);
+        for nth in -3..=SPEEDS {
+            let v = if nth < 0 {
+                backwards * f64::from(nth) / 3.0
+            } else {
+                top * f64::from(nth) / f64::from(SPEEDS)
+            };
+            for side in -YAW_RATES..=YAW_RATES {
+                // Denser around straight on.
+                let share = f64::from(side) / f64::from(YAW_RATES);
+                let wanted = Twist2::new(v, turn * share * share.abs());
+                if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
+                    continue;
+                }
+                let cost = self.arc_cost(input, tracks, wanted, best.0);
+                if cost < best.0 {
+                    best = (cost, wanted);
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Cost of going over to a twist and keeping it, s; given up beyond `limit`.
+    fn arc_cost(&self, input: &AvoidanceInput<'_>, tracks: &[&Track], wanted: Twist2, limit: f64) -> f64 {
+        let step = ARC_SECS / f64::from(ARC_STEPS);
+        let target = self.drive.wheels(wanted);
+        let mut wheels = self.drive.wheels(input.command);
+        let (mut pose, mut cost) = (input.odom_from_base, 0.0);
+        cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
+            + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
+        let change = self.drive.max_wheel_acceleration * step;
+        for nth in 1..=ARC_STEPS {
+            for (wheel, target) in wheels.iter_mut().zip(target) {
+                *wheel += (target - *wheel).clamp(-change, change);
+            }
+            let twist = self.drive.twist(wheels);
+            pose = pose.advance(twist, step);
+            let secs = step * f64::from(nth);
+            let left = 1.0 - secs / ARC_SECS;
+            let moving = self.drive.surface_speed(twist) > 0.02;
+            let still = self
+                .discs
+                .iter()
+                .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
+            let clear = still.fold(f64::INFINITY, f64::min);
+            if moving && clear < 0.02 {
+                return 60.0 + 60.0 * left;
+            }
+            cost += 0.6 * (1.0 - clear / 0.1).max(0.0) / f64::from(ARC_STEPS);
+            if moving && self.leaves_known_floor(input, pose, twist) {
+                return 50.0 + 50.0 * left;
+            }
+            let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
+            let speed = self.drive.surface_speed(twist);
+            let reach = self.circumscribed + self.settings.clearance_most;
+            for track in tracks {
+                let at = track.at(secs + input.age);
+                let far = reach + track.radius + track.velocity.norm() * self.settings.lead;
+                if (at - pose.position()).norm_squared() > far * far {
+                    continue;
+                }
+                let distance = self.distance(pose, at) - track.radius;
+                nearest = nearest
+                    .min(self.distance_from_way(pose, track, secs + input.age) - self.settings.clearance_after(secs));
+                // Nearer than this the collision monitor slows the robot down.
+                let kept = track.velocity.norm() * (self.reaction + speed / self.drive.hard_braking);
+                if distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
+                    slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
+                }
+                if distance < 0.03 {
+                    // Sooner is worse, and so is the robot's own part in it.
+                    cost += CONTACT_COST * (1.0 + left) + 0.5 * speed;
+                    return cost;
+                }
+            }
+            cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
+            if nearest < 0.0 {
+                cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
+            }
+            if cost >= limit {
+                return cost;
+            }
+        }
+        cost + self.values.at(pose, ARC_SECS, self.drive.top_yaw_rate())
+    }
+
+    /// Whether the footprint at a pose is over floor that was never seen, ahead of its motion.
+    fn leaves_known_floor(&self, input: &AvoidanceInput<'_>, pose: Pose2, twist: Twist2) -> bool {
+        let grid = input.obstacles.blind_spots();
+        if !grid.has_blind_spot() || twist.v >= 0.0 {
+            return false;
+        }
+        let odom_from_base = rigid(input.odom_from_base);
+        let rear = self.discs.iter().map(|(x, radius)| x - radius).fold(0.0, f64::min);
+        let there = pose.position() + pose.heading() * rear;
+        let place = odom_from_base.inverse() * there;
+        matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
+    }
+}
+
+/// Discs that cover a footprint, along the x axis of the base: place and radius, m.
+fn covering_discs(footprint: &Footprint) -> Vec<(f64, f64)> {
+    match footprint {
+        Footprint::Radius(radius) => vec![(0.0, *radius)],
+        Footprint::Polygon(corners) => {
+            let fold = |pick: fn(&Point2<f64>) -> f64| {
+                let values = corners.iter().map(pick);
+                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                    (low.min(value), high.max(value))
+                })
+            };
+            let ((back, front), (right, left)) = (fold(|corner| corner.x), fold(|corner| corner.y));
+            let half_width = right.abs().max(left.abs()).max(1e-3);
+            let count = ((front - back) / (1.5 * half_width)).ceil().clamp(1.0, 8.0);
+            let piece = (front - back) / count;
+            let radius = half_width.hypot(0.5 * piece);
+            (0..count as u32)
+                .map(|nth| (back + piece * (f64::from(nth) + 0.5), radius))
+                .collect()
+        }
+    }
+}
+
+/// The index of the cell of a square grid with `side` cells a side, of `size` m each, that holds a point.
+fn cell_of(point: Point2<f64>, origin: Point2<f64>, size: f64, side: usize) -> Option<usize> {
+    let off = (point - origin) / size;
+    let inside = |value: f64| (0.0..side as f64).contains(&value);
+    (inside(off.x) && inside(off.y)).then(|| off.y as usize * side + off.x as usize)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,153 @@
+//! Claims about predictive control.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use nalgebra::Vector2;
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::time::Stamp;
+
+const RATE: f64 = 20.0;
+
+/// A hall with walls at y = ±`half`, in which walkers and a robot move; true poses, perfect odometry, no monitor.
+struct Hall {
+    model: RobotModel,
+    avoidance: Avoidance,
+    obstacles: LocalObstacles,
+    pose: Pose2,
+    twist: Twist2,
+    half: f64,
+    least: f64,
+}
+
+impl Hall {
+    fn new(robot: &str, half: f64) -> Self {
+        let model = zenav_fixtures::robot(robot);
+        Self {
+            avoidance: Avoidance::new(&model, &AvoidanceSettings::default()),
+            obstacles: LocalObstacles::new(&model),
+            pose: Pose2::IDENTITY,
+            twist: Twist2::ZERO,
+            half,
+            least: f64::INFINITY,
+            model,
+        }
+    }
+
+    fn scan(&mut self, now: f64, walkers: &[Point2<f64>]) {
+        let lidar = self.model.first_lidar().unwrap().clone();
+        let laser = self.pose * lidar.mount;
+        let range = |beam: usize| {
+            let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            let ray = Vector2::new(angle.cos(), angle.sin());
+            let wall = (self.half - laser.y * ray.y.signum()) / ray.y.abs().max(1e-9);
+            let discs = walkers.iter().map(|walker| {
+                let off = walker - laser.position();
+                let (along, aside) = (off.dot(&ray), off.perp(&ray).abs());
+                if along <= 0.0 || aside >= 0.25 {
+                    return f64::INFINITY;
+                }
+                along - (0.0625 - aside * aside).sqrt()
+            });
+            let range = discs.fold(wall, f64::min);
+            if range > lidar.range_max {
+                f32::INFINITY
+            } else {
+                range as f32
+            }
+        };
+        let sweep = Sweep::new(Stamp::from_secs(now), (0..lidar.beams).map(range).collect());
+        self.obstacles.insert(&sweep, self.pose);
+    }
+
+    /// Drives along y = 0 to x = 12 at `pace`; the time it takes, s.
+    fn drive(&mut self, pace: f64, walkers: impl Fn(f64) -> Vec<Point2<f64>>) -> Option<f64> {
+        for step in 0..(60.0 * RATE) as u32 {
+            let now = f64::from(step) / RATE;
+            let walkers = walkers(now);
+            self.scan(now, &walkers);
+            let ahead: Vec<Ahead> = (0..=120)
+                .map(|nth| 0.1 * f64::from(nth))
+                .map(|secs| Ahead {
+                    secs,
+                    pose: Pose2::new((self.pose.x + pace * secs).min(12.0), 0.0, 0.0),
+                })
+                .collect();
+            let control = self.avoidance.step(&AvoidanceInput {
+                dt: 1.0 / RATE,
+                age: 0.0,
+                odom_from_base: self.pose,
+                command: self.twist,
+                speed_cap: f64::INFINITY,
+                blind_speed: 0.1,
+                ahead: &ahead,
+                obstacles: &self.obstacles,
+            });
+            let wanted = match control {
+                Control::Evade(twist) => twist,
+                _ => Twist2::new(pace, -2.0 * self.pose.y - 2.0 * self.pose.yaw),
+            };
+            let change = self.model.drive.acceleration() / RATE;
+            let v = self.twist.v + (wanted.v - self.twist.v).clamp(-change, change);
+            self.twist = Twist2::new(v, wanted.w);
+            self.pose = self.pose.advance(self.twist, 1.0 / RATE);
+            for walker in &walkers {
+                let off = self.pose.inverse().transform_point(*walker);
+                self.least = self.least.min(self.model.footprint.distance(off) - 0.25);
+            }
+            if self.pose.x > 11.5 {
+                return Some(now);
+            }
+        }
+        None
+    }
+}
+
+#[test]
+fn with_nobody_near_the_tracker_drives() {
+    let mut hall = Hall::new("tiago", 2.0);
+    let secs = hall.drive(0.6, |_| Vec::new()).unwrap();
+    assert!(
+        !hall.avoidance.is_evading() && (secs - 11.5 / 0.6).abs() < 1.5,
+        "{secs}"
+    );
+}
+
+#[test]
+fn it_steps_aside_for_somebody_who_comes_along_the_middle() {
+    for robot in ["tiago", "jackal"] {
+        let mut hall = Hall::new(robot, 1.6);
+        let secs = hall.drive(0.6, |now| vec![Point2::new(11.0 - 1.0 * now, 0.0)]).unwrap();
+        assert!(hall.least > 0.05, "{robot}: {}", hall.least);
+        assert!(secs < 32.0, "{robot}: {secs} s");
+    }
+}
+
+#[test]
+fn it_lets_somebody_cross() {
+    for robot in ["tiago", "jackal"] {
+        // Would meet it at x = 5.
+        let mut hall = Hall::new(robot, 6.0);
+        let secs = hall.drive(0.6, |now| vec![Point2::new(5.0, -5.0 + 0.6 * now)]).unwrap();
+        assert!(hall.least > 0.1, "{robot}: {}", hall.least);
+        assert!(secs < 27.0, "{robot}: {secs} s");
+    }
+}
+
+#[test]
+fn the_discs_cover_the_footprint() {
+    for robot in ["tiago", "jackal", "turtlebot3_waffle"] {
+        let footprint = zenav_fixtures::robot(robot).footprint;
+        let discs = covering_discs(&footprint);
+        let corners = match &footprint {
+            Footprint::Radius(radius) => vec![Point2::new(*radius, 0.0)],
+            Footprint::Polygon(corners) => corners.clone(),
+        };
+        for corner in corners {
+            let covered = discs
+                .iter()
+                .any(|(x, radius)| (corner - Point2::new(*x, 0.0)).norm() <= radius + 1e-9);
+            assert!(covered, "{robot}: {corner}");
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! Space-time value function. How long does it take from a place and a time to the end of the plan, among what stands and what moves?
+//!
+//! Dynamic programming backwards in time over a small grid around the robot, in layers of time up to the horizon; waiting is a move (after
+//! Silver, "Cooperative pathfinding", AIIDE 2005). Beyond the horizon nothing moves.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::robot::RobotModel;
+
+use super::{AvoidanceInput, cell_of};
+use crate::blind_spot_grid::Floor;
+use crate::field_of_view::rigid;
+use crate::obstacle_tracks::Track;
+use crate::settings::AvoidanceSettings;
+
+/// Cells a side of the value function.
+const SIDE: usize = 48;
+const CELLS: usize = SIDE * SIDE;
+/// Time layers of the value function.
+const LAYERS: usize = 24;
+/// Cost of a place from which the end cannot be reached, s.
+const NO_WAY: f32 = 1e4;
+/// Cost of being beside a track, as a share of the time there.
+const NEARNESS: f32 = 6.0;
+/// Time that a turn costs beyond the one at the top yaw rate, as a share.
+const TURN_COST: f64 = 0.6;
+/// Going backwards counts as a turn of this much, rad.
+const BACKWARDS_TURN: f64 = 0.8;
+/// Floor this near to the plan is driven on even where no lidar sees it, m.
+const ALONG_PLAN: f64 = 0.3;
+/// It moves no faster than this, m/s: at higher speeds its cells would be too coarse for a door.
+const MOST_SPEED: f64 = 1.0;
+/// Distance kept from what stands and from a track's disc, beyond the inscribed radius, m.
+const LEAST_CLEARANCE: f64 = 0.03;
+
+/// The time to the end of the plan from the places around the robot.
+#[derive(Clone, Debug)]
+pub(super) struct ValueFunction {
+    settings: AvoidanceSettings,
+    /// Radius that is kept free, m.
+    inscribed: f64,
+    /// Side of a cell, m, and time of a layer, s.
+    cell: f64,
+    layer: f64,
+    /// Lower-left corner, odometry frame.
+    origin: Point2<f64>,
+    /// Cells that the robot cannot be in.
+    blocked: Vec<bool>,
+    /// Time to the end of the plan from each cell of each layer, s.
+    values: Vec<f32>,
+}
+
+/// To the neighbours of a cell: how far on in the grid, and how many layers it takes.
+const NEIGHBOURS: [(isize, f32); 8] = [
+    (1, 1.0),
+    (-1, 1.0),
+    (SIDE as isize, 1.0),
+    (-(SIDE as isize), 1.0),
+    (SIDE as isize + 1, std::f32::consts::SQRT_2),
+    (SIDE as isize - 1, std::f32::consts::SQRT_2),
+    (1 - SIDE as isize, std::f32::consts::SQRT_2),
+    (-1 - SIDE as isize, std::f32::consts::SQRT_2),
+];
+
+impl ValueFunction {
+    /// For a robot.
+    pub(super) fn new(model: &RobotModel, settings: &AvoidanceSettings) -> Self {
+        let layer = settings.horizon / LAYERS as f64;
+        Self {
+            settings: settings.clone(),
+            inscribed: model.footprint.inscribed_radius(),
+            cell: (layer * model.drive.top_speed().min(MOST_SPEED)).max(0.02),
+            layer,
+            origin: Point2::origin(),
+            blocked: vec![false; CELLS],
+            values: vec![NO_WAY; CELLS * (LAYERS + 1)],
+        }
+    }
+
+    fn center(&self, index: usize) -> Point2<f64> {
+        let (column, row) = ((index % SIDE) as f64 + 0.5, (index / SIDE) as f64 + 0.5);
+        self.origin + Vector2::new(column, row) * self.cell
+    }
+
+    /// The cells whose centers lie in a disc.
+    fn disc(&self, center: Point2<f64>, radius: f64) -> impl Iterator<Item = usize> + use<> {
+        let (origin, cell) = (self.origin, self.cell);
+        let low = (center - origin) / cell - Vector2::repeat(radius / cell + 0.5);
+        let high = (center - origin) / cell + Vector2::repeat(radius / cell - 0.5);
+        let range = |low: f64, high: f64| {
+            let last = SIDE as f64;
+            (low.ceil().clamp(0.0, last) as usize)..((high.floor() + 1.0).clamp(0.0, last) as usize)
+        };
+        let (columns, rows) = (range(low.x, high.x), range(low.y, high.y));
+        rows.flat_map(move |row| columns.clone().map(move |column| (column, row)))
+            .filter(move |(column, row)| {
+                let at = origin + Vector2::new(*column as f64 + 0.5, *row as f64 + 0.5) * cell;
+                (at - center).norm_squared() <= radius * radius
+            })
+            .map(|(column, row)| row * SIDE + column)
+    }
+
+    /// Computes all values.
+    pub(super) fn fill(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>], tracks: &[&Track]) {
+        let here = input.odom_from_base.position();
+        self.origin = here - Vector2::repeat(0.5 * SIDE as f64 * self.cell);
+        self.block(input, standing);
+        self.static_values(input);
+        // Backwards in time.
+        for nth in (0..LAYERS).rev() {
+            let (before, after) = self.values.split_at_mut((nth + 1) * CELLS);
+            let (now, next) = (&mut before[nth * CELLS..], &after[..CELLS]);
+            let last = &after[(LAYERS - nth - 1) * CELLS..];
+            let step = self.layer as f32;
+            for row in 0..SIDE {
+                for column in 0..SIDE {
+                    let index = row * SIDE + column;
+                    if self.blocked[index] {
+                        now[index] = NO_WAY;
+                        continue;
+                    }
+                    // Who is at the end does not wait for anything.
+                    let wait = if last[index] < step { 0.0 } else { step };
+                    let mut least = next[index] + wait;
+                    if (1..SIDE - 1).contains(&row) && (1..SIDE - 1).contains(&column) {
+                        for (shift, steps) in &NEIGHBOURS {
+                            let there = next[(index as isize + shift) as usize];
+                            least = least.min(there + step * steps);
+                        }
+                    }
+                    now[index] = least.min(NO_WAY);
+                }
+            }
+            for track in tracks {
+                self.add_track(nth, track, input.age);
+            }
+        }
+    }
+
+    /// Makes a layer's cells impassable that a track takes then or in the moments after, and those beside them slow.
+    fn add_track(&mut self, nth: usize, track: &Track, age: f64) {
+        let (secs, lead) = (self.layer * nth as f64, self.settings.lead);
+        let near = track.radius + self.inscribed + LEAST_CLEARANCE;
+        let far = near.max(track.radius + self.inscribed + self.settings.clearance_after(secs));
+        let way = track.velocity * lead;
+        for index in self.disc(track.at(secs + age) + way * 0.5, far + 0.5 * way.norm()) {
+            let center = self.center(index);
+            let distance = (center - track.nearest_on_way(secs + age, lead, center)).norm();
+            let value = &mut self.values[nth * CELLS + index];
+            if distance <= near {
+                *value = NO_WAY;
+            } else if distance < far {
+                let depth = (far - distance) / (far - near);
+                *value = (*value + NEARNESS * self.layer as f32 * depth as f32).min(NO_WAY);
+            }
+        }
+    }
+
+    /// Marks the cells that the robot cannot be in: too near to what stands, or never seen free.
+    fn block(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>]) {
+        let odom_from_base = rigid(input.odom_from_base);
+        let base_from_odom = odom_from_base.inverse();
+        let grid = input.obstacles.blind_spots();
+        for index in 0..CELLS {
+            let at = self.center(index);
+            let place = base_from_odom * at;
+            self.blocked[index] = if grid.in_blind_spot(place) {
+                !matches!(grid.floor(&odom_from_base, place), Floor::Free)
+            } else {
+                !input.obstacles.is_seen_free(at)
+            };
+        }
+        let along = input
+            .ahead
+            .iter()
+            .map(|ahead| (ahead.pose.position(), ALONG_PLAN, false));
+        let around = (input.odom_from_base.position(), 1.5 * self.inscribed, false);
+        let standing = standing
+            .iter()
+            .map(|point| (*point, self.inscribed + LEAST_CLEARANCE, true));
+        for (place, radius, is_blocked) in along.chain([around]).chain(standing) {
+            for index in self.disc(place, radius) {
+                self.blocked[index] = is_blocked;
+            }
+        }
+    }
+
+    /// The time to the end of the plan among what stands, into the last layer: Dijkstra from the plan.
+    fn static_values(&mut self, input: &AvoidanceInput<'_>) {
+        let last = LAYERS * CELLS;
+        let end = input.ahead.last().map_or(0.0, |ahead| ahead.secs);
+        let values = &mut self.values[last..];
+        values.fill(NO_WAY);
+        // Times as integers, ms: the heap needs a total order.
+        let millis = |secs: f64| Reverse((1e3 * secs) as u32);
+        let mut open = BinaryHeap::new();
+        for ahead in input.ahead {
+            let cell = cell_of(ahead.pose.position(), self.origin, self.cell, SIDE);
+            if let Some(index) = cell.filter(|index| !self.blocked[*index]) {
+                open.push((millis(end - ahead.secs), index));
+            }
+        }
+        while let Some((Reverse(time), index)) = open.pop() {
+            let secs = 1e-3 * time as f32;
+            if secs >= values[index] {
+                continue;
+            }
+            values[index] = secs;
+            let (row, column) = (index / SIDE, index % SIDE);
+            if !(1..SIDE - 1).contains(&row) || !(1..SIDE - 1).contains(&column) {
+                continue;
+            }
+            for (shift, steps) in &NEIGHBOURS {
+                let there = (index as isize + shift) as usize;
+                let then = secs + 1.2 * self.layer as f32 * steps;
+                if !self.blocked[there] && then < values[there] {
+                    open.push((millis(f64::from(then)), there));
+                }
+            }
+        }
+    }
+
+    /// Time to the end from a pose `secs` from now, s: the value between the cells around it, and the turn towards the best neighbour.
+    pub(super) fn at(&self, pose: Pose2, secs: f64, yaw_rate: f64) -> f64 {
+        let nth = ((secs / self.layer).round() as usize).min(LAYERS);
+        let layer = &self.values[nth * CELLS..(nth + 1) * CELLS];
+        let off = (pose.position() - self.origin) / self.cell - Vector2::repeat(0.5);
+        let (column, row) = (off.x.floor(), off.y.floor());
+        if !(0.0..SIDE as f64 - 1.0).contains(&column) || !(0.0..SIDE as f64 - 1.0).contains(&row) {
+            return f64::from(NO_WAY);
+        }
+        let (share_x, share_y) = (off.x - column, off.y - row);
+        let corner = row as usize * SIDE + column as usize;
+        let corners = [
+            (corner, (1.0 - share_x) * (1.0 - share_y)),
+            (corner + 1, share_x * (1.0 - share_y)),
+            (corner + SIDE, (1.0 - share_x) * share_y),
+            (corner + SIDE + 1, share_x * share_y),
+        ];
+        // A cell without a way out counts, but does not drown the others.
+        let ways = corners
+            .iter()
+            .map(|(index, share)| (f64::from(layer[*index]), share))
+            .filter(|(value, _)| *value < f64::from(NO_WAY));
+        let (sum, weight) = ways.fold((0.0, 0.0), |(sum, weight), (value, share)| {
+            (sum + value * share, weight + share)
+        });
+        if weight < 1e-3 {
+            return f64::from(NO_WAY);
+        }
+        let value = sum / weight + 2.0 * (1.0 - weight);
+        let nearest = (off.y.round() as usize).clamp(1, SIDE - 2) * SIDE + (off.x.round() as usize).clamp(1, SIDE - 2);
+        let next = &self.values[(nth + 1).min(LAYERS) * CELLS..][..CELLS];
+        let wait = next[nearest] + self.layer as f32;
+        let moves = NEIGHBOURS.iter().map(|(shift, steps)| {
+            let there = (nearest as isize + shift) as usize;
+            (next[there] + self.layer as f32 * steps, there)
+        });
+        let best = moves
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .filter(|(secs, _)| *secs < wait);
+        let turn = best.map_or(0.0, |(_, there)| {
+            let toward = self.center(there) - self.center(nearest);
+            let turn = wrap_angle(toward.y.atan2(toward.x) - pose.yaw).abs();
+            turn.min(std::f64::consts::PI - turn + BACKWARDS_TURN)
+        });
+        value + TURN_COST * turn / yaw_rate.max(0.1)
+    }
+}
