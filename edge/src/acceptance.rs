@@ -8,7 +8,7 @@ use nalgebra::Point2;
 use thiserror::Error;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{Plan, Revision, TrajectoryPoint};
-use zenav_protocol::robot::{Drive, Footprint, RobotModel};
+use zenav_protocol::robot::{Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::settings::AcceptanceSettings;
@@ -346,7 +346,7 @@ pub fn judge_free(
         let base_from_map = pose.inverse();
         let hit = near.iter().find(|obstacle| {
             (**obstacle - pose.position()).norm_squared() < reach * reach
-                && depth(footprint, base_from_map.transform_point(***obstacle)) > slack
+                && footprint.depth(base_from_map.transform_point(***obstacle)) > slack
         });
         if let Some(hit) = hit {
             return Err(Rejection::Blocked {
@@ -357,18 +357,4 @@ pub fn judge_free(
         }
     }
     Ok(())
-}
-
-/// How deep a point lies inside an outline (base frame), m; zero outside.
-fn depth(footprint: &Footprint, point: Point2<f64>) -> f64 {
-    match footprint {
-        Footprint::Radius(radius) => (radius - point.coords.norm()).max(0.0),
-        Footprint::Polygon(corners) => {
-            let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-            edges
-                .map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm())
-                .fold(f64::INFINITY, f64::min)
-                .max(0.0)
-        }
-    }
 }

@@ -12,7 +12,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::local_obstacles::LocalObstacles;
-use crate::passive_safety::{LEAST_CLEARANCE, Motion, approaches, closing_speed, contact_point};
+use crate::passive_safety::{LEAST_CLEARANCE, Motion, closing_speed, contact_point, share_beside};
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
 
@@ -116,7 +116,7 @@ impl CollisionMonitor {
         let close = SweptFootprint::new(&self.model.footprint, LEAST_CLEARANCE, twist);
         let times = obstacles.in_base(odom_from_base).filter_map(|point| {
             if close.contains(point) {
-                approaches(&self.model.footprint, twist, point).then_some(0.0)
+                (share_beside(&self.model.footprint, twist, point) <= 0.0).then_some(0.0)
             } else {
                 close.time_to_contact(point)
             }
@@ -140,7 +140,8 @@ impl CollisionMonitor {
             Some(_) => return (0.0, "lidar scan too old"),
             None => return (0.0, "no lidar scan yet"),
         };
-        if bump.pressed && !self.leaves(wanted, bump) {
+        let in_contact = if bump.pressed { self.share_in_contact(wanted, bump) } else { 1.0 };
+        if in_contact <= 0.0 {
             return (0.0, "bumper contact");
         }
         let motion = Motion::new(
@@ -156,6 +157,7 @@ impl CollisionMonitor {
             return (1.0, "");
         }
         let limits = [
+            (in_contact, "sliding along a contact"),
             (motion.limit_static(obstacles, odom_from_base), "obstacle in the way"),
             (
                 motion.limit_dynamic(obstacles, odom_from_base),
@@ -175,12 +177,19 @@ impl CollisionMonitor {
             .fold((1.0, ""), |least, limit| if limit.0 < least.0 { limit } else { least })
     }
 
-    /// Whether a motion moves away from the contact. Without a bearing the contact is taken to be ahead.
-    fn leaves(&self, wanted: Twist2, bump: &Bump) -> bool {
+    /// The share of a motion that is allowed in contact: all of it away from the contact, slowly along it, and nothing towards it. Without
+    /// a bearing the contact is taken to be ahead.
+    fn share_in_contact(&self, wanted: Twist2, bump: &Bump) -> f64 {
         let touched = contact_point(&self.model.footprint, bump);
-        let closing = closing_speed(&self.model.footprint, wanted, touched);
-        // Sliding along the contact is not moving away from it.
-        closing < 1e-6 && (wanted.v.abs() < 1e-3 || closing < -self.settings.departure_share * wanted.v.abs())
+        let share = share_beside(&self.model.footprint, wanted, touched);
+        let (closing, speed) = (closing_speed(&self.model.footprint, wanted, touched), wanted.v.abs());
+        if share >= 1.0 && (speed < 1e-3 || closing < -self.settings.departure_share * speed) {
+            1.0
+        } else if bump.bearing.is_some() {
+            share.min(self.settings.sliding_speed / speed.max(1e-3))
+        } else {
+            0.0
+        }
     }
 
     /// Enters a zone; returns the reason when it is to be reported. A worse zone is entered at once, a milder one or another reason after

@@ -23,6 +23,8 @@ pub struct LocalObstacles {
     view: FieldOfView,
     /// What was seen in what is the blind spot now, until it is seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
+    /// What touches the robot now.
+    touched: Option<Point2<f64>>,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
     settings: LocalObstacleSettings,
@@ -64,6 +66,7 @@ impl LocalObstacles {
         Self {
             lidars: lidars.collect(),
             remembered: VecDeque::new(),
+            touched: None,
             moving: MovingObstacles::new(model, view.clone(), settings),
             blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint, settings),
             view,
@@ -117,10 +120,14 @@ impl LocalObstacles {
         true
     }
 
-    /// Something was felt at a place (base frame): where no lidar looks it counts as something that moves.
-    pub fn touch(&mut self, now: Stamp, place: Point2<f64>, odom_from_base: Pose2) {
-        if self.view.in_blind_spot(place) {
-            self.moving.note_occlusion(odom_from_base.transform_point(place), now);
+    /// What the bumper feels now, at a place (base frame), is an obstacle as long as it is felt; where no lidar looks it counts as something
+    /// that moves.
+    pub fn touch(&mut self, now: Stamp, place: Option<Point2<f64>>, odom_from_base: Pose2) {
+        self.touched = place.map(|place| odom_from_base.transform_point(place));
+        if let Some((place, touched)) = place.zip(self.touched)
+            && self.view.in_blind_spot(place)
+        {
+            self.moving.note_occlusion(touched, now);
         }
     }
 
@@ -146,7 +153,7 @@ impl LocalObstacles {
     /// All known points in the odometry frame.
     fn in_odom(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
-        seen.chain(&self.remembered).copied()
+        seen.chain(&self.remembered).chain(&self.touched).copied()
     }
 
     /// Those of them that are on no track, in the odometry frame.

@@ -31,6 +31,8 @@ const STOPPING_STEPS: u32 = 5;
 const MAX_POSES: f64 = 100.0;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
+/// A motion that comes nearer to a point at no more than this share of its speed goes along it.
+const SLIDING: f64 = 0.05;
 
 /// A wanted motion, and how fast it can be brought to rest.
 #[derive(Clone, Copy, Debug)]
@@ -117,11 +119,7 @@ impl<'a> Motion<'a> {
                 continue;
             }
             let creeping = if inner.contains(point) {
-                if approaches(self.footprint, self.twist, point) {
-                    0.0
-                } else {
-                    1.0
-                }
+                share_beside(self.footprint, self.twist, point)
             } else {
                 inner
                     .time_to_contact(point)
@@ -325,15 +323,23 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
     const STEP: f64 = 1e-3;
     let motion = Vector2::new(twist.w * point.y - twist.v, -twist.w * point.x);
     let (here, there) = (footprint.distance(point), footprint.distance(point + motion * STEP));
-    // Inside the outline (noise, or the robot saw itself) distances are zero: use the direction to the base.
     if here > 0.0 {
         (here - there) / STEP
     } else {
-        -point.coords.dot(&motion) / point.coords.norm().max(1e-9)
+        // Inside the outline, by noise or in contact: what slides along it comes no nearer.
+        (footprint.depth(point + motion * STEP) - footprint.depth(point)) / STEP
     }
 }
 
-/// Whether a twist brings the outline nearer to a point (base frame).
-pub(crate) fn approaches(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> bool {
-    closing_speed(footprint, twist, point) > 1e-6
+/// The share of a twist that is allowed beside a point (base frame) that it may not come nearer to: all of it away from the point, and
+/// along it so slowly that the drive's and the sensors' errors do no harm; nothing towards it.
+pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
+    let closing = closing_speed(footprint, twist, point);
+    if closing <= 1e-6 {
+        1.0
+    } else if closing <= SLIDING * twist.v.abs() {
+        (0.25 * GENTLE / closing).min(1.0)
+    } else {
+        0.0
+    }
 }

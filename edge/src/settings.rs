@@ -179,8 +179,10 @@ zenav_protocol::settings! {
         pub scan_timeout: f64 = 0.5, "s", 0.05..=5.0;
         /// A zone must last this long before it is left for a milder one.
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
-        /// In contact, the robot must move away from what it touches at this share of its speed at least.
+        /// In contact, a motion leads away from what is touched if it does so at this share of its speed at least.
         pub departure_share: f64 = 0.2, "", 0.0..=1.0;
+        /// Largest speed along what is touched.
+        pub sliding_speed: f64 = 0.1, "m/s", 0.0..=1.0;
         /// Scaled to less than this share of the wanted twist, the motion counts as stopped.
         pub stop_share: f64 = 0.02, "", 0.0..=0.5;
         /// Scaled to more than this share of it, the motion counts as clear.

@@ -161,6 +161,21 @@ impl Footprint {
             }
         }
     }
+
+    /// How deep a point in the base frame lies inside the outline, m; zero outside.
+    #[must_use]
+    pub fn depth(&self, point: Point2<f64>) -> f64 {
+        match self {
+            Self::Radius(radius) => (radius - point.coords.norm()).max(0.0),
+            Self::Polygon(corners) => {
+                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+                edges
+                    .map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm())
+                    .fold(f64::INFINITY, f64::min)
+                    .max(0.0)
+            }
+        }
+    }
 }
 
 /// Names and texts of the shipped options: parts that are added to a robot's file.

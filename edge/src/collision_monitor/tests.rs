@@ -257,10 +257,34 @@ fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
     };
     obstacles.touch(
         Stamp::from_secs(1.0),
-        contact_point(&model.footprint, &bump),
+        Some(contact_point(&model.footprint, &bump)),
         Pose2::IDENTITY,
     );
     assert!(turn(&obstacles) * 0.21 < 0.01);
+}
+
+#[test]
+fn a_robot_touched_at_its_side_slides_along_slowly_and_turns_away_only() {
+    let model = zenav_fixtures::robot("jackal");
+    let mut obstacles = LocalObstacles::new(&model);
+    looked(&mut obstacles, &model, 1.0, 0.0);
+    let bump = Bump {
+        pressed: true,
+        bearing: Some(1.5),
+    };
+    let place = contact_point(&model.footprint, &bump);
+    obstacles.touch(Stamp::from_secs(1.0), Some(place), Pose2::IDENTITY);
+    let allowed = |twist: Twist2| {
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        let now = Stamp::from_secs(1.0);
+        monitor.judge(now, twist, &obstacles, Pose2::IDENTITY, &bump).twist
+    };
+    let slides = allowed(Twist2::new(0.5, 0.0)).v;
+    assert!(slides > 0.05 && slides <= 0.1, "{slides}");
+    // The contact is ahead of the axle: turning left swings it outwards.
+    assert!(place.x > 0.0);
+    assert_eq!(allowed(Twist2::new(0.0, 0.5)).w, 0.0);
+    assert!(allowed(Twist2::new(0.0, -0.05)).w < -0.04);
 }
 
 /// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.

@@ -42,10 +42,11 @@ impl Pilot {
             out.push(Publication::Obstacles(self.tracked_obstacles()));
             self.tracked = tracked;
         }
-        if readings.bump.pressed {
-            let place = contact_point(&self.config.model.footprint, &readings.bump);
-            self.obstacles.touch(now, place, self.estimator.odom_from_base());
-        }
+        let bump = &readings.bump;
+        let place = bump
+            .pressed
+            .then(|| contact_point(&self.config.model.footprint, bump));
+        self.obstacles.touch(now, place, self.estimator.odom_from_base());
         if readings.bump.pressed && !self.pressed {
             self.events.record(now, EventKind::Bumped);
         }
