@@ -12,7 +12,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::local_obstacles::LocalObstacles;
-use crate::passive_safety::{LEAST_CLEARANCE, Motion, closing_speed, contact_point, share_beside};
+use crate::passive_safety::{LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, share_beside};
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
 
@@ -124,6 +124,37 @@ impl CollisionMonitor {
         times.filter(|time| *time < horizon).reduce(f64::min)
     }
 
+    /// The share of a wanted twist that moving obstacles allow: these in view, and those out of sight.
+    #[must_use]
+    pub fn share_among(
+        &self,
+        now: Stamp,
+        wanted: Twist2,
+        movers: &[Mover],
+        obstacles: &LocalObstacles,
+        odom_from_base: Pose2,
+    ) -> f64 {
+        let motion = self.motion(wanted, obstacles.age(now).unwrap_or(0.0).max(0.0));
+        if motion.speed < 1e-6 {
+            return 1.0;
+        }
+        motion
+            .limit_among(movers)
+            .min(motion.limit_occluded(now, obstacles, odom_from_base))
+    }
+
+    fn motion(&self, wanted: Twist2, age: f64) -> Motion<'_> {
+        Motion::new(
+            &self.model.footprint,
+            &self.model.drive,
+            wanted,
+            age,
+            self.tick,
+            self.margin,
+            &self.passive_safety,
+        )
+    }
+
     fn share(
         &self,
         now: Stamp,
@@ -140,19 +171,15 @@ impl CollisionMonitor {
             Some(_) => return (0.0, "lidar scan too old"),
             None => return (0.0, "no lidar scan yet"),
         };
-        let in_contact = if bump.pressed { self.share_in_contact(wanted, bump) } else { 1.0 };
+        let in_contact = if bump.pressed {
+            self.share_in_contact(wanted, bump)
+        } else {
+            1.0
+        };
         if in_contact <= 0.0 {
             return (0.0, "bumper contact");
         }
-        let motion = Motion::new(
-            &self.model.footprint,
-            &self.model.drive,
-            wanted,
-            age,
-            self.tick,
-            self.margin,
-            &self.passive_safety,
-        );
+        let motion = self.motion(wanted, age);
         if motion.speed < 1e-6 {
             return (1.0, "");
         }

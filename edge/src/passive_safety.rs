@@ -55,6 +55,17 @@ pub struct Motion<'a> {
     pub settings: &'a PassiveSafetySettings,
 }
 
+/// A disc or a point that moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mover {
+    /// Its center, base frame, m.
+    pub at: Point2<f64>,
+    /// m; zero for a point.
+    pub radius: f64,
+    /// As fast as it may be, m/s.
+    pub speed: f64,
+}
+
 impl<'a> Motion<'a> {
     /// A twist of this robot, with the age of its newest scan and its control period, s.
     #[must_use]
@@ -130,16 +141,22 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Limit by moving obstacles in view: wherever one may be by then, at its own speed and turning at will, no point of the outline that
-    /// it can reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else.
+    /// Limit by moving obstacles in view, each point of one by itself.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        let moving = obstacles.moving().in_base(odom_from_base);
+        let points: Vec<_> = moving.map(|(at, speed)| Mover { at, radius: 0.0, speed }).collect();
+        self.limit_among(&points)
+    }
+
+    /// Limit by moving obstacles: wherever one may be by then, at its own speed and turning at will, no point of the outline that it can
+    /// reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else.
+    #[must_use]
+    pub fn limit_among(&self, movers: &[Mover]) -> f64 {
         let stopping_time = self.stopping_time(1.0);
         let radius = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
-        let moving = obstacles.moving().in_base(odom_from_base);
-        let near: Vec<_> = moving
-            .filter(|(point, speed)| point.coords.norm() <= radius + speed * stopping_time)
-            .collect();
+        let is_near = |mover: &&Mover| mover.at.coords.norm() <= radius + mover.radius + mover.speed * stopping_time;
+        let near: Vec<Mover> = movers.iter().filter(is_near).copied().collect();
         if near.is_empty() {
             return 1.0;
         }
@@ -148,14 +165,8 @@ impl<'a> Motion<'a> {
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
 
-    /// Whether one of these points (base frame, with its speed, m/s) may touch the outline where it moves outwards, before the robot is at
-    /// rest from a share of its speed.
-    fn may_be_touched(
-        &self,
-        share: f64,
-        samples: &[(Point2<f64>, Vector2<f64>)],
-        points: &[(Point2<f64>, f64)],
-    ) -> bool {
+    /// Whether one of these movers may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
+    fn may_be_touched(&self, share: f64, samples: &[(Point2<f64>, Vector2<f64>)], movers: &[Mover]) -> bool {
         let (speed, all) = (share * self.speed, self.stopping_time(share));
         let mut travelled = 0.0;
         let mut before = 0.0;
@@ -165,10 +176,13 @@ impl<'a> Motion<'a> {
             let now = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
             let pose = Pose2::IDENTITY.advance(self.twist, travelled);
             let here_from_base = rigid(pose.inverse());
-            for (point, speed) in points {
-                let (point, reach) = (here_from_base * point, self.margin + speed * until);
+            for mover in movers {
+                let (place, reach) = (
+                    here_from_base * mover.at,
+                    self.margin + mover.radius + mover.speed * until,
+                );
                 let touched = samples.iter().any(|(at, normal)| {
-                    (point - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
+                    (place - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
                 });
                 if touched {
                     return true;

@@ -17,11 +17,14 @@ mod value_function;
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
+use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::Floor;
+use crate::collision_monitor::CollisionMonitor;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
+use crate::passive_safety::Mover;
 use crate::settings::AvoidanceSettings;
 use clearance_grid::ClearanceGrid;
 use value_function::ValueFunction;
@@ -40,6 +43,8 @@ const CONTACT_COST: f64 = 12.0;
 const NEARNESS_COST: f64 = 15.0;
 /// Cost of an arc that the collision monitor would stop, s.
 const SLOWED_COST: f64 = 4.0;
+/// Cost of a twist that the collision monitor holds back entirely, s.
+const HELD_COST: f64 = 0.5;
 /// Off the plan by this much the tracker takes over again, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
@@ -61,6 +66,8 @@ pub struct Ahead {
 pub struct AvoidanceInput<'a> {
     /// Since the last tick, s.
     pub dt: f64,
+    /// The time.
+    pub now: Stamp,
     /// Time since the tracks' stamp, s.
     pub age: f64,
     /// Where the robot is.
@@ -71,6 +78,8 @@ pub struct AvoidanceInput<'a> {
     pub speed_cap: f64,
     /// Largest speed into the blind spot, m/s.
     pub blind_speed: f64,
+    /// Has the last word: what it would slow down is no way out.
+    pub monitor: &'a CollisionMonitor,
     /// The rest of the plan, from where the robot should be now.
     pub ahead: &'a [Ahead],
     /// Obstacles and tracks.
@@ -219,6 +228,15 @@ impl Avoidance {
         } else {
             BACKWARDS * top
         };
+        let base_from_odom = rigid(input.odom_from_base).inverse();
+        let movers: Vec<Mover> = tracks
+            .iter()
+            .map(|track| Mover {
+                at: base_from_odom * track.at(input.age),
+                radius: track.radius,
+                speed: track.most_speed(),
+            })
+            .collect();
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for nth in -3..=SPEEDS {
             let v = if nth < 0 {
@@ -233,7 +251,12 @@ impl Avoidance {
                 if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
                     continue;
                 }
-                let cost = self.arc_cost(input, tracks, wanted, best.0);
+                let share =
+                    input
+                        .monitor
+                        .share_among(input.now, wanted, &movers, input.obstacles, input.odom_from_base);
+                let driven = Twist2::new(share * wanted.v, share * wanted.w);
+                let cost = self.arc_cost(input, tracks, driven, best.0) + HELD_COST * (1.0 - share);
                 if cost < best.0 {
                     best = (cost, wanted);
                 }

@@ -75,6 +75,8 @@ impl Hall {
                 .collect();
             let control = self.avoidance.step(&AvoidanceInput {
                 dt: 1.0 / RATE,
+                now: Stamp::from_secs(now),
+                monitor: &CollisionMonitor::new(&self.model, 1.0 / RATE),
                 age: 0.0,
                 odom_from_base: self.pose,
                 command: self.twist,

@@ -106,6 +106,8 @@ impl Pilot {
             active.ahead(odom_from_map, AHEAD_SECS, &mut self.ahead);
             let control = self.avoidance.step(&AvoidanceInput {
                 dt,
+                now,
+                monitor: &self.collision_monitor,
                 age: self.obstacles.stamp().map_or(0.0, |stamp| now.secs_since(stamp)),
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),

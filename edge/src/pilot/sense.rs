@@ -43,9 +43,7 @@ impl Pilot {
             self.tracked = tracked;
         }
         let bump = &readings.bump;
-        let place = bump
-            .pressed
-            .then(|| contact_point(&self.config.model.footprint, bump));
+        let place = bump.pressed.then(|| contact_point(&self.config.model.footprint, bump));
         self.obstacles.touch(now, place, self.estimator.odom_from_base());
         if readings.bump.pressed && !self.pressed {
             self.events.record(now, EventKind::Bumped);
