@@ -263,6 +263,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
                     via: Vec::new(),
                     goal: GOAL,
                     planner: "astar".into(),
+                    cleared: Vec::new(),
                     unknown_is_free: true,
                     escape: 0.0,
                     budget_ms: 1000,

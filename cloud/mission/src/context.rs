@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use zenav_protocol::messages::{DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
+use zenav_protocol::messages::{Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
@@ -104,6 +104,10 @@ pub struct ActiveGoal {
     pub leg_changes: u64,
     /// What failed last.
     pub failure: Option<String>,
+    /// When it began.
+    pub started: Stamp,
+    /// What was waited for last, and until when.
+    pub waited: Option<(Blockage, Stamp)>,
 }
 
 /// What the leaves of one robot's trees act on.

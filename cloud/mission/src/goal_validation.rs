@@ -9,7 +9,7 @@ use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
 use super::context::Context;
 use super::trees;
 use zenav_protocol::padding::Extent;
-use zenav_space::reach;
+use zenav_space::{BitGrid, ConfigurationSpace, reach};
 
 /// Most waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
@@ -148,7 +148,7 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
     }
 }
 
-/// Whether the robot can reach the target on the known map; unknown space counts for the goal.
+/// Whether the robot can reach the target on the known map; unknown space counts for the goal, and so does what may leave again.
 ///
 /// # Errors
 /// [`Refusal::Rejected`] for a goal outside the map, in an obstacle or unreachable, with the nearest reachable place.
@@ -166,30 +166,51 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let growing = ctx.config.settings.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let position = ctx.robot.pose().map(|pose| pose.position());
     let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
-    let places = points.iter().map(|goal| Point2::new(goal.x, goal.y));
+    let places: Vec<Point2<f64>> = points.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
     let extent = if ctx.config.settings.unknown_is_free {
-        Extent::of(&model.footprint, places.filter(near).collect())
+        Extent::of(&model.footprint, places.iter().copied().filter(near).collect())
     } else {
         Extent::default()
     };
     let Some((space, known)) = ctx.map.space_reaching(&model.footprint, &extent) else {
         return Ok(());
     };
-    let zones = &ctx.config.zones;
-    let reached = position
-        .filter(|_| space.spec().len() <= MAX_FLOODED)
-        .and_then(|position| reach::flood(&space, position));
+    let small = space.spec().len() <= MAX_FLOODED;
+    let from = position.filter(|_| small);
+    let reached = from.and_then(|position| reach::flood(&space, position));
+    let radius = model.footprint.inscribed_radius();
+    let admits = |space: &ConfigurationSpace, reached: &Option<BitGrid>, point: Point2<f64>| {
+        let fits = space.clearance(point) > radius;
+        let reached = reached.as_ref();
+        (
+            fits,
+            reached.is_none_or(|reached| reach::is_reached(space, reached, point)),
+        )
+    };
+    // The map as if what may leave had left, once it is asked for.
+    let mut later: Option<(ConfigurationSpace, Option<BitGrid>)> = None;
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
         let outside = spec.cell_at(point).is_none() && !near(&point);
-        let fits = !outside && space.clearance(point) > model.footprint.inscribed_radius();
-        let connected = reached
-            .as_ref()
-            .is_none_or(|reached| reach::is_reached(&space, reached, point));
-        if fits && connected {
+        let (fits, connected) = admits(&space, &reached, point);
+        if !outside && fits && connected {
             continue;
         }
-        let zone = zones.keep_out(point);
+        let zone = ctx.config.zones.keep_out(point);
+        if !outside && zone.is_none() && small && ctx.config.settings.patience > 0.0 {
+            let (space, reached) = later.get_or_insert_with(|| {
+                let near: Vec<Point2<f64>> = position.into_iter().chain(places.iter().copied()).collect();
+                let cells = ctx.map.transient(&near).into_iter().map(|cell| cell.center);
+                let space = ctx
+                    .map
+                    .space_without(&known, &model.footprint, &cells.collect::<Vec<_>>());
+                let reached = from.and_then(|position| reach::flood(&space, position));
+                (space, reached)
+            });
+            if admits(space, reached, point) == (true, true) {
+                continue;
+            }
+        }
         let what = if let Some(zone) = zone {
             &format!("is in a keep-out zone: {zone}")
         } else if outside {

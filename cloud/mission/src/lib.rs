@@ -17,6 +17,7 @@
 //! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
 //! | [`robot`], [`map`] | what is known of the robot and its map? |
+//! | [`transient`] | what of the map may leave again, and since when has it stood there? |
 //! | [`motion`] | which plan is in force, and is it still good? |
 //! | [`route`] | how does a goal become a motion? plan, then smooth |
 //! | [`context`], [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
@@ -77,6 +78,7 @@ pub mod robot;
 pub mod route;
 mod settings;
 pub mod store;
+pub mod transient;
 pub mod trees;
 
 pub use config::MissionConfig;

@@ -10,6 +10,7 @@ use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
 use super::io::{Answer, Ask, Ticket};
+use super::transient::{TransientCell, Transients};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::padding::Extent;
 use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
@@ -31,6 +32,7 @@ pub struct RobotMap {
     /// Since when there has been no mapper.
     mapper_gone: Option<Stamp>,
     spaces: SpaceCache,
+    transients: Transients,
 }
 
 impl RobotMap {
@@ -49,7 +51,10 @@ impl RobotMap {
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.replica.apply(patch) {
-                PatchResult::Applied => false,
+                PatchResult::Applied => {
+                    self.transients.observe(now, patch);
+                    false
+                }
                 PatchResult::Old => gap,
                 PatchResult::Gap => true,
             };
@@ -88,6 +93,8 @@ impl RobotMap {
             if let Ok(Answer::Map(reply)) = answer
                 && self.replica.replace(&reply)
             {
+                let (map, grid) = (&self.replica.map().id, self.replica.grid());
+                self.transients.observe_all(now, map, grid);
                 self.behind = None;
                 self.info = Some(reply.info);
             }
@@ -139,6 +146,22 @@ impl RobotMap {
         let grid = self.replica.has_map().then(|| self.replica.grid())?;
         let value = grid.spec().cell_at(point).and_then(|cell| grid.get(cell));
         Some(value.map_or(Occupancy::Unknown, |value| Occupancy::of(*value)))
+    }
+
+    /// Cells of what may leave again, near these places; none without a map.
+    #[must_use]
+    pub fn transient(&self, near: &[Point2<f64>]) -> Vec<TransientCell> {
+        let grows = self.info.as_ref().is_some_and(|info| !info.stored);
+        if self.spec().is_none_or(|spec| spec.is_empty()) {
+            return Vec::new();
+        }
+        self.transients.cells(self.replica.grid(), grows, near)
+    }
+
+    /// The configuration space of a (padded) replica of this map, as if what stands at these points had left.
+    #[must_use]
+    pub fn space_without(&self, map: &MapReplica, footprint: &Footprint, points: &[Point2<f64>]) -> ConfigurationSpace {
+        self.spaces.cleared(map, footprint, UnknownPolicy::Free, points)
     }
 
     /// The configuration space, with unknown cells free; `None` without a map.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, Refusal};
+use zenav_protocol::messages::{Blockage, GoalPhase, GoalRequest, GoalState, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -255,6 +255,8 @@ impl Mission {
             legs,
             leg_changes: 0,
             failure: None,
+            started: goal.state.started.unwrap_or(self.ctx.now),
+            waited: None,
         };
         self.published.legs = 0;
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());
@@ -281,11 +283,13 @@ impl Mission {
             .map(|goal| (goal.state.id.clone(), goal.state.request.deadline_secs.unwrap_or(0.0)))
             .collect();
         for (id, secs) in late {
-            self.finish(
-                &id,
-                GoalPhase::Aborted,
-                Some(format!("missed its deadline of {secs} s")),
-            );
+            let mut reason = format!("missed its deadline of {secs} s");
+            let blockage = self.ctx.goal.feedback.blockage.filter(|_| self.ctx.goal.id == id);
+            if let Some(Blockage { x, y, since }) = blockage {
+                let stood = now.since(since).as_secs();
+                reason += &format!(": something that may leave has stood at ({x:.2}, {y:.2}) for {stood} s");
+            }
+            self.finish(&id, GoalPhase::Aborted, Some(reason));
         }
     }
 

@@ -28,6 +28,11 @@ zenav_protocol::settings! {
         pub map_timeout: f64 = 10.0, "s", 0.1..=600.0;
         /// A robot that by the map stands in an obstacle may leave it by a free position this near.
         pub escape: f64 = 0.6, "m", 0.0..=5.0;
+        /// How long something that may leave is waited for while it bars the only way or the goal. A goal's own deadline comes first; 0
+        /// waits for nothing (120: longer than people talk in a door, shorter than somebody needs to see to it).
+        pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
+        /// A goal is not given up as closed off sooner than this after it began: a shut door looks like a wall until it opens.
+        pub linger: f64 = 15.0, "s", 0.0..=3600.0;
         /// A bump counts as recent for this long (`IsStuck`).
         pub bump_memory: f64 = 1.0, "s", 0.0..=60.0;
         /// Period of the mission's status where nothing changes.

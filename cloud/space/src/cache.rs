@@ -3,6 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use nalgebra::Point2;
+use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::MapRef;
 use zenav_protocol::robot::Footprint;
 
@@ -49,6 +51,24 @@ impl SpaceCache {
         space
     }
 
+    /// The space of a map as if what stands at these points (map frame, m) had left; it is not kept. Cost: every cell.
+    #[must_use]
+    pub fn cleared(
+        &self,
+        map: &MapReplica,
+        footprint: &Footprint,
+        unknown: UnknownPolicy,
+        points: &[Point2<f64>],
+    ) -> ConfigurationSpace {
+        let mut grid = map.grid().clone();
+        for point in points {
+            if let Some(cell) = grid.spec().cell_at(*point) {
+                grid[cell] = Occupancy::FREE;
+            }
+        }
+        ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
+    }
+
     /// The space of a revision brought to the map's present one; `None` where it has to be built anew.
     fn brought_up(
         mut space: Arc<ConfigurationSpace>,
@@ -66,7 +86,6 @@ impl SpaceCache {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use nalgebra::Point2;
     use proptest::prelude::*;
     use zenav_protocol::grid::GridSpec;
     use zenav_protocol::messages::{MapPatch, TILE, Tile};

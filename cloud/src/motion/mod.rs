@@ -254,6 +254,7 @@ mod tests {
             goal: Pose2::new(5.0, 1.0, 0.0),
             planner: "astar".to_owned(),
             unknown_is_free: false,
+            cleared: Vec::new(),
             escape: 0.0,
             budget_ms: 5000,
             seed: 1,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
-use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner};
+use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
@@ -17,7 +17,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
 use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
-use zenav_space::{SpaceCache, UnknownPolicy, Zones};
+use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
 use super::via::{pieces, sum};
 
@@ -173,6 +173,12 @@ impl MotionWorker {
                 "start, goal and at most {MAX_VIA} poses between: expected finite numbers"
             )));
         }
+        let cleared = &request.cleared;
+        if cleared.len() > MAX_POINTS || !cleared.iter().all(|point| point.x.is_finite() && point.y.is_finite()) {
+            return Err(Refusal::bad_request(format!(
+                "`cleared`: expected at most {MAX_POINTS} points of finite numbers"
+            )));
+        }
         let model = checked(&request.model)?;
         let mut reply = PlanReply {
             map: map.map_or_else(|| request.map.clone(), |map| map.map().clone()),
@@ -186,6 +192,9 @@ impl MotionWorker {
         let Some(map) = map else { return Ok(reply) };
         let began = (given.clock)();
         let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);
+        let policy = UnknownPolicy::of(request.unknown_is_free);
+        // Another map than the robot's: nothing of it is kept.
+        let without = (!cleared.is_empty()).then(|| self.spaces.cleared(map, &model.footprint, policy, cleared));
         for (leg, ends) in poses.windows(2).enumerate() {
             let [start, goal] = [ends[0], ends[1]];
             let options = PlanOptions {
@@ -194,8 +203,10 @@ impl MotionWorker {
                 escape: if leg == 0 { request.escape } else { 0.0 },
                 ..PlanOptions::new(planner)
             };
-            let policy = UnknownPolicy::of(request.unknown_is_free);
-            let planned = self.leg(map, &model, policy, (start, goal), &options, given.cancel)?;
+            let planned = match &without {
+                Some(space) => self.leg_on(space, (start, goal), &options, given.cancel)?,
+                None => self.leg(map, &model, policy, (start, goal), &options, given.cancel)?,
+            };
             reply.expansions += planned.expansions;
             reply.escapes |= planned.escapes;
             reply.origin = planned.origin;
@@ -238,17 +249,28 @@ impl MotionWorker {
                 replanner: Replanner::new(&space).map_err(Refusal::internal)?,
             },
         };
-        let budget = Budget {
-            max_expansions: options.settings.max_expansions,
-            max_samples: options.settings.max_samples,
-            cancel: Some(&cancel.search),
-        };
-        let planned = kept.replanner.plan(&space, start, goal, options, budget);
+        let planned = kept
+            .replanner
+            .plan(&space, start, goal, options, budget(options, cancel));
         self.replanners.push_front(kept);
         self.replanners.truncate(MAX_REPLANNERS);
         let planned = planned.map_err(Refusal::internal)?;
         self.searched = planned.origin == PlanOrigin::Searched;
         Ok(planned)
+    }
+
+    /// A path between two poses in a space that is not kept.
+    fn leg_on(
+        &mut self,
+        space: &ConfigurationSpace,
+        (start, goal): (Pose2, Pose2),
+        options: &PlanOptions,
+        cancel: &Cancel,
+    ) -> Result<Planned, Refusal> {
+        let mut searcher = Searcher::new(space.free()).map_err(Refusal::internal)?;
+        self.searched = false;
+        let budget = budget(options, cancel);
+        Ok(zenav_planning::plan(space, &mut searcher, start, goal, options, budget))
     }
 
     /// The trajectory along a path; a path that cannot be smoothed still gets a safe one.
@@ -323,6 +345,14 @@ fn larger_discs(footprint: &Footprint) -> Vec<f64> {
     }
 }
 
+fn budget<'a>(options: &PlanOptions, cancel: &'a Cancel) -> Budget<'a> {
+    Budget {
+        max_expansions: options.settings.max_expansions,
+        max_samples: options.settings.max_samples,
+        cancel: Some(&cancel.search),
+    }
+}
+
 fn checked(model: &RobotModel) -> Result<RobotModel, Refusal> {
     model.clone().checked("model").map_err(Refusal::bad_request)
 }
@@ -382,6 +412,7 @@ mod tests {
                 goal: Pose2::new(5.0, 1.0, 0.0),
                 planner: planner.to_owned(),
                 unknown_is_free: false,
+                cleared: Vec::new(),
                 escape: 0.6,
                 budget_ms: 5000,
                 seed: 1,
@@ -468,6 +499,29 @@ mod tests {
         request.plan.escape = 0.0;
         let reply = ask(&map, &request, &Cancel::default());
         assert!(matches!(reply.plan.outcome, PlanOutcome::StartOccupied { .. }));
+    }
+
+    #[test]
+    fn a_path_without_what_may_leave_is_told_and_nothing_of_it_is_kept() {
+        let (map, mut worker) = (hall(0.0), MotionWorker::default());
+        let mut plan = request("tiago", "astar").plan;
+        let mut ask = |plan: &PlanRequest| {
+            let request = MotionRequest::Plan(plan.clone());
+            match worker.answer(Some(&map), &request, &mut || 0.0, &Cancel::default()) {
+                Ok(MotionReply::Plan(reply)) => Ok(reply.outcome),
+                Err(refusal) => Err(refusal),
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(ask(&plan), Ok(PlanOutcome::NoPath));
+        plan.cleared = (40..60)
+            .map(|y| Point2::new(3.025, 0.05 * f64::from(y) + 0.025))
+            .collect();
+        assert!(matches!(ask(&plan), Ok(PlanOutcome::Found { .. })));
+        plan.cleared.push(Point2::new(f64::NAN, 0.0));
+        assert!(matches!(ask(&plan), Err(Refusal::BadRequest { .. })));
+        plan.cleared.clear();
+        assert_eq!(ask(&plan), Ok(PlanOutcome::NoPath));
     }
 
     #[test]

@@ -194,6 +194,20 @@ pub struct GoalFeedback {
     /// Recoveries started.
     #[serde(default)]
     pub recoveries: u64,
+    /// What the robot waits for to leave, while it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blockage: Option<Blockage>,
+}
+
+/// Something that bars the way and may leave.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Blockage {
+    /// x of its middle, map frame, m.
+    pub x: f64,
+    /// y of its middle, map frame, m.
+    pub y: f64,
+    /// Since when it has stood there, as far as is known, on the mission's clock.
+    pub since: Stamp,
 }
 
 /// Cancels a goal.

@@ -135,6 +135,9 @@ pub struct PlanRequest {
     /// Whether unknown cells may be driven through.
     #[serde(default)]
     pub unknown_is_free: bool,
+    /// Points whose cells count as free, map frame, m: would there be a path if what stands there had left?
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cleared: Vec<Point2<f64>>,
     /// A robot that does not fit where it stands, by the map, may leave by the nearest free position, if that is this near, m.
     #[serde(default)]
     pub escape: f64,
@@ -301,6 +304,7 @@ mod tests {
             goal: Pose2::new(1.0, 0.0, 0.0),
             planner: "astar".into(),
             unknown_is_free: false,
+            cleared: Vec::new(),
             escape: 0.0,
             budget_ms: 500,
             seed: 1,

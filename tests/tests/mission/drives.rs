@@ -66,6 +66,8 @@ fn a_blocked_path_is_replaced_not_renewed() {
 #[test]
 fn a_path_blocked_for_good_is_not_renewed_and_the_goal_is_given_up_with_the_reason() {
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8));
+    (rig.config.settings.patience, rig.config.settings.linger) = (0.0, 0.0);
+    rig.start();
     rig.submit(to(6.0, 0.0, "a")).unwrap();
     rig.run(2.5);
     rig.occupy(4.5, 0.0, 0.45);
@@ -312,6 +314,8 @@ fn a_goal_beyond_a_growing_map_is_driven_to_through_the_unknown() {
 fn a_goal_without_a_path_is_given_up_after_some_tries_that_are_counted() {
     // The way is barred after the goal was taken.
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8));
+    (rig.config.settings.patience, rig.config.settings.linger) = (0.0, 0.0);
+    rig.start();
     rig.worker_up = false;
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.occupy(2.0, 0.0, 0.45);

@@ -7,6 +7,7 @@ mod goals;
 mod kitchen;
 mod maneuvers;
 mod nav2_trees;
+mod patience;
 mod remote;
 mod rig;
 mod survival;

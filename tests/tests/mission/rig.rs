@@ -127,6 +127,12 @@ impl Rig {
         Self::of(World::shipped(world).unwrap(), None, 0.1)
     }
 
+    /// In a world of a file's text, without a map.
+    pub fn in_world(text: &str) -> Self {
+        let world = World::from_toml(text, "world", &|_| Err("no map".to_owned())).unwrap();
+        Self::of(world, None, 0.1)
+    }
+
     fn of(world: World, known_map: Option<OccupancyGrid>, delay: f64) -> Self {
         let (id, start) = (Id::robot("tiago").unwrap(), world.start());
         let edge = EdgeConfig::new(id.clone(), model(), start);

@@ -15,6 +15,9 @@ use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 const THROUGH_POSES: i64 = 100;
 /// The path on the blackboard leaves the motion by at most so much, m.
 const EXACT: f64 = 0.01;
+/// A goal that began just now is not given up after so many tries that failed: it is looked for a path each so many s.
+const LOOKS: u32 = 2;
+const LOOK_AGAIN: f64 = 0.5;
 /// Nav2's code for no goals at all, ComputePathThroughPoses.
 const NO_VIAPOINTS_GIVEN: i64 = 309;
 
@@ -110,6 +113,7 @@ impl Leaf<Context> for ComputePath {
         };
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
+            Searching::Blocked(what) => step(io, ctx, &what),
             Searching::Found(route) => {
                 let (via, only_a_path) = (std::mem::take(&mut request.via), request.from.is_some());
                 self.search = None;
@@ -133,6 +137,14 @@ impl Leaf<Context> for ComputePath {
                 no_error(io);
                 io.say(format!("{length:.2} m"));
                 Status::Success
+            }
+            Searching::Failed(no_route)
+                if no_route.code == error_code::NO_VALID_PATH
+                    && self.tried.is_some_and(|(_, times)| times >= LOOKS)
+                    && ctx.now.secs_since(ctx.goal.started) < ctx.config.settings.linger =>
+            {
+                search.again_at(ctx.now.plus_secs(LOOK_AGAIN));
+                step(io, ctx, &format!("looks again: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {
                 self.search = None;

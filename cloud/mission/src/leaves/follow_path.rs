@@ -352,6 +352,10 @@ impl FollowPath {
         };
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
+            Searching::Blocked(what) => {
+                self.progress.reset();
+                step(io, ctx, &what)
+            }
             Searching::Found(route) => {
                 self.search = None;
                 if self.fits(ctx, &route) {

@@ -2,9 +2,13 @@
 //!
 //! A robot that drives is planned for from the state predicted on its trajectory, one latency budget ahead; one that stands,
 //! from where it stands; one that moves otherwise is waited for.
+//!
+//! Where there is no path, the worker is asked once more, as if what may leave ([`transient`](crate::transient)) had left. If there is one then,
+//! the search waits for it: it asks again once something leaves, and each second.
 
 mod begin;
 mod request;
+mod waiting;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -13,6 +17,7 @@ use zenav_protocol::messages::{
     GoalPoint, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, SmoothReply,
     SmoothRequest, TrajectoryRequest,
 };
+use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
@@ -20,7 +25,9 @@ use super::context::Context;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::leaves::path;
 use super::motion::PlanDraft;
+use super::transient::TransientCell;
 use begin::{Begin, predicted};
+use waiting::Waiting;
 
 pub use request::RouteRequest;
 
@@ -110,6 +117,8 @@ impl NoRoute {
 pub enum Searching {
     /// Not done; what it waits for.
     Wait(&'static str),
+    /// Something bars the way that may leave: what, and for how long it has.
+    Blocked(String),
     /// Found.
     Found(Box<Route>),
     /// Not found.
@@ -121,6 +130,8 @@ enum Stage {
     /// Until this time nothing is asked.
     Idle(Stamp),
     Asked(Ticket, Begin),
+    /// Why there is no path; asked whether there would be one without what may leave.
+    Cleared(Ticket, NoRoute),
     /// The trajectory along the path that was given, joined.
     Given(Ticket, Begin, Vec<Point2<f64>>),
 }
@@ -134,6 +145,11 @@ pub struct Search {
     begun: Stamp,
     /// Only from where the robot stands.
     from_rest: bool,
+    /// What may leave, as it was asked for last.
+    cleared: Vec<TransientCell>,
+    waiting: Option<Waiting>,
+    /// When a path was asked for last.
+    asked: Stamp,
 }
 
 impl Search {
@@ -149,6 +165,9 @@ impl Search {
             stage: Stage::Idle(from),
             begun: from,
             from_rest: false,
+            cleared: Vec::new(),
+            waiting: None,
+            asked: from,
         }
     }
 
@@ -164,16 +183,39 @@ impl Search {
     /// Gives the search up.
     pub fn cancel(self, ctx: &mut Context) {
         match self.stage {
-            Stage::Asked(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
+            Stage::Asked(ticket, _) | Stage::Cleared(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
             Stage::Idle(_) => {}
         }
     }
 
+    /// Tries once more from a time on.
+    pub fn again_at(&mut self, from: Stamp) {
+        (self.stage, self.begun) = (Stage::Idle(from), from);
+    }
+
     /// Goes on as far as the answers that are there allow.
     pub fn step(&mut self, ctx: &mut Context) -> Searching {
+        let state = self.advance(ctx);
+        match (state, &self.waiting) {
+            (Searching::Wait(_), Some(waiting)) => {
+                ctx.goal.feedback.blockage = Some(waiting.blockage);
+                Searching::Blocked(waiting.said(ctx.now))
+            }
+            (state, _) => {
+                ctx.goal.feedback.blockage = None;
+                state
+            }
+        }
+    }
+
+    fn advance(&mut self, ctx: &mut Context) -> Searching {
         match self.stage.clone() {
-            Stage::Idle(from) if ctx.now < from => Searching::Wait("is about to plan"),
+            Stage::Idle(from) if ctx.now < from && !self.may_go_on(ctx) => Searching::Wait("is about to plan"),
             Stage::Idle(_) => self.ask(ctx),
+            Stage::Cleared(ticket, no_route) => match ctx.asks.take(ticket) {
+                None => Searching::Wait("asks what bars the way"),
+                Some(answer) => self.without_what_may_leave(ctx, no_route, answer),
+            },
             Stage::Asked(ticket, begin) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("plans"),
                 Some(answer) => self.answered(ctx, begin, answer),
@@ -203,11 +245,14 @@ impl Search {
             }
             Err(why) => return failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
-        let (robot, unknown_is_free) = (ctx.config.robot.to_string(), ctx.config.settings.unknown_is_free);
+        self.asked = ctx.now;
+        if let Some(waiting) = &mut self.waiting {
+            waiting.asked(ctx);
+        }
         let goal_yaw = self.request.goal.yaw;
         if let Some(path) = self.request.join_given(begin.pose.position()) {
             let request = SmoothRequest {
-                robot,
+                robot: ctx.config.robot.to_string(),
                 model,
                 map,
                 path: path.clone(),
@@ -220,27 +265,14 @@ impl Search {
                 start: begin.pose,
                 start_velocity: begin.twist,
                 goal_yaw,
-                unknown_is_free,
+                unknown_is_free: ctx.config.settings.unknown_is_free,
                 profile: ctx.goal.profile,
             };
             let ticket = ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))));
             self.stage = Stage::Given(ticket, begin, path);
             return Searching::Wait("smooths");
         }
-        let pose = |point: &GoalPoint| Pose2::new(point.x, point.y, point.yaw.unwrap_or(0.0));
-        let plan = PlanRequest {
-            robot,
-            model,
-            map,
-            start: begin.pose,
-            via: self.request.via.iter().map(pose).collect(),
-            goal: pose(&self.request.goal),
-            planner: self.planner.clone(),
-            unknown_is_free,
-            escape: ctx.config.settings.escape,
-            budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
-            seed: 1,
-        };
+        let plan = self.plan_request(ctx, model, map, begin.pose);
         let request = if self.request.from.is_some() {
             MotionRequest::Plan(plan)
         } else {
@@ -253,6 +285,24 @@ impl Search {
         };
         self.stage = Stage::Asked(ctx.asks.ask(Ask::Motion(Box::new(request))), begin);
         Searching::Wait("plans")
+    }
+
+    fn plan_request(&self, ctx: &Context, model: RobotModel, map: MapRef, start: Pose2) -> PlanRequest {
+        let pose = |point: &GoalPoint| Pose2::new(point.x, point.y, point.yaw.unwrap_or(0.0));
+        PlanRequest {
+            robot: ctx.config.robot.to_string(),
+            model,
+            map,
+            start,
+            via: self.request.via.iter().map(pose).collect(),
+            goal: pose(&self.request.goal),
+            planner: self.planner.clone(),
+            unknown_is_free: ctx.config.settings.unknown_is_free,
+            cleared: Vec::new(),
+            escape: ctx.config.settings.escape,
+            budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
+            seed: 1,
+        }
     }
 
     fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
@@ -277,7 +327,7 @@ impl Search {
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
                 return self.again(ctx, "waits until the motion worker has the map");
             }
-            _ => return self.no_path(&plan),
+            _ => return self.no_path(ctx, &begin, &plan),
         };
         if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
             return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
@@ -346,7 +396,7 @@ impl Search {
         Searching::Wait("plans another path: the given one cannot be driven")
     }
 
-    fn no_path(&self, plan: &PlanReply) -> Searching {
+    fn no_path(&mut self, ctx: &mut Context, begin: &Begin, plan: &PlanReply) -> Searching {
         let goal = named(self.request.via.get(plan.leg).unwrap_or(&self.request.goal));
         let (code, reason) = match &plan.outcome {
             PlanOutcome::GoalOccupied { nearest_free } => {
@@ -375,17 +425,18 @@ impl Search {
                 "the motion worker has no map of this robot".to_owned(),
             ),
         };
-        failed(code, reason)
+        self.unless_it_leaves(ctx, begin, NoRoute { code, reason })
     }
 
     fn found(
-        &self,
+        &mut self,
         begin: Begin,
         path: Vec<Point2<f64>>,
         map: MapRef,
         trajectory: Trajectory,
         statistics: PlanStatistics,
     ) -> Searching {
+        self.waiting = None;
         let plan = PlanDraft {
             map,
             waypoints: path.iter().skip(1).copied().collect(),

@@ -1,0 +1,193 @@
+//! Waiting. What that may leave bars the way, and is it still worth waiting for?
+
+use nalgebra::Point2;
+use zenav_protocol::grid::Occupancy;
+use zenav_protocol::messages::{Blockage, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest};
+use zenav_protocol::time::Stamp;
+
+use super::begin::Begin;
+use super::{NoRoute, Search, Searching, Stage, error_code};
+use crate::context::Context;
+use crate::io::{Answer, Ask, NoAnswer};
+use crate::leaves::path;
+use crate::transient::TransientCell;
+
+/// Time between two tries while something is waited for, s: at least, when it gives way, and at most.
+const RETRY: [f64; 2] = [0.2, 1.0];
+/// Most goals that things are looked for around.
+const MAX_GOALS: usize = 8;
+/// What may touch a robot beyond its circumscribed disc, m: a cell's diagonal.
+const BESIDE: f64 = 0.08;
+/// Cells this near to one another bar the way as one thing, m.
+const ONE_THING: f64 = 0.8;
+/// A blockage this near to the one before is the same, m …
+const SAME_PLACE: f64 = 1.0;
+/// … unless it was not waited for in so long, s.
+const FORGOTTEN: f64 = 10.0;
+
+/// What a search waits for.
+#[derive(Clone, Debug)]
+pub(super) struct Waiting {
+    pub(super) blockage: Blockage,
+    /// Its cells, map frame, m.
+    cells: Vec<Point2<f64>>,
+    /// How many of them were occupied when a path was asked for last.
+    occupied: usize,
+}
+
+impl Waiting {
+    /// What bars a path that is there only without these cells, for a robot that touches what is nearer to its middle than `radius`, m:
+    /// the first thing on the way.
+    pub(super) fn on(path: &[Point2<f64>], cells: &[TransientCell], radius: f64, now: Stamp) -> Option<Self> {
+        let touched = cells.iter().filter_map(|cell| {
+            let near = path::nearest(path, cell.center, 0.0, f64::INFINITY)?;
+            (near.distance <= radius).then_some((near.along, cell))
+        });
+        let touched: Vec<(f64, &TransientCell)> = touched.collect();
+        let (_, first) = touched.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let thing = touched
+            .iter()
+            .filter(|(_, cell)| (cell.center - first.center).norm() <= ONE_THING);
+        let thing: Vec<&TransientCell> = thing.map(|(_, cell)| *cell).collect();
+        let sum = thing
+            .iter()
+            .fold([0.0; 2], |[x, y], cell| [x + cell.center.x, y + cell.center.y]);
+        let [x, y] = sum.map(|sum| sum / thing.len() as f64);
+        // Its cells come one after the other: the one in the middle tells when.
+        let mut since: Vec<Stamp> = thing.iter().filter_map(|cell| cell.since).collect();
+        since.sort_unstable();
+        let since = since.get(since.len() / 2).copied().unwrap_or(now);
+        Some(Self {
+            blockage: Blockage { x, y, since },
+            cells: thing.iter().map(|cell| cell.center).collect(),
+            occupied: thing.len(),
+        })
+    }
+
+    /// Notes in the goal that this is waited for. What stood there when it was waited for before still does.
+    pub(super) fn note(&mut self, ctx: &mut Context) {
+        let goal = &mut ctx.goal;
+        if let Some((before, last)) = goal.waited
+            && (before.x - self.blockage.x).hypot(before.y - self.blockage.y) <= SAME_PLACE
+            && ctx.now.secs_since(last) <= FORGOTTEN
+        {
+            self.blockage.since = self.blockage.since.min(before.since);
+        }
+        goal.waited = Some((self.blockage, ctx.now));
+    }
+
+    /// How long it has stood there, s.
+    pub(super) fn stood(&self, now: Stamp) -> f64 {
+        now.secs_since(self.blockage.since).max(0.0)
+    }
+
+    /// Whether some of it has left since a path was asked for last.
+    pub(super) fn gives_way(&self, ctx: &Context) -> bool {
+        self.count(ctx) < self.occupied
+    }
+
+    /// A path is asked for with what stands there now.
+    pub(super) fn asked(&mut self, ctx: &Context) {
+        self.occupied = self.count(ctx);
+    }
+
+    fn count(&self, ctx: &Context) -> usize {
+        let stands = |cell: &&Point2<f64>| ctx.map.occupancy(**cell) == Some(Occupancy::Occupied);
+        self.cells.iter().filter(stands).count()
+    }
+
+    /// What is waited for, in words.
+    pub(super) fn said(&self, now: Stamp) -> String {
+        let Blockage { x, y, .. } = self.blockage;
+        format!(
+            "waits for what has stood at ({x:.2}, {y:.2}) for {:.0} s and may leave",
+            self.stood(now).floor()
+        )
+    }
+
+    /// Why it is waited for no longer.
+    pub(super) fn given_up(&self, now: Stamp) -> String {
+        let Blockage { x, y, .. } = self.blockage;
+        format!(
+            "something that came has stood at ({x:.2}, {y:.2}) for {:.0} s",
+            self.stood(now)
+        )
+    }
+}
+
+impl Search {
+    /// Whether what is waited for gives way.
+    pub(super) fn may_go_on(&self, ctx: &Context) -> bool {
+        let due = ctx.now.secs_since(self.asked) >= RETRY[0];
+        due && self.waiting.as_ref().is_some_and(|waiting| waiting.gives_way(ctx))
+    }
+
+    /// There is no path. Would there be one without what may leave?
+    pub(super) fn unless_it_leaves(&mut self, ctx: &mut Context, begin: &Begin, no_route: NoRoute) -> Searching {
+        let may_pass = [error_code::GOAL_OCCUPIED, error_code::NO_VALID_PATH].contains(&no_route.code);
+        let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
+            return self.given_up(no_route);
+        };
+        if !may_pass || self.request.from.is_some() || ctx.config.settings.patience <= 0.0 {
+            return self.given_up(no_route);
+        }
+        let goals = self.request.via.iter().chain([&self.request.goal]);
+        let near = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
+        let near: Vec<Point2<f64>> = [begin.pose.position()].into_iter().chain(near).collect();
+        self.cleared = ctx.map.transient(&near);
+        if self.cleared.is_empty() {
+            return self.given_up(no_route);
+        }
+        let request = PlanRequest {
+            cleared: self.cleared.iter().map(|cell| cell.center).collect(),
+            ..self.plan_request(ctx, model, map, begin.pose)
+        };
+        let ask = Ask::Motion(Box::new(MotionRequest::Plan(request)));
+        self.stage = Stage::Cleared(ctx.asks.ask(ask), no_route);
+        Searching::Wait("asks what bars the way")
+    }
+
+    /// The answer to that.
+    pub(super) fn without_what_may_leave(
+        &mut self,
+        ctx: &mut Context,
+        no_route: NoRoute,
+        answer: Result<Answer, NoAnswer>,
+    ) -> Searching {
+        let path = match answer {
+            Ok(Answer::Motion(reply)) => match *reply {
+                MotionReply::Plan(PlanReply {
+                    outcome: PlanOutcome::Found { path, .. },
+                    ..
+                }) => path,
+                _ => Vec::new(),
+            },
+            _ => Vec::new(),
+        };
+        let radius = ctx
+            .robot
+            .model()
+            .map_or(0.0, |model| model.footprint.circumscribed_radius());
+        let waiting = Waiting::on(&path, &self.cleared, radius + BESIDE, ctx.now);
+        self.cleared.clear();
+        let Some(mut waiting) = waiting else {
+            return self.given_up(no_route);
+        };
+        waiting.note(ctx);
+        if waiting.stood(ctx.now) > ctx.config.settings.patience {
+            let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
+            return self.given_up(NoRoute { reason, ..no_route });
+        }
+        if self.waiting.is_none() {
+            tracing::info!(goal = ctx.goal.id, what = waiting.said(ctx.now), "the way is barred");
+        }
+        self.waiting = Some(waiting);
+        self.again_at(ctx.now.plus_secs(RETRY[1]));
+        Searching::Wait("is about to plan")
+    }
+
+    fn given_up(&mut self, no_route: NoRoute) -> Searching {
+        self.waiting = None;
+        Searching::Failed(no_route)
+    }
+}

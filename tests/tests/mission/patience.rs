@@ -1,0 +1,124 @@
+//! What may leave is waited for; what stays is not.
+
+use zenav_protocol::messages::{GoalPhase, GoalRequest};
+
+use super::rig::Rig;
+
+/// Two rooms, from (0, 0) to (8, 5), with a door 0.9 m wide at (4, 2.5) between them; the robot starts at (1, 2.5).
+const ROOMS: &str = "size = [8.4, 5.4]\norigin = [-0.2, -0.2]\n[start]\nx = 1\ny = 2.5\n\
+    [[wall]]\nfrom = [-0.1, -0.1]\nto = [8.1, -0.1]\nthickness = 0.2\n\
+    [[wall]]\nfrom = [-0.1, 5.1]\nto = [8.1, 5.1]\nthickness = 0.2\n\
+    [[wall]]\nfrom = [-0.1, -0.1]\nto = [-0.1, 5.1]\nthickness = 0.2\n\
+    [[wall]]\nfrom = [8.1, -0.1]\nto = [8.1, 5.1]\nthickness = 0.2\n\
+    [[polygon]]\npoints = [[3.9, 0], [4.1, 0], [4.1, 2.05], [3.9, 2.05]]\n\
+    [[polygon]]\npoints = [[3.9, 2.95], [4.1, 2.95], [4.1, 5], [3.9, 5]]\n";
+
+/// Somebody who stands at a place for some time, and then goes away.
+fn somebody(x: f64, y: f64, secs: f64) -> String {
+    format!(
+        "[[mover]]\nradius = 0.25\nspeed = 0.8\npath = [[{x:.2}, {y:.2}], [{x:.2}, 0.6], [6.0, 0.6]]\nrest_secs = [{secs}, 0, 10000]\n"
+    )
+}
+
+fn to(x: f64, y: f64) -> GoalRequest {
+    GoalRequest {
+        id: Some("a".to_owned()),
+        x: Some(x),
+        y: Some(y),
+        ..GoalRequest::default()
+    }
+}
+
+#[test]
+fn somebody_in_the_only_door_is_waited_for_and_the_robot_sets_out_at_once() {
+    let door = "[[mover]]\nradius = 0.25\nspeed = 0.8\npath = [[4, 2.5], [5.5, 2.5], [5.5, 0.6]]\nrest_secs = [25, 0, 10000]\n";
+    let mut rig = Rig::in_world(&format!("{ROOMS}{door}"));
+    rig.submit(to(7.0, 2.5)).unwrap();
+    rig.run_until(10.0, |rig| rig.goal("a").feedback.blockage.is_some());
+    rig.run(1.0);
+    let feedback = rig.goal("a").feedback.clone();
+    let blockage = feedback.blockage.unwrap_or_else(|| panic!("{feedback:?}"));
+    assert!((blockage.x - 4.0).hypot(blockage.y - 2.5) < 0.5, "{blockage:?}");
+    assert!(feedback.step.contains("waits for what has stood at"), "{feedback:?}");
+    rig.run_until(30.0, |rig| rig.stage.now().as_secs() >= 25.0);
+    assert!(rig.is_at_rest());
+    // One second to step out of the door.
+    assert!(
+        rig.run_until(3.0, |rig| !rig.is_at_rest()),
+        "{:?}",
+        rig.goal("a").feedback
+    );
+    let goal = rig.success_of("a", 40.0);
+    assert_eq!(goal.feedback.blockage, None);
+}
+
+#[test]
+fn a_goal_that_is_taken_is_waited_for_and_given_up_with_who_stands_there_for_how_long() {
+    let world = format!("{ROOMS}{}", somebody(2.8, 3.5, 10_000.0));
+    let mut rig = Rig::in_world(&world);
+    rig.config.settings.patience = 20.0;
+    rig.start();
+    rig.run(2.0);
+    rig.submit(to(2.8, 3.5)).unwrap();
+    let goal = rig.end_of("a", 60.0);
+    assert_eq!(goal.state, GoalPhase::Aborted);
+    let reason = goal.reason.unwrap();
+    assert!(
+        reason.contains("the goal (2.80, 3.50) is occupied") && reason.contains("has stood at (2."),
+        "{reason}"
+    );
+    let secs = rig.stage.now().as_secs();
+    assert!((20.0..30.0).contains(&secs), "{secs} s");
+}
+
+#[test]
+fn a_deadline_ends_the_waiting_and_tells_what_was_waited_for() {
+    let world = format!("{ROOMS}{}", somebody(2.8, 3.5, 10_000.0));
+    let mut rig = Rig::in_world(&world);
+    rig.run(2.0);
+    let request = GoalRequest {
+        deadline_secs: Some(10.0),
+        ..to(2.8, 3.5)
+    };
+    rig.submit(request).unwrap();
+    let reason = rig.end_of("a", 20.0).reason.unwrap();
+    assert!(
+        reason.contains("deadline of 10 s: something that may leave has stood at (2."),
+        "{reason}"
+    );
+}
+
+#[test]
+fn a_door_that_shuts_in_its_face_is_waited_for_by_nav2_s_tree_too() {
+    let door =
+        "[[door]]\nfrom = [4, 2.05]\nto = [4, 2.95]\nthickness = 0.1\nclosed_secs = 8\nopen_secs = 4\nslide_secs = 1\n";
+    let mut rig = Rig::in_world(&format!("{ROOMS}{door}"));
+    let goal = GoalRequest {
+        tree: Some("navigate_with_recovery".to_owned()),
+        ..to(7.0, 2.5)
+    };
+    // It has seen the door open, and shut again.
+    rig.run(15.0);
+    rig.submit(goal).unwrap();
+    rig.run(1.0);
+    let feedback = rig.goal("a").feedback.clone();
+    assert!(feedback.blockage.is_some(), "{feedback:?}");
+    rig.success_of("a", 60.0);
+}
+
+#[test]
+fn a_room_without_a_door_is_not_waited_for() {
+    let mut rig = Rig::in_world(&format!(
+        "{ROOMS}[[polygon]]\npoints = [[3.9, 2.05], [4.1, 2.05], [4.1, 2.95], [3.9, 2.95]]\n"
+    ));
+    rig.submit(to(7.0, 2.5)).unwrap();
+    let begun = rig.stage.now().as_secs();
+    while !rig.phase("a").is_end() && rig.stage.now().as_secs() < begun + 60.0 {
+        rig.step();
+        assert_eq!(rig.goal("a").feedback.blockage, None);
+    }
+    let goal = rig.goal("a");
+    assert_eq!(goal.state, GoalPhase::Aborted, "{goal:?}");
+    let secs = rig.stage.now().as_secs() - begun;
+    assert!((14.0..25.0).contains(&secs), "a shut door gets a while: {secs} s");
+}
