@@ -4,7 +4,8 @@
 //! obstacle could reach it, and within the floor that the lidar has seen; it does not swing towards a moving obstacle that has left the
 //! field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to
 //! contact is at least a second; motion that does not reduce the clearance is always allowed.
-//! A stale scan, a command that is not finite, and bumper contact stop the robot.
+//! Scans may come late: the robot reacts by so much later, and drives as slowly as that needs. When they stop coming it slows down, and is
+//! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is not finite, and bumper contact stop it at once.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};
@@ -27,6 +28,10 @@ pub struct CollisionMonitor {
     pub margin: f64,
     /// Largest speed into the lidar's blind spot, m/s.
     pub blind_speed: f64,
+    /// Whether the wheel encoders say nothing new although the wheels turn.
+    pub encoders_silent: bool,
+    /// The oldest of the lidars' newest scans, and when it arrived.
+    scan: Option<(Stamp, Stamp)>,
     zone: GuardZone,
     since: Stamp,
     /// The reason last reported, and when.
@@ -55,6 +60,8 @@ impl CollisionMonitor {
             passive_safety: PassiveSafetySettings::default(),
             margin: model.controller.guard_margin,
             blind_speed: model.controller.blind_speed,
+            encoders_silent: false,
+            scan: None,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
             reported: ("", Stamp::ZERO),
@@ -84,7 +91,8 @@ impl CollisionMonitor {
         odom_from_base: Pose2,
         bump: &Bump,
     ) -> Verdict {
-        let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump);
+        let silence = self.silence(now, obstacles);
+        let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump, silence);
         let moving = self.model.drive.surface_speed(wanted) > 1e-3 || !wanted.is_finite();
         let zone = match share {
             _ if !moving => GuardZone::Clear,
@@ -155,6 +163,21 @@ impl CollisionMonitor {
         )
     }
 
+    /// Time since the last scan arrived from the lidar that is the farthest behind, s; before a second one arrived, since the first was
+    /// taken.
+    fn silence(&mut self, now: Stamp, obstacles: &LocalObstacles) -> f64 {
+        let Some(stamp) = obstacles.oldest() else {
+            return f64::INFINITY;
+        };
+        let arrived = match self.scan {
+            None => stamp,
+            Some((last, arrived)) if last == stamp => arrived,
+            Some(_) => now,
+        };
+        self.scan = Some((stamp, arrived));
+        now.secs_since(arrived)
+    }
+
     fn share(
         &self,
         now: Stamp,
@@ -162,6 +185,7 @@ impl CollisionMonitor {
         obstacles: &LocalObstacles,
         odom_from_base: Pose2,
         bump: &Bump,
+        silence: f64,
     ) -> (f64, &'static str) {
         if !wanted.is_finite() {
             return (0.0, "the command is not finite");
@@ -183,8 +207,20 @@ impl CollisionMonitor {
         if motion.speed < 1e-6 {
             return (1.0, "");
         }
+        let left =
+            self.settings.rest_after_silence - silence - self.tick - self.passive_safety.lags_to_rest * motion.lag;
+        let without_encoders = if self.encoders_silent {
+            self.settings.without_encoders * self.model.drive.top_speed() / motion.speed
+        } else {
+            1.0
+        };
         let limits = [
             (in_contact, "sliding along a contact"),
+            (without_encoders.min(1.0), "the wheel encoders are silent"),
+            (
+                (motion.braking * left / motion.speed).clamp(0.0, 1.0),
+                "lidar scan too old",
+            ),
             (motion.limit_static(obstacles, odom_from_base), "obstacle in the way"),
             (
                 motion.limit_dynamic(obstacles, odom_from_base),

@@ -6,7 +6,9 @@
 //! | module | answers |
 //! |---|---|
 //! | [`body`] | what must hardware offer to be driven? |
+//! | `encoder_watch` | what have the wheels turned when their encoders say nothing new? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
+//! | `lost_beams` | which beams met nothing, and which did the lidar lose? |
 //! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
 //! | [`acceptance`] | may this plan move it? |
@@ -35,6 +37,7 @@ pub mod collision_monitor;
 pub mod config;
 pub mod control;
 pub mod control_io;
+mod encoder_watch;
 pub mod estimator;
 pub mod event_log;
 pub mod exit_code;
@@ -45,6 +48,7 @@ pub mod limiter;
 pub mod link;
 pub mod local_obstacles;
 pub mod loop_timing;
+mod lost_beams;
 pub mod maneuvers;
 pub mod moving_obstacles;
 pub mod obstacle_tracks;

@@ -134,8 +134,14 @@ impl LocalObstacles {
     /// Age of what is seen, s: that of the lidar whose newest sweep is the oldest; `None` before each lidar's first.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<f64> {
-        let ages = self.lidars.iter().map(|lidar| Some(now.secs_since(lidar.stamp?)));
-        ages.reduce(|oldest, age| Some(oldest?.max(age?))).flatten()
+        self.oldest().map(|stamp| now.secs_since(stamp))
+    }
+
+    /// When the oldest of the lidars' newest sweeps was taken; `None` before each lidar's first.
+    #[must_use]
+    pub fn oldest(&self) -> Option<Stamp> {
+        let stamps = self.lidars.iter().map(|lidar| lidar.stamp);
+        stamps.reduce(|oldest, stamp| Some(oldest?.min(stamp?))).flatten()
     }
 
     /// When the newest sweep of any lidar was taken.

@@ -176,7 +176,12 @@ zenav_protocol::settings! {
     /// Collision monitor.
     pub struct CollisionMonitorSettings {
         /// A lidar scan older than this stops the robot.
-        pub scan_timeout: f64 = 0.5, "s", 0.05..=5.0;
+        pub scan_timeout: f64 = 1.0, "s", 0.05..=5.0;
+        /// When no scan arrives any more the robot is at rest this long after the last one (0.7: a lidar of 10 Hz does not slow a robot
+        /// that brakes from its top speed in 0.4 s).
+        pub rest_after_silence: f64 = 0.7, "s", 0.1..=5.0;
+        /// Share of the top speed while the wheel encoders say nothing new.
+        pub without_encoders: f64 = 0.5, "", 0.0..=1.0;
         /// A zone must last this long before it is left for a milder one.
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
         /// In contact, a motion leads away from what is touched if it does so at this share of its speed at least.

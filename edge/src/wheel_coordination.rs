@@ -29,6 +29,12 @@ impl WheelCoordination {
         }
     }
 
+    /// Predicted speeds of the wheels (left, right; rad/s).
+    #[must_use]
+    pub fn speed(&self) -> [f64; 2] {
+        self.speed
+    }
+
     /// The wheels may have been stopped by something else: the next command starts from rest.
     pub fn reset(&mut self) {
         self.speed = [0.0; 2];

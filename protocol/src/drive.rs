@@ -61,7 +61,7 @@ pub struct Drive {
 }
 
 /// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
-/// Mobile Robots", 1996). The simulator drives by them; the robot knows of the slip only.
+/// Mobile Robots", 1996), and what its body does differently. The simulator drives by them; the robot knows of the slip only.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DriveErrors {
@@ -72,6 +72,20 @@ pub struct DriveErrors {
     pub wheel_separation: f64,
     /// Standard deviation of what a wheel slips, m for each square root of a metre rolled.
     pub slip: f64,
+    /// How much heavier the robot is than stated, as a share: it gains and loses speed that much less.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub mass: f64,
+    /// How much longer the motors' time constant is than stated, s.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub motor_lag: f64,
+    /// Time from a command of the wheels until the motors take it up, s.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub dead_time: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 fn default_lateral() -> f64 {
@@ -175,6 +189,8 @@ impl Drive {
     /// The first value that no drive has.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         const ERROR: Expected = Expected::Range(-0.5, 0.5, "a share, -0.5 to 0.5");
+        const LOAD: Expected = Expected::Range(-0.9, 10.0, "a share, -0.9 to 10");
+        const LATE: Expected = Expected::Range(0.0, 2.0, "0 to 2 s");
         let [left, right] = self.errors.wheel_radius;
         check_all(&[
             ("wheel_radius", self.wheel_radius, Expected::Positive),
@@ -196,6 +212,9 @@ impl Drive {
             ("max_jerk", self.max_jerk.unwrap_or(1.0), Expected::Positive),
             ("motor_lag", self.motor_lag, Expected::NotNegative),
             ("errors.slip", self.errors.slip, Expected::NotNegative),
+            ("errors.mass", self.errors.mass, LOAD),
+            ("errors.motor_lag", self.errors.motor_lag, LATE),
+            ("errors.dead_time", self.errors.dead_time, LATE),
             ("errors.wheel_radius", left, ERROR),
             ("errors.wheel_radius", right, ERROR),
             ("errors.wheel_separation", self.errors.wheel_separation, ERROR),

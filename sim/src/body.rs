@@ -7,8 +7,9 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::chassis::{Chassis, Moved, Surroundings};
+use crate::faults::FaultModel;
 use crate::sensors::random::{Stream, stream};
-use crate::sensors::{Moment, Sensor, sensors};
+use crate::sensors::{Fitted, sensors};
 
 /// One robot: chassis and sensors.
 #[derive(Clone)]
@@ -16,17 +17,17 @@ pub struct Body {
     model: RobotModel,
     /// How it moves.
     pub chassis: Chassis,
-    sensors: Vec<Box<dyn Sensor>>,
+    sensors: Vec<Fitted>,
     readings: Readings,
 }
 
 impl Body {
-    /// At rest at a pose.
+    /// At rest at a pose; of the world's faults it has its own.
     #[must_use]
-    pub fn new(id: &Id, model: RobotModel, map_from_base: Pose2, seed: u64) -> Self {
+    pub fn new(id: &Id, model: RobotModel, map_from_base: Pose2, seed: u64, faults: &[FaultModel]) -> Self {
         Self {
             chassis: Chassis::new(&model, map_from_base, stream(seed, id, Stream::Slip)),
-            sensors: sensors(id, &model, seed),
+            sensors: sensors(id, &model, seed, faults),
             readings: Readings::new(Stamp::ZERO),
             model,
         }
@@ -38,6 +39,12 @@ impl Body {
         &self.model
     }
 
+    /// What faults call its sensors.
+    pub fn sensors(&self) -> impl Iterator<Item = &str> {
+        let fallible = |name: &&str| !["bump", "battery"].contains(name);
+        self.sensors.iter().map(Fitted::name).filter(fallible)
+    }
+
     /// Commands the wheels (left, right; rad/s).
     pub fn command(&mut self, wheels: [f64; 2]) {
         self.chassis.command(&self.model, wheels);
@@ -47,7 +54,7 @@ impl Body {
     pub fn advance(&mut self, around: Surroundings<'_>, secs: f64, others: f64, now: Stamp) -> Moved {
         let moved = self.chassis.advance(&self.model, around, secs, others, now);
         for sensor in &mut self.sensors {
-            sensor.moved(&moved);
+            sensor.moved(&moved, now);
         }
         moved
     }
@@ -55,14 +62,9 @@ impl Body {
     /// Measures what is due, when everybody has moved.
     pub fn sense(&mut self, around: Surroundings<'_>, now: Stamp) {
         self.chassis.settle(around, now);
-        let moment = Moment {
-            now,
-            chassis: &self.chassis,
-            around,
-        };
         self.readings = Readings::new(now);
         for sensor in &mut self.sensors {
-            sensor.sense(&moment, &mut self.readings);
+            sensor.sense(now, &self.chassis, around, &mut self.readings);
         }
     }
 

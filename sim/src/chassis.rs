@@ -16,6 +16,7 @@ use crate::crowd::Crowd;
 use crate::motors::Motors;
 use crate::scene::Scene;
 use crate::sensors::random::gauss;
+use crate::shape::Solid;
 
 /// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
 const SKIN: f64 = 1e-6;
@@ -23,6 +24,8 @@ const SKIN: f64 = 1e-6;
 pub(crate) const CONTACT: f64 = 1e-4;
 /// A contact ends when the robot is this far away, m: one touch is one collision.
 const RELEASE: f64 = 2e-3;
+/// People farther away are nobody's business, m.
+const SPACE: f64 = 3.0;
 /// Motors and arcs are integrated in steps of at most this, s.
 const SUBSTEP: f64 = 0.005;
 /// A blocked piece is halved this often to find how far it goes.
@@ -50,6 +53,8 @@ pub struct Truth {
     pub clearance: f64,
     /// The least clearance since the beginning, m.
     pub min_clearance: f64,
+    /// Distance from the footprint to the nearest round mover: a person, m; infinite where none is within 3 m.
+    pub to_person: f64,
     /// Contacts since the beginning; touching for a while counts once.
     pub collisions: u32,
     /// The latest contact.
@@ -127,6 +132,7 @@ impl Chassis {
             twist: Twist2::ZERO,
             clearance: f64::INFINITY,
             min_clearance: f64::INFINITY,
+            to_person: f64::INFINITY,
             collisions: 0,
             last_contact: None,
             hardest_contact: 0.0,
@@ -305,6 +311,17 @@ impl Chassis {
             bearing,
             own_speed,
         });
+    }
+
+    /// Notes how far the nearest of those is that are people.
+    pub fn meet(&mut self, crowd: &Crowd, is_person: impl Fn(usize, &Solid) -> bool) {
+        let (outline, mut nearest) = (self.outline(), f64::INFINITY);
+        crowd.near(outline.center(), self.reach + SPACE, |index, solid| {
+            if is_person(index, solid) {
+                nearest = nearest.min(solid.distance(&outline));
+            }
+        });
+        self.truth.to_person = if nearest <= SPACE { nearest } else { f64::INFINITY };
     }
 
     /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.

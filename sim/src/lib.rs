@@ -14,7 +14,9 @@
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
 //! | [`motors`] | what do wheels and motors make of a command? |
 //! | [`sensors`] | what do encoders, gyro, compass and GPS measure, and when? |
+//! | [`faults`] | which sensor is broken, how, and when? |
 //! | [`movers`] | where are the moving obstacles? |
+//! | [`manners`] | how does a walker make way for others? (ORCA, social force) |
 //! | [`chassis`] | how does one robot move among solids, and what does it touch? |
 //! | [`body`] | what does one robot do in a tick? |
 //! | [`simulation`] | how does everything advance together? |
@@ -47,8 +49,10 @@ mod bridge;
 pub mod chassis;
 pub mod clearance;
 pub mod crowd;
+pub mod faults;
 pub mod lidar;
 pub mod made_worlds;
+pub mod manners;
 pub mod motors;
 pub mod movers;
 pub mod outline;

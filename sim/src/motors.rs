@@ -1,7 +1,10 @@
 //! Motors. What do wheels and motors make of a command? Lag and limits.
 //!
 //! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by
-//! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean.
+//! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean. A drive with errors
+//! takes a command up later, lags more, and has less strength for its mass than its robot believes.
+
+use std::collections::VecDeque;
 
 use zenav_protocol::robot::Drive;
 
@@ -10,6 +13,8 @@ use zenav_protocol::robot::Drive;
 pub struct Motors {
     command: [f64; 2],
     speed: [f64; 2],
+    /// Commands that have not been taken up yet, each with the time that is left until then, s.
+    waiting: VecDeque<(f64, [f64; 2])>,
 }
 
 impl Motors {
@@ -19,17 +24,23 @@ impl Motors {
         Self {
             command: [0.0; 2],
             speed: [0.0; 2],
+            waiting: VecDeque::new(),
         }
     }
 
     /// Sets the commanded wheel speeds (left, right; rad/s), bounded by the limits of wheels and base. What is not a
     /// number stops both wheels.
     pub fn command(&mut self, drive: &Drive, wheels: [f64; 2]) {
-        if wheels.iter().any(|speed| speed.is_nan()) {
-            self.command = [0.0; 2];
-            return;
+        let command = if wheels.iter().any(|speed| speed.is_nan()) {
+            [0.0; 2]
+        } else {
+            drive.bounded(wheels)
+        };
+        if drive.errors.dead_time > 0.0 {
+            self.waiting.push_back((drive.errors.dead_time, command));
+        } else {
+            self.command = command;
         }
-        self.command = drive.bounded(wheels);
     }
 
     /// Wheel speeds now (left, right; rad/s).
@@ -40,16 +51,20 @@ impl Motors {
 
     /// Advances the motors; returns the mean wheel speeds over the time (left, right; rad/s).
     pub fn step(&mut self, drive: &Drive, secs: f64) -> [f64; 2] {
-        let share = if drive.motor_lag > 0.0 {
-            1.0 - (-secs / drive.motor_lag).exp()
-        } else {
-            1.0
-        };
-        let braking = drive.wheel_braking();
+        for (left, _) in &mut self.waiting {
+            *left -= secs;
+        }
+        while self.waiting.front().is_some_and(|(left, _)| *left < -1e-9) {
+            self.command = self.waiting.pop_front().map_or(self.command, |(_, command)| command);
+        }
+        let lag = drive.motor_lag + drive.errors.motor_lag;
+        let share = if lag > 0.0 { 1.0 - (-secs / lag).exp() } else { 1.0 };
+        let load = 1.0 + drive.errors.mass;
+        let (braking, gaining) = (drive.wheel_braking() / load, drive.max_wheel_acceleration / load);
         let before = self.speed;
         for (speed, command) in self.speed.iter_mut().zip(self.command) {
             let wanted = *speed + (command - *speed) * share;
-            *speed = limited(*speed, wanted, braking * secs, drive.max_wheel_acceleration * secs);
+            *speed = limited(*speed, wanted, braking * secs, gaining * secs);
         }
         [0.5 * (before[0] + self.speed[0]), 0.5 * (before[1] + self.speed[1])]
     }
@@ -134,6 +149,23 @@ mod tests {
         }
         let twist = drive.twist(motors.speed());
         assert!((twist.v - 0.8).abs() < 1e-6 && (twist.w - 4.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_drive_with_errors_begins_late_and_gains_speed_slowly() {
+        let mut drive = tiago();
+        (drive.errors.dead_time, drive.errors.mass) = (0.1, 1.0);
+        let mut motors = Motors::at_rest();
+        motors.command(&drive, [6.0; 2]);
+        let speeds: Vec<f64> = (0..40)
+            .map(|_| {
+                motors.step(&drive, 0.005);
+                motors.speed()[0]
+            })
+            .collect();
+        assert!(speeds[..20].iter().all(|speed| *speed == 0.0), "{speeds:?}");
+        // Twice the mass, half the acceleration.
+        assert!((speeds[39] - 20.0 * 0.005 * 0.5 * drive.max_wheel_acceleration).abs() < 1e-9);
     }
 
     #[test]

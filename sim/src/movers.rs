@@ -1,4 +1,5 @@
 //! Where are the moving obstacles? They walk their route at constant speed, and wait where a robot stands in their way.
+//! A walker with [`Manners`] leaves the straight line to make way for robots and other movers, and goes on to its next place from there.
 //!
 //! A mover keeps its orientation. A path leads from its last point back to the first: two points make it go to and fro; it may rest at
 //! each. A walker goes straight to one place after another, drawn at random from its area, wherever nothing that stands is in between.
@@ -11,6 +12,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 
 use crate::clearance::Placed;
+use crate::manners::{self, Manners, Neighbour, Walker};
 use crate::scene::Scene;
 use crate::shape::{Shape, Solid};
 
@@ -23,10 +25,12 @@ pub struct MoverModel {
     pub route: Route,
     /// m/s.
     pub speed: f64,
+    /// Whether it makes way; a disc only.
+    pub manners: Manners,
 }
 
 impl MoverModel {
-    /// Distance from a place to the nearest that it may ever touch, m; never more than that.
+    /// Distance from a place to the nearest that it may ever touch, m; never more than that, unless it makes way.
     #[must_use]
     pub fn berth(&self, place: Point2<f64>) -> f64 {
         let to_route = match &self.route {
@@ -72,6 +76,8 @@ pub enum Route {
 pub struct Mover {
     route: Route,
     speed: f64,
+    manners: Manners,
+    velocity: Vector2<f64>,
     /// What it draws its places from.
     rng: Pcg64Mcg,
     /// The corner that it comes from, on a path.
@@ -96,6 +102,10 @@ const LOOKS: u32 = 20;
 const REST: f64 = 1.0;
 /// A walker that is held this long turns elsewhere, s.
 const PATIENCE: f64 = 2.0;
+/// A walker that makes way has come to a place from this near, m, sees walls this near, m, and is held below this share of its speed.
+const ARRIVED: f64 = 0.15;
+const WALLS: f64 = 1.5;
+const HELD: f64 = 0.1;
 /// A walker sets out only where its way stays this far from what stands, m.
 const MARGIN: f64 = 0.05;
 /// Samples on a walker's way: a longer one is not looked at so finely.
@@ -112,6 +122,8 @@ impl Mover {
         let mut mover = Self {
             route: model.route.clone(),
             speed: model.speed,
+            manners: model.manners,
+            velocity: Vector2::zeros(),
             rng,
             corner: 0,
             from: start,
@@ -171,10 +183,72 @@ impl Mover {
         }
     }
 
-    /// How far it goes in a time when nothing is in its way, m.
+    /// How far it goes in a time at most, m.
     #[must_use]
     pub fn stride(&self, secs: f64) -> f64 {
-        self.speed * secs
+        self.manners.top_speed(self.speed) * secs
+    }
+
+    /// Whether it makes way for others: then it moves by [`Self::make_way`].
+    #[must_use]
+    pub fn makes_way(&self) -> bool {
+        self.manners != Manners::Blind
+    }
+
+    /// Moves on for a time among others and places `solid`; it stops where `blocked` says that the next place would touch a robot.
+    pub fn make_way(
+        &mut self,
+        secs: f64,
+        scene: &Scene,
+        solid: &mut Solid,
+        others: &[Neighbour],
+        blocked: impl Fn(&Solid) -> bool,
+    ) {
+        let (at, radius) = (solid.center(), solid.reach());
+        if self.speed <= 0.0 {
+            return;
+        }
+        self.rest = (self.rest - secs).max(0.0);
+        if self.rest <= 0.0 && (self.to - at).norm() <= ARRIVED {
+            if let Route::Walk { .. } = self.route {
+                self.to = at;
+            }
+            self.turn(scene, radius);
+        }
+        let to_place = if self.rest > 0.0 { self.from } else { self.to } - at;
+        let walker = Walker {
+            velocity: self.velocity,
+            wanted: manners::wanted(to_place, self.speed),
+            radius,
+            speed: self.speed,
+        };
+        let mut walls = Vec::new();
+        scene.near(at, WALLS, |nearest| walls.push(nearest - at));
+        let wanted = self.manners.velocity(&walker, others, &walls, secs);
+        let next = slid(scene, radius, at, wanted * secs);
+        solid.place(Pose2::new(next.x, next.y, 0.0));
+        if blocked(solid) {
+            let (mut free, mut taken) = (0.0, 1.0);
+            for _ in 0..HALVINGS {
+                let middle = 0.5 * (free + taken);
+                let place = at + (next - at) * middle;
+                solid.place(Pose2::new(place.x, place.y, 0.0));
+                (free, taken) = if blocked(solid) {
+                    (free, middle)
+                } else {
+                    (middle, taken)
+                };
+            }
+            let place = at + (next - at) * free;
+            solid.place(Pose2::new(place.x, place.y, 0.0));
+        }
+        self.velocity = (solid.center() - at) / secs;
+        let waits = self.rest <= 0.0 && self.velocity.norm() < HELD * self.speed;
+        self.held = if waits { self.held + secs } else { 0.0 };
+        if self.held > PATIENCE && matches!(self.route, Route::Walk { .. }) {
+            self.to = solid.center();
+            self.turn(scene, radius);
+        }
     }
 
     /// Moves on for a time and places `solid`; it stops where `blocked` says that the next place would touch a robot.
@@ -234,6 +308,25 @@ impl Mover {
     }
 }
 
+/// Where a disc comes to by a step: along what stands in its way, never into it.
+fn slid(scene: &Scene, radius: f64, at: Point2<f64>, step: Vector2<f64>) -> Point2<f64> {
+    let disc = Placed::footprint(&Footprint::Radius(radius), Pose2::IDENTITY);
+    let placed = |at: Point2<f64>| disc.at(Pose2::new(at.x, at.y, 0.0));
+    if !scene.touches(&placed(at + step)) {
+        return at + step;
+    }
+    let Some(contact) = scene.contact(&placed(at), radius) else {
+        return at;
+    };
+    let into = Vector2::new(contact.normal1.x, contact.normal1.y);
+    let along = step - into * step.dot(&into).max(0.0);
+    if scene.touches(&placed(at + along)) {
+        at
+    } else {
+        at + along
+    }
+}
+
 /// Whether a disc goes straight between two places and stays off what stands.
 fn is_open(scene: &Scene, from: Point2<f64>, to: Point2<f64>, reach: f64) -> bool {
     let disc = Placed::footprint(&Footprint::Radius(reach + MARGIN), Pose2::IDENTITY);
@@ -266,6 +359,7 @@ mod tests {
                     .to_vec(),
             ),
             speed: 0.5,
+            manners: Manners::Blind,
         }
     }
 

@@ -6,7 +6,7 @@ use parry2d_f64::query::Contact;
 use parry2d_f64::shape::SharedShape;
 use zenav_protocol::geometry::Pose2;
 
-use crate::boxes::{Bounded, BoxTree};
+use crate::boxes::{Apart, Bounded, BoxTree, Visitor};
 use crate::bridge;
 use crate::clearance::Placed;
 use crate::shape::{Disc, Edge};
@@ -18,6 +18,18 @@ pub struct Scene {
     discs: BoxTree<Disc>,
     /// All of it as one form, unless there is nothing.
     solid: Option<Placed>,
+}
+
+/// Edges and discs as one form, unless there are none.
+fn solid(edges: &[Edge], discs: &[Disc]) -> Option<Placed> {
+    let segment = |edge: &Edge| SharedShape::segment(bridge::vector(edge.a), bridge::vector(edge.b));
+    let ball = |disc: &Disc| {
+        let pose = Pose::from_translation(bridge::vector(disc.center));
+        (pose, SharedShape::ball(disc.radius))
+    };
+    let segments = edges.iter().map(|edge| (Pose::IDENTITY, segment(edge)));
+    let parts: Vec<_> = segments.chain(discs.iter().map(ball)).collect();
+    (!parts.is_empty()).then(|| Placed::new(SharedShape::compound(parts), Pose2::IDENTITY))
 }
 
 impl Bounded for Edge {
@@ -37,29 +49,32 @@ impl Scene {
     /// Sorts and indexes. Cost: O(n log n).
     #[must_use]
     pub fn new(edges: Vec<Edge>, discs: Vec<Disc>) -> Self {
-        let segment = |edge: &Edge| SharedShape::segment(bridge::vector(edge.a), bridge::vector(edge.b));
-        let ball = |disc: &Disc| {
-            (
-                Pose::from_translation(bridge::vector(disc.center)),
-                SharedShape::ball(disc.radius),
-            )
-        };
-        let segments = edges.iter().map(|edge| (Pose::IDENTITY, segment(edge)));
-        let parts: Vec<_> = segments.chain(discs.iter().map(ball)).collect();
         Self {
-            solid: (!parts.is_empty()).then(|| Placed::new(SharedShape::compound(parts), Pose2::IDENTITY)),
+            solid: solid(&edges, &discs),
             edges: BoxTree::new(edges),
             discs: BoxTree::new(discs),
         }
     }
 
-    /// All edges.
+    /// The same with glass: it is touched, but no lidar sees it.
+    #[must_use]
+    pub fn with_glass(mut self, edges: Vec<Edge>, discs: &[Disc]) -> Self {
+        if edges.is_empty() && discs.is_empty() {
+            return self;
+        }
+        let edges: Vec<Edge> = self.edges.things().iter().copied().chain(edges).collect();
+        let discs: Vec<Disc> = self.discs.things().iter().chain(discs).copied().collect();
+        self.solid = solid(&edges, &discs);
+        self
+    }
+
+    /// All edges that a lidar sees.
     #[must_use]
     pub fn edges(&self) -> &BoxTree<Edge> {
         &self.edges
     }
 
-    /// All discs.
+    /// All discs that a lidar sees.
     #[must_use]
     pub fn discs(&self) -> &BoxTree<Disc> {
         &self.discs
@@ -73,6 +88,13 @@ impl Scene {
             .map_or(f64::INFINITY, |solid| placed.distance(solid))
     }
 
+    /// Calls `visit` with the nearest point of every edge and disc that a lidar sees and that reaches within `radius` of a place, m.
+    pub fn near(&self, place: Point2<f64>, radius: f64, visit: impl FnMut(Point2<f64>)) {
+        let mut nearby = Nearby { place, radius, visit };
+        self.edges.walk(place, &mut nearby);
+        self.discs.walk(place, &mut nearby);
+    }
+
     /// Whether a form overlaps an edge or disc.
     #[must_use]
     pub fn touches(&self, placed: &Placed) -> bool {
@@ -83,5 +105,60 @@ impl Scene {
     #[must_use]
     pub fn contact(&self, placed: &Placed, within: f64) -> Option<Contact> {
         placed.contact(self.solid.as_ref()?, within)
+    }
+}
+
+/// Looks for what is near a place.
+struct Nearby<F> {
+    place: Point2<f64>,
+    radius: f64,
+    visit: F,
+}
+
+impl<F: FnMut(Point2<f64>)> Nearby<F> {
+    fn found(&mut self, nearest: Point2<f64>) {
+        if (nearest - self.place).norm_squared() <= self.radius * self.radius {
+            (self.visit)(nearest);
+        }
+    }
+}
+
+impl<F: FnMut(Point2<f64>)> Visitor<Edge> for Nearby<F> {
+    /// Squared distance, m².
+    type View = f64;
+
+    fn look(&self, pair: [&Apart; 2]) -> [f64; 2] {
+        pair.map(|apart| apart.squared)
+    }
+
+    fn enters(&self, squared: &f64) -> bool {
+        *squared <= self.radius * self.radius
+    }
+
+    fn meet(&mut self, edges: &[Edge]) {
+        for edge in edges {
+            let (along, off) = (edge.b - edge.a, self.place - edge.a);
+            let share = (off.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+            self.found(edge.a + along * share);
+        }
+    }
+}
+
+impl<F: FnMut(Point2<f64>)> Visitor<Disc> for Nearby<F> {
+    type View = f64;
+
+    fn look(&self, pair: [&Apart; 2]) -> [f64; 2] {
+        pair.map(|apart| apart.squared)
+    }
+
+    fn enters(&self, squared: &f64) -> bool {
+        *squared <= self.radius * self.radius
+    }
+
+    fn meet(&mut self, discs: &[Disc]) {
+        for disc in discs {
+            let outwards = (self.place - disc.center).try_normalize(1e-9);
+            self.found(disc.center + outwards.unwrap_or_else(nalgebra::Vector2::x) * disc.radius);
+        }
     }
 }

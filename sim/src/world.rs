@@ -10,10 +10,11 @@ use zenav_protocol::id::Id;
 use zenav_protocol::robot::Footprint;
 
 use crate::clearance::Placed;
+use crate::faults::FaultModel;
 use crate::movers::MoverModel;
 use crate::outline::outline;
 use crate::scene::Scene;
-use crate::shape::{self, Disc};
+use crate::shape::{self, Disc, Edge};
 use crate::world_check::WorldError;
 use crate::world_file;
 
@@ -41,6 +42,7 @@ pub struct World {
     pub(crate) discs: Vec<Disc>,
     pub(crate) map: Option<OccupancyGrid>,
     pub(crate) movers: Vec<MoverModel>,
+    pub(crate) faults: Vec<FaultModel>,
     pub(crate) places: Vec<Place>,
     scene: Arc<Scene>,
 }
@@ -70,11 +72,25 @@ pub(crate) struct Parts {
     pub low: Point2<f64>,
     pub high: Point2<f64>,
     pub start: Pose2,
-    pub polygons: Vec<Vec<Point2<f64>>>,
-    pub discs: Vec<Disc>,
+    pub seen: Solids,
+    pub glass: Solids,
     pub map: Option<OccupancyGrid>,
     pub movers: Vec<MoverModel>,
+    pub faults: Vec<FaultModel>,
     pub places: Vec<Place>,
+}
+
+/// What never moves.
+#[derive(Default)]
+pub(crate) struct Solids {
+    pub polygons: Vec<Vec<Point2<f64>>>,
+    pub discs: Vec<Disc>,
+}
+
+impl Solids {
+    fn edges(&self) -> impl Iterator<Item = Edge> {
+        self.polygons.iter().flat_map(|polygon| shape::edges(polygon))
+    }
 }
 
 impl World {
@@ -114,10 +130,11 @@ impl World {
             low: spec.origin,
             high: spec.upper(),
             start,
-            polygons: Vec::new(),
-            discs: Vec::new(),
+            seen: Solids::default(),
+            glass: Solids::default(),
             map: Some(map),
             movers: Vec::new(),
+            faults: Vec::new(),
             places: Vec::new(),
         })
     }
@@ -128,26 +145,28 @@ impl World {
             low,
             high,
             start,
-            polygons,
-            discs,
+            seen,
+            glass,
             map,
             movers,
+            faults,
             places,
         } = parts;
         let mut edges = map.as_ref().map(outline).unwrap_or_default();
-        edges.extend(polygons.iter().flat_map(|polygon| shape::edges(polygon)));
-        let scene = Arc::new(Scene::new(edges, discs.clone()));
+        edges.extend(seen.edges());
+        let scene = Scene::new(edges, seen.discs.clone()).with_glass(glass.edges().collect(), &glass.discs);
         Self {
             name,
             low,
             high,
             start,
-            polygons,
-            discs,
+            polygons: seen.polygons.into_iter().chain(glass.polygons).collect(),
+            discs: seen.discs.into_iter().chain(glass.discs).collect(),
             map,
             movers,
+            faults,
             places,
-            scene,
+            scene: Arc::new(scene),
         }
     }
 
@@ -210,13 +229,19 @@ impl World {
         &self.movers
     }
 
-    /// Solid polygons (walls too), counter-clockwise, m.
+    /// Faults of sensors, in the order of the file.
+    #[must_use]
+    pub fn faults(&self) -> &[FaultModel] {
+        &self.faults
+    }
+
+    /// Solid polygons (walls and glass too), counter-clockwise, m.
     #[must_use]
     pub fn polygons(&self) -> &[Vec<Point2<f64>>] {
         &self.polygons
     }
 
-    /// Solid discs, m.
+    /// Solid discs (of glass too), m.
     #[must_use]
     pub fn discs(&self) -> &[Disc] {
         &self.discs

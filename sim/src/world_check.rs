@@ -14,7 +14,7 @@ pub const MAX_SHAPES: usize = 20_000;
 pub const MAX_CORNERS: usize = 1_000;
 /// Most corners of all polygons together.
 pub const MAX_ALL_CORNERS: usize = 200_000;
-/// Most movers, and most places.
+/// Most movers, doors, places and faults, each.
 pub const MAX_MOVERS: usize = 1_000;
 /// Coordinates lie within this, m.
 pub const MAX_COORDINATE: f64 = 100_000.0;

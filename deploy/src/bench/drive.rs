@@ -7,9 +7,12 @@ use std::sync::{Mutex, PoisonError};
 use clap::ValueEnum as _;
 use serde::Serialize;
 use tracing::subscriber::{NoSubscriber, with_default};
+use zenav_protocol::time::Stamp;
+use zenav_sim::Truth;
+use zenav_sim::manners::Manners;
 
 use super::anchors::{self, Anchor, Field};
-use super::suites::{Case, Suite};
+use super::suites::{Case, Suite, score};
 use crate::batch::{median, progress};
 use crate::config::Layers;
 use crate::exit_code;
@@ -20,6 +23,10 @@ use crate::output::{Format, line, table, value};
 
 /// Mean delay from scan to plan, ms.
 const DELAY_MS: f64 = 100.0;
+/// Nobody likes a robot nearer than this: the intimate distance (Hall, "The Hidden Dimension", 1966), m.
+const PERSONAL_SPACE: f64 = 0.45;
+/// Slower than this a robot is at rest, m/s and rad/s.
+const AT_REST: f64 = 0.01;
 
 /// Arguments of `zenav bench drive`.
 #[derive(Debug, clap::Args)]
@@ -30,6 +37,12 @@ pub struct DriveArgs {
     /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     seeds: Option<u64>,
+    /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
+    #[arg(long, value_name = "DIR")]
+    worlds: Option<PathBuf>,
+    /// Standard deviation of the lidar's ranges in S1, cm; its own is the least
+    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds")]
+    noise: f64,
     /// The run of this name only, as the table names it
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
@@ -83,6 +96,17 @@ struct Run {
     recoveries: Option<u64>,
     /// Of zenav: processor time of robot, mapper, mission and motion, s.
     cpu_s: Option<f64>,
+    /// Share of the time with somebody nearer to the outline than 0.45 m, where people make way.
+    close_share: Option<f64>,
+    /// Where a sensor is broken: the run without the fault, and how many times longer this one took, if both arrived.
+    faultless: Option<String>,
+    over_faultless: Option<f64>,
+    /// Where a lidar dies: time from then until the robot is at rest, s.
+    rest_after_s: Option<f64>,
+    /// Of zenav where it is what counts: processor time for each second driven, s/s.
+    cpu_share: Option<f64>,
+    /// As BARN scores, 0 to 0.5.
+    score: Option<f64>,
 }
 
 impl Run {
@@ -114,9 +138,30 @@ struct Row {
     contacts_at_rest: usize,
     /// Median of the reached runs.
     time_over_ideal: Option<f64>,
+    /// Mean.
+    close_share: Option<f64>,
+    /// Median of the runs that were reached with the fault and without it.
+    over_faultless: Option<f64>,
+    /// The longest.
+    rest_after_s: Option<f64>,
+    /// Median.
+    cpu_share: Option<f64>,
+    /// Mean.
+    score: Option<f64>,
     /// Own contacts count most, then goals not reached, then contacts, then time.
     worst: String,
 }
+
+/// A column that only some suites have.
+type Extra = (&'static str, fn(&Row) -> Option<f64>);
+
+const EXTRAS: [Extra; 5] = [
+    ("< 0.45 M", |row| row.close_share),
+    ("/ NO FAULT", |row| row.over_faultless),
+    ("REST S", |row| row.rest_after_s),
+    ("CPU S/S", |row| row.cpu_share),
+    ("SCORE", |row| row.score),
+];
 
 impl Row {
     fn of(runs: &[&Run]) -> Option<Self> {
@@ -126,6 +171,10 @@ impl Row {
             rank(a).cmp(&rank(b)).then(a.ratio().total_cmp(&b.ratio()))
         })?;
         let contacts = |kind| runs.iter().map(|run| run.contacts(kind)).sum();
+        let some = |value: fn(&Run) -> Option<f64>| {
+            let all: Vec<f64> = runs.iter().filter_map(|run| value(run)).collect();
+            (!all.is_empty()).then_some(all)
+        };
         let reached: Vec<f64> = runs.iter().filter(|run| run.reached()).map(|run| run.ratio()).collect();
         Some(Self {
             scenario: first.scenario.clone(),
@@ -140,12 +189,18 @@ impl Row {
             contacts_after_own_motion: contacts(ContactKind::AfterOwnMotion),
             contacts_at_rest: contacts(ContactKind::AtRest),
             time_over_ideal: (!reached.is_empty()).then(|| median(reached)),
+            close_share: some(|run| run.close_share).map(mean),
+            over_faultless: some(|run| run.over_faultless).map(median),
+            rest_after_s: some(|run| run.rest_after_s).map(|all| all.into_iter().fold(0.0, f64::max)),
+            cpu_share: some(|run| run.cpu_share).map(median),
+            score: some(|run| run.score).map(mean),
             worst: worst.name.clone(),
         })
     }
 
-    fn cells(&self) -> Vec<String> {
-        vec![
+    fn cells(&self, extras: &[&Extra]) -> Vec<String> {
+        let ratio = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}"));
+        let mut cells = vec![
             self.scenario.clone(),
             self.driver.name().to_owned(),
             self.runs.to_string(),
@@ -154,10 +209,11 @@ impl Row {
             self.contacts_own.to_string(),
             self.contacts_after_own_motion.to_string(),
             self.contacts_at_rest.to_string(),
-            self.time_over_ideal
-                .map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}")),
-            self.worst.clone(),
-        ]
+            ratio(self.time_over_ideal),
+        ];
+        cells.extend(extras.iter().map(|(_, value)| ratio(value(self))));
+        cells.push(self.worst.clone());
+        cells
     }
 }
 
@@ -176,9 +232,18 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
     let suites = args
         .suite
         .map_or_else(|| Suite::value_variants().to_vec(), |suite| vec![suite]);
+    if !(0.0..=100.0).contains(&args.noise) {
+        return Err(Failure::usage(format!("--noise {}: expected 0 to 100 cm", args.noise)));
+    }
+    if args.suite == Some(Suite::S1) && args.worlds.is_none() {
+        return Err(Failure::usage(
+            "--suite s1: expected --worlds DIR, a folder of BARN's worlds",
+        ));
+    }
+    let barn = args.worlds.as_deref().map(|folder| (folder, 0.01 * args.noise));
     let mut cases = Vec::new();
     for suite in suites {
-        cases.extend(suite.cases(args.seeds)?);
+        cases.extend(suite.cases(args.seeds, barn)?);
     }
     if let Some(only) = &args.only {
         cases.retain(|case| case.name == *only);
@@ -198,7 +263,8 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
     }
     let threads = args.threads.map(usize::from);
     let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let runs = all(&cases, threads)?;
+    let mut runs = all(&cases, threads)?;
+    compare(&mut runs);
     let mut rows: Vec<Row> = Vec::new();
     for run in &runs {
         if !rows
@@ -210,7 +276,9 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
         }
     }
     value(args.output, &Report { rows, runs }, |report| {
-        let header = [
+        let has = |extra: &&Extra| report.rows.iter().any(|row| extra.1(row).is_some());
+        let extras: Vec<&Extra> = EXTRAS.iter().filter(has).collect();
+        let mut header = vec![
             "SCENARIO",
             "DRIVER",
             "RUNS",
@@ -220,11 +288,54 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
             "AFTER OWN",
             "AT REST",
             "TIME/IDEAL",
-            "WORST",
         ];
-        table(&header, &report.rows.iter().map(Row::cells).collect::<Vec<_>>())
+        header.extend(extras.iter().map(|extra| extra.0));
+        header.push("WORST");
+        let rows: Vec<Vec<String>> = report.rows.iter().map(|row| row.cells(&extras)).collect();
+        table(&header, &rows)
     })?;
     Ok(exit_code::OK)
+}
+
+fn mean(values: Vec<f64>) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Compares each run that has a fault with the one without it.
+fn compare(runs: &mut [Run]) {
+    let times: Vec<(String, f64)> = runs
+        .iter()
+        .filter(|run| run.driver == Driver::Zenav && run.reached())
+        .map(|run| (run.name.clone(), run.time_s))
+        .collect();
+    for run in runs.iter_mut().filter(|run| run.reached()) {
+        let faultless = times.iter().find(|(name, _)| Some(name) == run.faultless.as_ref());
+        run.over_faultless = faultless.map(|(_, secs)| run.time_s / secs);
+    }
+}
+
+/// What is seen of a run beside its end.
+#[derive(Default)]
+struct Watch {
+    ticks: u32,
+    close: u32,
+    rest: Option<f64>,
+}
+
+impl Watch {
+    /// After every tick; `blind_from` is when the lidar dies, s.
+    fn see(&mut self, now: Stamp, truth: &Truth, blind_from: Option<f64>) {
+        self.ticks += 1;
+        self.close += u32::from(truth.to_person < PERSONAL_SPACE);
+        let at_rest = truth.twist.v.abs() + truth.twist.w.abs() < AT_REST;
+        let blind_for = blind_from.map(|from| now.as_secs() - from).filter(|secs| *secs >= 0.0);
+        self.rest = self.rest.or(blind_for.filter(|_| at_rest));
+    }
+
+    fn close_share(&self, case: &Case) -> Option<f64> {
+        let people_make_way = case.world.movers().iter().any(|mover| mover.manners != Manners::Blind);
+        people_make_way.then(|| f64::from(self.close) / f64::from(self.ticks.max(1)))
+    }
 }
 
 /// Runs all cases, one a thread; in their order, whoever is done first.
@@ -271,7 +382,8 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
         profile: None,
         timeout: case.timeout,
     };
-    let report = scenario.run(layers, |_, _| {})?;
+    let mut watch = Watch::default();
+    let report = scenario.run(layers, |now, truth| watch.see(now, truth, case.blind_from))?;
     let mut runs = vec![Run {
         scenario: case.scenario.clone(),
         name: case.name.clone(),
@@ -286,9 +398,22 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
         pose_error_m: Some(report.pose_error_m),
         recoveries: Some(report.recoveries),
         cpu_s: report.cpu_s,
+        close_share: watch.close_share(case),
+        faultless: case.faultless.clone(),
+        over_faultless: None,
+        rest_after_s: watch.rest,
+        cpu_share: report.cpu_s.filter(|_| case.is_costed).map(|cpu| cpu / report.time_s),
+        score: case.is_scored.then(|| {
+            let optimal_s = case
+                .optimal
+                .map_or(ideal_s, |metres| metres / case.model.drive.top_speed());
+            let taken = report.time_entered_s.filter(|_| report.collisions == 0);
+            taken.map_or(0.0, |secs| score(optimal_s, secs))
+        }),
     }];
-    for anchor in Anchor::ALL.into_iter().filter(|_| case.anchored) {
-        let driven = anchors::drive(anchor, case, &field)?;
+    for anchor in case.anchors {
+        let mut watch = Watch::default();
+        let driven = anchors::drive(*anchor, case, &field, |now, truth| watch.see(now, truth, None))?;
         let outcome = match () {
             () if driven.referee.own_contact().is_some() => RunOutcome::Collision,
             () if driven.referee.is_reached() => RunOutcome::Reached,
@@ -297,7 +422,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
         runs.push(Run {
             scenario: case.scenario.clone(),
             name: case.name.clone(),
-            driver: Driver::Anchor(anchor),
+            driver: Driver::Anchor(*anchor),
             outcome,
             reason: None,
             time_s: driven.time_s,
@@ -308,6 +433,12 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
             pose_error_m: None,
             recoveries: None,
             cpu_s: None,
+            close_share: watch.close_share(case),
+            faultless: None,
+            over_faultless: None,
+            rest_after_s: None,
+            cpu_share: None,
+            score: None,
         });
     }
     Ok(runs)
@@ -320,10 +451,10 @@ mod tests {
 
     #[test]
     fn a_case_goes_alike_twice_and_anchors_that_know_more_reach_the_goal() {
-        let cases = Suite::S3.cases(Some(1)).unwrap();
+        let cases = Suite::S3.cases(Some(1), None).unwrap();
         let case = cases.iter().find(|case| case.name == "crossing-1-jackal-0").unwrap();
         let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
-        let drive = |anchor| anchors::drive(anchor, case, &field).unwrap();
+        let drive = |anchor| anchors::drive(anchor, case, &field, |_, _| {}).unwrap();
         let (first, second) = (drive(Anchor::AllKnowing), drive(Anchor::AllKnowing));
         assert_eq!(first.truth, second.truth);
         assert!(first.referee.is_reached() && first.referee.contacts().is_empty());

@@ -30,11 +30,13 @@ use crate::avoidance::{Ahead, Avoidance};
 use crate::collision_monitor::CollisionMonitor;
 use crate::config::EdgeConfig;
 use crate::control_io::{Inbox, Outbox, Persisted};
+use crate::encoder_watch::EncoderWatch;
 use crate::estimator::Estimator;
 use crate::event_log::EventLog;
 use crate::limiter::{Braking, Limiter};
 use crate::local_obstacles::LocalObstacles;
 use crate::loop_timing::LoopTiming;
+use crate::lost_beams::LostBeams;
 use crate::maneuvers::Maneuvers;
 use crate::return_home::ReturnHome;
 use crate::telemetry::Telemetry;
@@ -67,6 +69,8 @@ pub struct Pilot {
     return_home: ReturnHome,
     limiter: Limiter,
     wheel_coordination: WheelCoordination,
+    encoder_watch: EncoderWatch,
+    lost_beams: LostBeams,
     dead_man: DeadMan,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
@@ -104,6 +108,8 @@ impl Pilot {
             return_home: ReturnHome::new(&settings.return_home),
             limiter: Limiter::new(&model.drive),
             wheel_coordination: WheelCoordination::new(&model.drive),
+            encoder_watch: EncoderWatch::new(model),
+            lost_beams: LostBeams::default(),
             dead_man: DeadMan::new(settings.teleop.dead_man),
             telemetry: Telemetry::new(&settings.telemetry),
             newest: None,
@@ -133,6 +139,14 @@ impl Pilot {
         if readings.bump.pressed || gap >= SILENT_TICKS * self.config.tick {
             self.wheel_coordination.reset();
         }
+        let wheels = self
+            .encoder_watch
+            .angles(readings, self.wheel_coordination.speed(), gap.min(LONGEST_TICK));
+        let guessed = (wheels != readings.wheels).then(|| Readings {
+            wheels,
+            ..readings.clone()
+        });
+        let readings = guessed.as_ref().unwrap_or(readings);
         self.missed_ticks = inbox.missed_ticks;
         if let Some(late) = inbox.late {
             self.loop_timing.record(late);
@@ -210,6 +224,8 @@ impl Pilot {
             Mode::Behaviour | Mode::Follow => self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
             _ => self.gains.blind_speed,
         };
+        self.collision_monitor.encoders_silent =
+            self.encoder_watch.silence() > self.config.settings.estimator.encoder_timeout;
         let verdict = self.collision_monitor.judge(
             now,
             limited,

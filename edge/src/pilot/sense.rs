@@ -29,6 +29,11 @@ impl Pilot {
         }
         self.telemetry.sensors(readings, &self.estimator, out);
         for sweep in &readings.sweeps {
+            let lidar = self.config.model.all_lidars().find(|(name, _)| *name == sweep.lidar);
+            let Some((_, lidar)) = lidar else {
+                continue;
+            };
+            let sweep = &*self.lost_beams.mend(sweep, lidar);
             if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
                 && self.obstacles.insert(sweep, odom_from_base)
             {

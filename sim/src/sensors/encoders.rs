@@ -9,6 +9,7 @@ use super::random::gauss;
 use super::timing::{Delay, Schedule, is_lost};
 use super::{Moment, Sensor, stepped};
 use crate::chassis::Moved;
+use crate::faults::Fault;
 
 /// Wheel encoders: each turn is measured with a share of error, the sum is rounded to the resolution.
 #[derive(Clone, Debug)]
@@ -36,18 +37,19 @@ impl Encoders {
     }
 
     /// Adds a true turn of both wheels, rad.
-    pub fn turn(&mut self, wheels: [f64; 2]) {
+    pub fn turn(&mut self, wheels: [f64; 2], fault: &Fault) {
+        let noise = fault.noise(self.model.noise);
         for (measured, turn) in self.measured.iter_mut().zip(wheels) {
-            *measured += turn * (1.0 + gauss(&mut self.rng, self.model.noise));
+            *measured += turn * (1.0 + gauss(&mut self.rng, noise));
         }
     }
 
     /// Measured angles since start (left, right; rad), as far as they have arrived.
-    pub fn read(&mut self, now: Stamp) -> [f64; 2] {
+    pub fn read(&mut self, now: Stamp, fault: &Fault) -> [f64; 2] {
         let due = self.schedule.as_mut().is_none_or(|schedule| schedule.due(now));
-        let read = (due && !is_lost(&mut self.rng, self.model.dropout))
+        let read = (due && !is_lost(&mut self.rng, self.model.dropout, fault))
             .then(|| self.measured.map(|angle| stepped(angle, self.model.resolution)));
-        if let Some(angles) = self.delay.pass(now, read) {
+        if let Some(angles) = self.delay.pass(now, read, fault.late) {
             self.told = angles;
         }
         self.told
@@ -55,12 +57,12 @@ impl Encoders {
 }
 
 impl Sensor for Encoders {
-    fn moved(&mut self, moved: &Moved) {
-        self.turn(moved.wheels);
+    fn moved(&mut self, moved: &Moved, fault: &Fault) {
+        self.turn(moved.wheels, fault);
     }
 
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings) {
-        readings.wheels = self.read(moment.now);
+        readings.wheels = self.read(moment.now, &moment.fault);
     }
 }
 
@@ -86,9 +88,9 @@ mod tests {
             rng(),
         );
         for _ in 0..10_000 {
-            encoders.turn([0.01, -0.02]);
+            encoders.turn([0.01, -0.02], &Fault::default());
         }
-        let [left, right] = encoders.read(Stamp::ZERO);
+        let [left, right] = encoders.read(Stamp::ZERO, &Fault::default());
         assert!(
             (left - 100.0).abs() < 0.02 && (right + 200.0).abs() < 0.04,
             "{left} {right}"
@@ -110,8 +112,8 @@ mod tests {
         );
         let told: Vec<f64> = (0..13)
             .map(|tick| {
-                let angles = encoders.read(Stamp(tick * 20_000_000));
-                encoders.turn([0.1, 0.1]);
+                let angles = encoders.read(Stamp(tick * 20_000_000), &Fault::default());
+                encoders.turn([0.1, 0.1], &Fault::default());
                 angles[0]
             })
             .collect();
@@ -133,8 +135,8 @@ mod tests {
         let mut encoders = Encoders::new(model, rng());
         let (mut lost, mut last) = (0, 0.0);
         for tick in 1..=1000 {
-            encoders.turn([0.1, 0.1]);
-            let [told, _] = encoders.read(Stamp(tick * 20_000_000));
+            encoders.turn([0.1, 0.1], &Fault::default());
+            let [told, _] = encoders.read(Stamp(tick * 20_000_000), &Fault::default());
             if told == last {
                 lost += 1;
             } else {

@@ -9,6 +9,7 @@ use zenav_protocol::time::Stamp;
 use super::random::gauss;
 use super::timing::{Delay, Schedule, is_lost};
 use super::{Moment, Sensor, Simulate, stepped};
+use crate::faults::Fault;
 
 /// GPS or beacons.
 #[derive(Clone, Debug)]
@@ -32,18 +33,19 @@ impl GpsReceiver {
     }
 
     /// A reading, when one arrives.
-    pub fn read(&mut self, now: Stamp, truth: Pose2) -> Option<Gps> {
-        let measured = self.measure(now, truth);
-        self.delay.pass(now, measured)
+    pub fn read(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Gps> {
+        let measured = self.measure(now, truth, fault);
+        self.delay.pass(now, measured, fault.late)
     }
 
-    fn measure(&mut self, now: Stamp, truth: Pose2) -> Option<Gps> {
-        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout) {
+    fn measure(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Gps> {
+        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout, fault) {
             return None;
         }
         let [bias_x, bias_y] = self.model.bias;
-        let x = truth.x + bias_x + gauss(&mut self.rng, self.model.noise);
-        let y = truth.y + bias_y + gauss(&mut self.rng, self.model.noise);
+        let noise = fault.noise(self.model.noise);
+        let x = truth.x + bias_x + gauss(&mut self.rng, noise);
+        let y = truth.y + bias_y + gauss(&mut self.rng, noise);
         Some(Gps {
             stamp: now,
             x: stepped(x, self.model.resolution),
@@ -61,7 +63,7 @@ impl Simulate for GpsModel {
 
 impl Sensor for GpsReceiver {
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings) {
-        readings.gps = self.read(moment.now, moment.map_from_base());
+        readings.gps = self.read(moment.now, moment.map_from_base(), &moment.fault);
     }
 }
 
@@ -92,7 +94,10 @@ mod tests {
         let mut readings = Vec::new();
         for tick in 0..10_000 {
             let now = Stamp(tick * 20_000_000);
-            readings.extend(gps.read(now, Pose2::new(0.3, 0.1, 0.0)).map(|gps| (now, gps)));
+            readings.extend(
+                gps.read(now, Pose2::new(0.3, 0.1, 0.0), &Fault::default())
+                    .map(|gps| (now, gps)),
+            );
         }
         // Ten a second for 200 s, three of ten lost; 0.15 s are eight steps of 20 ms.
         assert!((1300..1500).contains(&readings.len()), "{}", readings.len());

@@ -10,6 +10,7 @@ use super::random::gauss;
 use super::timing::{Delay, Schedule, is_lost};
 use super::{Moment, Sensor, stepped};
 use crate::chassis::Moved;
+use crate::faults::Fault;
 
 /// Gyro and compass. The gyro integrates: it reports the mean yaw rate since its last reading.
 #[derive(Clone, Debug)]
@@ -42,20 +43,24 @@ impl InertialUnit {
     }
 
     /// A reading, when one arrives.
-    pub fn read(&mut self, now: Stamp, truth: Pose2) -> Option<Imu> {
-        let measured = self.measure(now, truth);
-        self.delay.pass(now, measured)
+    pub fn read(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Imu> {
+        let measured = self.measure(now, truth, fault);
+        self.delay.pass(now, measured, fault.late)
     }
 
-    fn measure(&mut self, now: Stamp, truth: Pose2) -> Option<Imu> {
-        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout) {
+    fn measure(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Imu> {
+        if fault.is_dead {
+            // It does not know what it missed.
+            (self.turned, self.last) = (0.0, now);
+        }
+        if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout, fault) {
             return None;
         }
         let secs = now.secs_since(self.last);
         let rate = if secs > 0.0 { self.turned / secs } else { 0.0 };
         self.turned = 0.0;
         self.last = now;
-        let yaw_rate = rate + self.model.gyro_bias + gauss(&mut self.rng, self.model.gyro_noise);
+        let yaw_rate = rate + self.model.gyro_bias + gauss(&mut self.rng, fault.noise(self.model.gyro_noise));
         let yaw_rate = stepped(yaw_rate, self.model.resolution);
         let yaw = self
             .model
@@ -70,12 +75,12 @@ impl InertialUnit {
 }
 
 impl Sensor for InertialUnit {
-    fn moved(&mut self, moved: &Moved) {
+    fn moved(&mut self, moved: &Moved, _fault: &Fault) {
         self.turn(moved.turn);
     }
 
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings) {
-        readings.imu = self.read(moment.now, moment.map_from_base());
+        readings.imu = self.read(moment.now, moment.map_from_base(), &moment.fault);
     }
 }
 
@@ -103,7 +108,7 @@ mod tests {
         );
         let mut readings = Vec::new();
         for tick in 0..10_000 {
-            readings.extend(imu.read(Stamp(tick * 20_000_000), Pose2::IDENTITY));
+            readings.extend(imu.read(Stamp(tick * 20_000_000), Pose2::IDENTITY, &Fault::default()));
             imu.turn(0.02 * 0.5);
         }
         assert!(readings.iter().all(|imu| imu.yaw.is_none()));

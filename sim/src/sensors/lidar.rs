@@ -39,8 +39,13 @@ impl Lidar {
         self.buffer.begin(moment.map_from_base() * self.model.mount);
         self.buffer.scene(moment.around.scene);
         self.buffer.crowd(moment.around.crowd, moment.around.own);
-        let mut ranges = Vec::with_capacity(self.model.beams);
-        measure(&self.model, self.buffer.ranges(), &mut self.rng, &mut ranges);
+        let model = LidarModel {
+            noise: moment.fault.noise(self.model.noise),
+            dropout: moment.fault.dropout(self.model.dropout),
+            ..self.model.clone()
+        };
+        let mut ranges = Vec::with_capacity(model.beams);
+        measure(&model, self.buffer.ranges(), &mut self.rng, &mut ranges);
         Sweep {
             lidar: self.name.clone(),
             stamp: moment.now,
@@ -51,8 +56,11 @@ impl Lidar {
 
 impl Sensor for Lidar {
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings) {
-        let swept = self.schedule.due(moment.now).then(|| self.sweep(moment));
-        readings.sweeps.extend(self.delay.pass(moment.now, swept));
+        let due = self.schedule.due(moment.now) && !moment.fault.is_dead;
+        let swept = due.then(|| self.sweep(moment));
+        readings
+            .sweeps
+            .extend(self.delay.pass(moment.now, swept, moment.fault.late));
     }
 }
 

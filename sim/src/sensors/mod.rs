@@ -21,6 +21,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::chassis::{Chassis, Moved, Surroundings};
+use crate::faults::{Fault, FaultModel};
 use random::{Stream, stream};
 
 /// A moment, as a sensor meets it: everybody has moved.
@@ -32,6 +33,8 @@ pub struct Moment<'a> {
     pub chassis: &'a Chassis,
     /// Everything else.
     pub around: Surroundings<'a>,
+    /// What is wrong with this sensor now.
+    pub fault: Fault,
 }
 
 impl Moment<'_> {
@@ -45,7 +48,7 @@ impl Moment<'_> {
 /// A sensor of a robot.
 pub trait Sensor: Debug + Send + Sync + CloneSensor {
     /// The robot has moved, since the last call.
-    fn moved(&mut self, _moved: &Moved) {}
+    fn moved(&mut self, _moved: &Moved, _fault: &Fault) {}
 
     /// Measures what is due, and writes what arrives now into the readings.
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings);
@@ -80,11 +83,11 @@ macro_rules! simulated {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         $(pub mod $kind;)*
 
-        fn of_kinds(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
+        fn of_kinds(id: &Id, model: &RobotModel, seed: u64) -> Vec<(&'static str, Box<dyn Sensor>)> {
             let mut sensors = Vec::new();
             $(
                 let rng = || stream(seed, id, Stream::Kind(stringify!($kind)));
-                sensors.extend(model.$kind.as_ref().map(|model| model.simulate(rng())));
+                sensors.extend(model.$kind.as_ref().map(|model| (stringify!($kind), model.simulate(rng()))));
             )*
             sensors
         }
@@ -93,23 +96,68 @@ macro_rules! simulated {
 
 zenav_protocol::sensor_kinds!(simulated []);
 
-/// All sensors of a robot.
+/// A sensor on a robot, with its faults.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    name: String,
+    faults: Vec<FaultModel>,
+    sensor: Box<dyn Sensor>,
+}
+
+impl Fitted {
+    /// What faults call it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The robot has moved; see [`Sensor::moved`].
+    pub fn moved(&mut self, moved: &Moved, now: Stamp) {
+        self.sensor.moved(moved, &Fault::at(&self.faults, now));
+    }
+
+    /// Measures what is due; see [`Sensor::sense`].
+    pub fn sense(&mut self, now: Stamp, chassis: &Chassis, around: Surroundings<'_>, readings: &mut Readings) {
+        let fault = Fault::at(&self.faults, now);
+        let moment = Moment {
+            now,
+            chassis,
+            around,
+            fault,
+        };
+        self.sensor.sense(&moment, readings);
+    }
+}
+
+/// All sensors of a robot, each with those of the world's faults that are its own.
 #[must_use]
-pub fn sensors(id: &Id, model: &RobotModel, seed: u64) -> Vec<Box<dyn Sensor>> {
+pub fn sensors(id: &Id, model: &RobotModel, seed: u64, faults: &[FaultModel]) -> Vec<Fitted> {
     let stream = |source| stream(seed, id, source);
-    let mut sensors: Vec<Box<dyn Sensor>> = vec![
-        Box::new(encoders::Encoders::new(
-            model.encoders.clone(),
-            stream(Stream::Encoders),
-        )),
-        Box::new(imu::InertialUnit::new(model.imu.clone(), stream(Stream::Imu))),
-        Box::new(bump::Bumper),
-        Box::new(battery::BatteryGauge(model.battery.clone())),
+    let fitted = |name: &str, sensor: Box<dyn Sensor>| {
+        let own = |fault: &&FaultModel| fault.sensor == name && fault.robot.as_ref().is_none_or(|robot| robot == id);
+        Fitted {
+            name: name.to_owned(),
+            faults: faults.iter().filter(own).cloned().collect(),
+            sensor,
+        }
+    };
+    let encoders = encoders::Encoders::new(model.encoders.clone(), stream(Stream::Encoders));
+    let imu = imu::InertialUnit::new(model.imu.clone(), stream(Stream::Imu));
+    let mut sensors = vec![
+        fitted("encoders", Box::new(encoders)),
+        fitted("imu", Box::new(imu)),
+        fitted("bump", Box::new(bump::Bumper)),
+        fitted("battery", Box::new(battery::BatteryGauge(model.battery.clone()))),
     ];
-    sensors.extend(of_kinds(id, model, seed));
+    sensors.extend(
+        of_kinds(id, model, seed)
+            .into_iter()
+            .map(|(kind, sensor)| fitted(kind, sensor)),
+    );
     for (index, (name, lidar)) in model.all_lidars().enumerate() {
         let source = if index == 0 { Stream::Lidar } else { Stream::Named(name) };
-        sensors.push(Box::new(lidar::Lidar::new(name, lidar.clone(), stream(source))));
+        let lidar = lidar::Lidar::new(name, lidar.clone(), stream(source));
+        sensors.push(fitted(name, Box::new(lidar)));
     }
     sensors
 }

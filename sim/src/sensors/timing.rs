@@ -6,9 +6,12 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::time::Stamp;
 
+use crate::faults::Fault;
+
 /// Whether a reading is lost. A sensor that loses none draws nothing.
-pub(super) fn is_lost(rng: &mut Pcg64Mcg, dropout: f64) -> bool {
-    dropout > 0.0 && rng.random::<f64>() < dropout
+pub(super) fn is_lost(rng: &mut Pcg64Mcg, dropout: f64, fault: &Fault) -> bool {
+    let dropout = fault.dropout(dropout);
+    fault.is_dead || (dropout > 0.0 && rng.random::<f64>() < dropout)
 }
 
 /// Readings on their way.
@@ -28,13 +31,15 @@ impl<T> Delay<T> {
         }
     }
 
-    /// Sends what was measured now; returns what arrives now, of several the latest.
-    pub fn pass(&mut self, now: Stamp, reading: Option<T>) -> Option<T> {
-        if self.latency <= 0.0 {
+    /// Sends what was measured now, with a further delay of `late` seconds; returns what arrives now, of several the latest. Nothing
+    /// overtakes what was sent before it.
+    pub fn pass(&mut self, now: Stamp, reading: Option<T>, late: f64) -> Option<T> {
+        let latency = self.latency + late;
+        if latency <= 0.0 && self.waiting.is_empty() {
             return reading;
         }
         if let Some(reading) = reading {
-            self.waiting.push_back((now.plus_secs(self.latency), reading));
+            self.waiting.push_back((now.plus_secs(latency), reading));
         }
         let mut arrived = None;
         while self.waiting.front().is_some_and(|(due, _)| *due <= now) {

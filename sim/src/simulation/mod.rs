@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use parry2d_f64::query::PointQuery as _;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -24,6 +24,8 @@ use crate::bridge;
 use crate::chassis::{CONTACT, Surroundings, Truth};
 use crate::clearance::Placed;
 use crate::crowd::Crowd;
+use crate::faults::FaultModel;
+use crate::manners::{Neighbour, SIGHT};
 use crate::movers::Mover;
 use crate::scene::Scene;
 use crate::sensors::random::mover_stream;
@@ -38,7 +40,10 @@ pub const TICK: Duration = Duration::from_millis(20);
 #[derive(Clone)]
 pub struct Simulation {
     scene: Arc<Scene>,
+    faults: Vec<FaultModel>,
     movers: Vec<Mover>,
+    /// Of the movers, m/s.
+    velocities: Vec<Vector2<f64>>,
     bodies: Vec<Body>,
     /// Movers first, then robots.
     crowd: Crowd,
@@ -73,6 +78,8 @@ impl Simulation {
             .unzip();
         let mut simulation = Self {
             scene: world.shared_scene(),
+            faults: world.faults().to_vec(),
+            velocities: vec![Vector2::zeros(); movers.len()],
             movers,
             bodies: Vec::with_capacity(robots.len()),
             crowd: Crowd::new(solids),
@@ -87,6 +94,7 @@ impl Simulation {
         for robot in robots {
             simulation.place(world, robot)?;
         }
+        simulation.check_faults()?;
         simulation.sense();
         Ok(simulation)
     }
@@ -152,9 +160,22 @@ impl Simulation {
             });
         }
         self.crowd.push(Solid::new(Shape::from(&model.footprint), start));
-        self.bodies.push(Body::new(&id, model, start, self.seed));
+        let body = Body::new(&id, model, start, self.seed, &self.faults);
+        for fault in self.faults.iter().filter(|fault| fault.robot.as_ref() == Some(&id)) {
+            faulty(fault, [&body])?;
+        }
+        self.bodies.push(body);
         self.ids.insert(id, index);
         Ok(index)
+    }
+
+    /// Whether each fault that is everybody's is at least somebody's; without robots there is nobody to ask.
+    fn check_faults(&self) -> Result<(), SimError> {
+        let mut common = self.faults.iter().filter(|fault| fault.robot.is_none());
+        match self.bodies.len() {
+            0 => Ok(()),
+            _ => common.try_for_each(|fault| faulty(fault, &self.bodies)),
+        }
     }
 
     /// Simulated time since the beginning.
@@ -216,6 +237,7 @@ impl Simulation {
         let Self {
             scene,
             movers,
+            velocities,
             bodies,
             crowd,
             ..
@@ -242,7 +264,16 @@ impl Simulation {
                     distance <= 0.5 * CONTACT && distance < *before
                 })
             };
-            crowd.change(index, |solid| mover.step(secs, scene, solid, blocked));
+            let before = solid.center();
+            if mover.makes_way() {
+                let others = neighbours(crowd, velocities, bodies, index);
+                crowd.change(index, |solid| mover.make_way(secs, scene, solid, &others, blocked));
+            } else {
+                crowd.change(index, |solid| mover.step(secs, scene, solid, blocked));
+            }
+            if let (Some(velocity), Some(solid)) = (velocities.get_mut(index), crowd.solids().get(index)) {
+                *velocity = (solid.center() - before) / secs;
+            }
         }
         farthest
     }
@@ -257,6 +288,8 @@ impl Simulation {
         } = self;
         crowd.refresh();
         for (index, body) in bodies.iter_mut().enumerate() {
+            body.chassis
+                .meet(crowd, |index, solid| index < movers.len() && solid.disc().is_some());
             body.sense(
                 Surroundings {
                     scene,
@@ -323,4 +356,44 @@ impl Simulation {
         };
         around.clearance(&Placed::footprint(footprint, map_from_base))
     }
+}
+
+/// Refuses a fault of a sensor that none of these robots has.
+fn faulty<'a>(fault: &FaultModel, bodies: impl IntoIterator<Item = &'a Body>) -> Result<(), SimError> {
+    let mut known = Vec::new();
+    for body in bodies {
+        if body.sensors().any(|sensor| sensor == fault.sensor) {
+            return Ok(());
+        }
+        known.extend(body.sensors());
+    }
+    known.sort_unstable();
+    known.dedup();
+    Err(SimError::Fault {
+        sensor: fault.sensor.clone(),
+        known: known.join(", "),
+    })
+}
+
+/// Everybody near a mover, seen from it.
+fn neighbours(crowd: &Crowd, velocities: &[Vector2<f64>], bodies: &[Body], own: usize) -> Vec<Neighbour> {
+    let mut others = Vec::new();
+    let Some(center) = crowd.solids().get(own).map(Solid::center) else {
+        return others;
+    };
+    crowd.near(center, SIGHT, |index, solid| {
+        let robot = || {
+            let truth = bodies.get(index.checked_sub(velocities.len())?)?.chassis.truth();
+            let (sin, cos) = truth.map_from_base.yaw.sin_cos();
+            Some(Vector2::new(cos, sin) * truth.twist.v)
+        };
+        if let Some(velocity) = velocities.get(index).copied().or_else(robot).filter(|_| index != own) {
+            others.push(Neighbour {
+                offset: solid.center() - center,
+                velocity,
+                radius: solid.reach(),
+            });
+        }
+    });
+    others
 }

@@ -57,6 +57,14 @@ pub enum SimError {
         /// m.
         y: f64,
     },
+    /// A fault of the world is one of a sensor that no robot has.
+    #[error("a fault of sensor `{sensor}`: there are {known}")]
+    Fault {
+        /// The sensor.
+        sensor: String,
+        /// The sensors that there are.
+        known: String,
+    },
     /// More robots than a world holds.
     #[error("{0} robots: expected at most {MAX_ROBOTS}")]
     TooMany(usize),

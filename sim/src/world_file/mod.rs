@@ -1,5 +1,6 @@
 //! How is a world written down? TOML in metres and radians; whatever is wrong is named with file, line and key.
 
+mod faults;
 mod moving;
 mod tables;
 #[cfg(test)]
@@ -13,7 +14,7 @@ use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
 
 use crate::shape::Disc;
-use crate::world::{Parts, Place, within};
+use crate::world::{Parts, Place, Solids, within};
 use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVERS, MAX_SHAPES, Source, WorldError};
 use tables::{CircleTable, PlaceTable, StartTable, WallTable, WorldFile};
 
@@ -39,6 +40,7 @@ pub(crate) fn read(
         (world.mover.len(), MAX_MOVERS, "mover"),
         (world.door.len(), MAX_MOVERS, "door"),
         (world.place.len(), MAX_MOVERS, "place"),
+        (world.fault.len(), MAX_MOVERS, "fault"),
         (
             world.polygon.iter().map(|polygon| polygon.points.get_ref().len()).sum(),
             MAX_ALL_CORNERS,
@@ -88,18 +90,25 @@ pub(crate) fn read(
             Pose2::new(x, y, yaw)
         }
     };
-    let mut polygons = Vec::with_capacity(world.polygon.len() + world.wall.len());
+    let (mut seen, mut glass) = (Solids::default(), Solids::default());
     for polygon in &world.polygon {
-        polygons.push(source.polygon(&polygon.points, "polygon.points")?);
+        let solids = if polygon.glass { &mut glass } else { &mut seen };
+        solids.polygons.push(source.polygon(&polygon.points, "polygon.points")?);
     }
     for wall in &world.wall {
-        polygons.push(self::wall(source, wall)?);
+        let solids = if wall.get_ref().glass { &mut glass } else { &mut seen };
+        solids.polygons.push(self::wall(source, wall)?);
     }
-    let mut discs = Vec::with_capacity(world.circle.len());
     for circle in &world.circle {
-        let CircleTable { x, y, radius } = circle.get_ref();
+        let CircleTable {
+            x,
+            y,
+            radius,
+            glass: is_glass,
+        } = circle.get_ref();
         source.coordinates(circle.span(), "circle", &[*x, *y])?;
-        discs.push(Disc {
+        let solids = if *is_glass { &mut glass } else { &mut seen };
+        solids.discs.push(Disc {
             center: Point2::new(*x, *y),
             radius: source.positive(radius, "circle.radius")?,
         });
@@ -110,17 +119,18 @@ pub(crate) fn read(
         .map(|mover| moving::mover(source, mover))
         .chain(world.door.iter().map(|door| moving::door(source, door)))
         .collect::<Result<_, _>>()?;
-    let places = places(source, &world.place)?;
+    let faults = world.fault.iter().map(|fault| faults::fault(source, fault));
     Ok(Parts {
         name,
         low,
         high,
         start,
-        polygons,
-        discs,
+        seen,
+        glass,
         map,
         movers,
-        places,
+        faults: faults.collect::<Result<_, _>>()?,
+        places: places(source, &world.place)?,
     })
 }
 
@@ -160,7 +170,9 @@ fn bounds(
 
 /// A wall is a rectangle around the line between its ends.
 fn wall(source: Source<'_>, wall: &Spanned<WallTable>) -> Result<Vec<Point2<f64>>, WorldError> {
-    let WallTable { from, to, thickness } = wall.get_ref();
+    let WallTable {
+        from, to, thickness, ..
+    } = wall.get_ref();
     source.coordinates(wall.span(), "wall.from", &from.0)?;
     source.coordinates(to.span(), "wall.to", &to.get_ref().0)?;
     let half = 0.5 * source.positive(thickness, "wall.thickness")?;

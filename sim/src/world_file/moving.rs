@@ -5,6 +5,7 @@ use toml::Spanned;
 use zenav_protocol::config_text::{Number, Pair};
 
 use super::tables::{DoorTable, MoverTable};
+use crate::manners::Manners;
 use crate::movers::{MoverModel, Route};
 use crate::shape::Shape;
 use crate::world_check::{MAX_MOVER_SPEED, MAX_REST, Source, WorldError};
@@ -19,6 +20,7 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
         walk,
         start,
         speed,
+        manners,
     } = mover.get_ref();
     let shape = match (radius, polygon) {
         (Some(radius), None) => Shape::Disc(source.positive(radius, "mover.radius")?),
@@ -54,10 +56,14 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
             format!("{}: expected 0 to {MAX_MOVER_SPEED}", Number(metres_per_second)),
         );
     }
+    if let (Shape::Polygon(_), Some(manners)) = (&shape, manners) {
+        return source.fail(manners.span(), "mover.manners", "expected with `radius` only");
+    }
     Ok(MoverModel {
         shape,
         route,
         speed: metres_per_second,
+        manners: manners.as_ref().map_or(Manners::Blind, |manners| *manners.get_ref()),
     })
 }
 
@@ -144,5 +150,6 @@ pub(super) fn door(source: Source<'_>, door: &Spanned<DoorTable>) -> Result<Move
         shape: Shape::Polygon(corners.map(|corner| Point2::from(corner - middle)).to_vec()),
         route: Route::Path(path),
         speed,
+        manners: Manners::Blind,
     })
 }

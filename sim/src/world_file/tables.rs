@@ -4,6 +4,8 @@ use serde::Deserialize;
 use toml::Spanned;
 use zenav_protocol::config_text::Pair;
 
+use crate::manners::Manners;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WorldFile {
@@ -22,6 +24,8 @@ pub(super) struct WorldFile {
     pub(super) mover: Vec<Spanned<MoverTable>>,
     #[serde(default)]
     pub(super) door: Vec<Spanned<DoorTable>>,
+    #[serde(default)]
+    pub(super) fault: Vec<Spanned<FaultTable>>,
     #[serde(default)]
     pub(super) place: Vec<Spanned<PlaceTable>>,
 }
@@ -45,6 +49,8 @@ pub(super) struct MapTable {
 #[serde(deny_unknown_fields)]
 pub(super) struct PolygonTable {
     pub(super) points: Spanned<Vec<Pair>>,
+    #[serde(default)]
+    pub(super) glass: bool,
 }
 
 #[derive(Deserialize)]
@@ -53,6 +59,8 @@ pub(super) struct CircleTable {
     pub(super) x: f64,
     pub(super) y: f64,
     pub(super) radius: Spanned<f64>,
+    #[serde(default)]
+    pub(super) glass: bool,
 }
 
 #[derive(Deserialize)]
@@ -61,6 +69,8 @@ pub(super) struct WallTable {
     pub(super) from: Pair,
     pub(super) to: Spanned<Pair>,
     pub(super) thickness: Spanned<f64>,
+    #[serde(default)]
+    pub(super) glass: bool,
 }
 
 #[derive(Deserialize)]
@@ -73,6 +83,7 @@ pub(super) struct MoverTable {
     pub(super) walk: Option<Spanned<Vec<Pair>>>,
     pub(super) start: Option<Spanned<Pair>>,
     pub(super) speed: Spanned<f64>,
+    pub(super) manners: Option<Spanned<Manners>>,
 }
 
 #[derive(Deserialize)]
@@ -92,6 +103,33 @@ pub(super) struct DoorTable {
 /// Time that a door takes to slide where its table does not say, s.
 fn slide_secs() -> Spanned<f64> {
     Spanned::new(0..0, 2.0)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FaultTable {
+    pub(super) robot: Option<Spanned<String>>,
+    pub(super) sensor: Spanned<String>,
+    pub(super) kind: FaultName,
+    pub(super) amount: Option<Spanned<f64>>,
+    #[serde(default = "at_once")]
+    pub(super) from: Spanned<f64>,
+    pub(super) until: Option<Spanned<f64>>,
+}
+
+/// What is wrong, by name.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum FaultName {
+    Dead,
+    Lost,
+    Late,
+    Noisy,
+}
+
+/// A fault begins at time zero where its table does not say, s.
+fn at_once() -> Spanned<f64> {
+    Spanned::new(0..0, 0.0)
 }
 
 #[derive(Deserialize)]

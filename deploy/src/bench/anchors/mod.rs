@@ -14,6 +14,7 @@ use nalgebra::{Point2, Vector2};
 use serde::Serialize;
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
+use zenav_protocol::time::Stamp;
 use zenav_sim::movers::MoverModel;
 use zenav_sim::shape::Shape;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
@@ -50,6 +51,8 @@ pub(super) enum Anchor {
 
 impl Anchor {
     pub(super) const ALL: [Self; 3] = [Self::Standing, Self::ConstantVelocity, Self::AllKnowing];
+    /// Nobody knows the future of people who react to whoever drives.
+    pub(super) const OF_PEOPLE_WHO_REACT: [Self; 2] = [Self::Standing, Self::ConstantVelocity];
 }
 
 /// A disc that moves: where it is, how fast it goes, its radius.
@@ -98,11 +101,16 @@ impl Replay {
     }
 }
 
-/// Drives a case to its end.
+/// Drives a case to its end; `see` is told the truth after every tick.
 ///
 /// # Errors
 /// A robot that cannot start where the world says.
-pub(super) fn drive(anchor: Anchor, case: &Case, field: &Field) -> Result<Driven, Failure> {
+pub(super) fn drive(
+    anchor: Anchor,
+    case: &Case,
+    field: &Field,
+    mut see: impl FnMut(Stamp, &Truth),
+) -> Result<Driven, Failure> {
     let model = &case.model;
     let tolerance = case.tolerance.unwrap_or(TOLERANCE);
     let mut referee = Referee::new(case.goal, tolerance, model.footprint.circumscribed_radius());
@@ -165,6 +173,7 @@ pub(super) fn drive(anchor: Anchor, case: &Case, field: &Field) -> Result<Driven
         simulation.step();
         tick += 1;
         let truth = simulation.truth(0);
+        see(simulation.now(), &truth);
         referee.watch(simulation.now(), &truth);
         let time_s = simulation.now().as_secs();
         if referee.is_reached() || time_s >= case.timeout {

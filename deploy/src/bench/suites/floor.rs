@@ -80,6 +80,19 @@ impl Floor {
         self
     }
 
+    /// A fault of a sensor, by the keys of its table.
+    pub(super) fn fault(mut self, keys: &str) -> Self {
+        let _ = writeln!(self.things, "[[fault]]\n{keys}");
+        self
+    }
+
+    /// A person who makes way, on a path with rests, s.
+    pub(super) fn person(self, manners: &str, speed: f64, path: &[([f64; 2], f64)]) -> Self {
+        let mut floor = self.mover(PERSON, speed, path);
+        let _ = writeln!(floor.things, "manners = \"{manners}\"");
+        floor
+    }
+
     /// The world file.
     pub(super) fn text(&self, name: &str) -> String {
         let [w, h] = self.size.map(|side| side + 2.0 * WALL);

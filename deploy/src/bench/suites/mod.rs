@@ -2,15 +2,23 @@
 //!
 //! | file | answers |
 //! |---|---|
+//! | `barn` | which worlds does a folder of BARN hold? (S1) |
 //! | `floor` | how is a world put together? |
-//! | `people` | who walks about? (S2, S3) |
+//! | `people` | who walks about? (S2, S3, S4) |
 //! | `places` | how tight and how crooked is it? (S5, S6) |
 //! | `patience` | who leaves again? (S7) |
+//! | `broken` | which sensor is broken? (S9) |
+//! | `cost` | what does a long way cost? (S12) |
 
+mod barn;
+mod broken;
+mod cost;
 mod floor;
 mod patience;
 mod people;
 mod places;
+
+use std::path::Path;
 
 use clap::ValueEnum;
 use nalgebra::Point2;
@@ -19,8 +27,10 @@ use rand_pcg::Pcg64Mcg;
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
 
+use super::anchors::Anchor;
 use crate::failure::Failure;
 use crate::files;
+pub(super) use barn::score;
 use floor::Floor;
 
 /// All robots that a suite is driven with, unless it says otherwise.
@@ -31,30 +41,46 @@ const TIME: [f64; 2] = [60.0, 6.0];
 /// A suite of the benchmark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Suite {
+    /// The worlds of BARN in a folder: `--worlds DIR`
+    S1,
     /// Open field among discs on random polylines
     S2,
     /// Blind walkers: crowds, crossing, oncoming, a blind corner
     S3,
+    /// People who make way: crossing, oncoming, overtaken, in a door, at a corner, a group
+    S4,
     /// Tight doors, dead ends, goals beside walls
     S5,
     /// Clutter, a trap and an office, unknown and known
     S6,
     /// What leaves again: a stander, a door, a taken goal, a slow one ahead
     S7,
+    /// Broken sensors: lost, late, noisy, dead
+    S9,
+    /// Processor time on long ways with the map known
+    S12,
 }
 
 impl Suite {
-    /// All scenarios with their runs, in order; `seeds` of each where it is given.
+    /// All scenarios with their runs, in order; `seeds` of each where it is given. S1 is of the worlds in a folder, with noise of ranges
+    /// (standard deviation, m), and of none without one.
     ///
     /// # Errors
-    /// Never for shipped robots; a world's own text is read like any world.
-    pub(super) fn cases(self, seeds: Option<u64>) -> Result<Vec<Case>, Failure> {
+    /// A folder that holds no worlds; never for what is made here.
+    pub(super) fn cases(self, seeds: Option<u64>, barn: Option<(&Path, f64)>) -> Result<Vec<Case>, Failure> {
         match self {
+            Self::S1 => barn.map_or_else(
+                || Ok(Vec::new()),
+                |(folder, noise)| barn::barn(folder, noise, seeds.unwrap_or(1)),
+            ),
             Self::S2 => people::field(seeds.unwrap_or(20)),
             Self::S3 => people::encounters(seeds.unwrap_or(3)),
             Self::S5 => places::tight(seeds.unwrap_or(3)),
             Self::S6 => places::rooms(seeds.unwrap_or(3)),
+            Self::S4 => people::manners(seeds.unwrap_or(4)),
             Self::S7 => patience::patience(seeds.unwrap_or(3)),
+            Self::S9 => broken::broken(seeds.unwrap_or(2)),
+            Self::S12 => cost::cost(seeds.unwrap_or(1)),
         }
     }
 }
@@ -81,24 +107,42 @@ pub(super) struct Case {
     pub known_map: bool,
     /// Of all noise.
     pub seed: u64,
-    /// Whether the anchors drive it too: where discs walk about.
-    pub anchored: bool,
+    /// Who drives it too: where discs walk about.
+    pub anchors: &'static [Anchor],
+    /// The run without this one's fault.
+    pub faultless: Option<String>,
+    /// When its lidar dies, s.
+    pub blind_from: Option<f64>,
+    /// Whether its processor time is what counts.
+    pub is_costed: bool,
+    /// Whether it is scored as BARN scores.
+    pub is_scored: bool,
+    /// Length of the optimal path, m, where it is known.
+    pub optimal: Option<f64>,
     /// Simulated time after which the run has failed, s.
     pub timeout: f64,
 }
 
 impl Case {
     fn new(scenario: &str, robot: &'static str, seed: u64, floor: Floor, goal: [f64; 2]) -> Result<Self, Failure> {
-        let model = files::robot(robot)?;
-        let label = scenario.split_once(' ').map_or(scenario, |(_, name)| name);
-        let words = label
-            .split(|character: char| !character.is_ascii_alphanumeric())
-            .filter(|word| !word.is_empty());
-        let name = format!("{}-{robot}-{seed}", words.collect::<Vec<_>>().join("-"));
+        let name = Self::name(scenario, robot, seed);
         let text = floor.text(&name);
         let world =
             World::from_toml(&text, &name, &|_| Err("a made world has no map".to_owned())).map_err(Failure::failed)?;
-        let goal = Point2::from(goal);
+        Self::within(scenario, name, robot, seed, text, world, goal.into())
+    }
+
+    /// A run in a world, of which `text` is the file.
+    fn within(
+        scenario: &str,
+        name: String,
+        robot: &'static str,
+        seed: u64,
+        text: String,
+        world: World,
+        goal: Point2<f64>,
+    ) -> Result<Self, Failure> {
+        let model = files::robot(robot)?;
         let straight = (world.start().position() - goal).norm() / model.drive.top_speed();
         Ok(Self {
             scenario: scenario.to_owned(),
@@ -111,9 +155,27 @@ impl Case {
             tolerance: None,
             known_map: false,
             seed,
-            anchored: scenario.starts_with("S2") || scenario.starts_with("S3"),
+            anchors: match scenario.split(' ').next() {
+                Some("S2" | "S3") => &Anchor::ALL,
+                Some("S4") => &Anchor::OF_PEOPLE_WHO_REACT,
+                _ => &[],
+            },
+            faultless: None,
+            blind_from: None,
+            is_costed: false,
+            is_scored: false,
+            optimal: None,
             timeout: (TIME[0] + TIME[1] * straight).round(),
         })
+    }
+
+    /// A run's name: the scenario without its suite, the robot and the seed.
+    fn name(scenario: &str, robot: &str, seed: u64) -> String {
+        let label = scenario.split_once(' ').map_or(scenario, |(_, name)| name);
+        let words = label
+            .split(|character: char| !character.is_ascii_alphanumeric())
+            .filter(|word| !word.is_empty());
+        format!("{}-{robot}-{seed}", words.collect::<Vec<_>>().join("-"))
     }
 
     /// The command that runs it, beside its world's file.
@@ -194,7 +256,7 @@ mod tests {
     #[test]
     fn a_seed_makes_the_same_worlds_where_robot_and_goal_have_room() {
         for suite in Suite::value_variants() {
-            let (cases, again) = (suite.cases(Some(2)).unwrap(), suite.cases(Some(2)).unwrap());
+            let (cases, again) = (suite.cases(Some(2), None).unwrap(), suite.cases(Some(2), None).unwrap());
             let mut names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
             names.sort_unstable();
             names.dedup();

@@ -7,7 +7,7 @@ use super::{Case, Make, each};
 use crate::failure::Failure;
 
 /// Two rooms with a door of 0.9 m in between.
-fn two_rooms() -> Floor {
+pub(super) fn two_rooms() -> Floor {
     Floor::new([8.0, 5.0], [1.0, 2.5, 0.0])
         .block([3.95, 0.0], [4.05, 2.05])
         .block([3.95, 2.95], [4.05, 5.0])

@@ -1,4 +1,4 @@
-//! People. Who walks about? Nobody of them looks out for the robot.
+//! People. Who walks about? In S2 and S3 nobody of them looks out for the robot, in S4 they make way as far as it does.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -112,4 +112,70 @@ fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
             &[([8.25, 8.6], wait), ([8.25, 0.75], 0.0), ([0.4, 0.75], FOR_GOOD)],
         );
     (floor, [8.25, 7.0])
+}
+
+/// S4: people who make way by ORCA or by social force, as the seed draws, in the situations of SEAN 2.0 (Tsoi et al., 2022).
+pub(super) fn manners(seeds: u64) -> Result<Vec<Case>, Failure> {
+    let scenarios: [(&str, Make); 6] = [
+        ("S4 crossing", |rng| {
+            let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
+            for x in [4.5, 7.0] {
+                let (manners, speed, rest) = (drawn(rng), walk(rng), centimetres(rng.random_range(0.0..3.0)));
+                floor = floor.person(manners, speed, &[([x, 0.7], rest), ([x, 7.3], 0.5)]);
+            }
+            (floor, [10.0, 4.0])
+        }),
+        ("S4 oncoming", |rng| {
+            let (manners, speed, y) = (drawn(rng), walk(rng), centimetres(rng.random_range(1.0..1.4)));
+            let path = [([15.5, y], 0.0), ([0.6, y], FOR_GOOD)];
+            let floor = Floor::new([16.0, 2.4], [1.5, 1.2, 0.0]).person(manners, speed, &path);
+            (floor, [13.5, 1.2])
+        }),
+        ("S4 overtaking", |rng| {
+            let (manners, speed) = (drawn(rng), centimetres(rng.random_range(0.1..0.2)));
+            let path = [([3.5, 1.2], 0.0), ([15.5, 1.2], FOR_GOOD)];
+            let floor = Floor::new([16.0, 2.4], [1.5, 1.2, 0.0]).person(manners, speed, &path);
+            (floor, [13.5, 1.2])
+        }),
+        ("S4 door", |rng| {
+            let (manners, speed, wait) = (drawn(rng), walk(rng), centimetres(rng.random_range(0.0..6.0)));
+            let path = [
+                ([7.0, 1.0], wait),
+                ([5.0, 2.5], 0.0),
+                ([3.0, 2.5], 0.0),
+                ([1.0, 4.2], FOR_GOOD),
+            ];
+            (super::patience::two_rooms().person(manners, speed, &path), [7.0, 2.5])
+        }),
+        ("S4 corner", |rng| {
+            let (manners, speed, wait) = (drawn(rng), walk(rng), centimetres(rng.random_range(0.0..3.0)));
+            let path = [([8.0, 8.4], wait), ([8.0, 1.0], 0.0), ([0.6, 1.0], FOR_GOOD)];
+            let floor = Floor::new([9.0, 9.0], [1.3, 1.0, 0.0]).block([0.0, 2.0], [7.0, 9.0]);
+            (floor.person(manners, speed, &path), [8.0, 7.0])
+        }),
+        ("S4 group", |rng| {
+            let manners = drawn(rng);
+            let (x, y) = (
+                centimetres(rng.random_range(5.0..6.0)),
+                centimetres(rng.random_range(3.6..4.4)),
+            );
+            let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
+            for [dx, dy] in [[0.0, 0.6], [0.52, -0.3], [-0.52, -0.3]] {
+                floor = floor.person(manners, 0.8, &[([centimetres(x + dx), centimetres(y + dy)], FOR_GOOD)]);
+            }
+            let joins = [([9.5, 6.5], 2.0), ([centimetres(x + 1.1), y], FOR_GOOD)];
+            (floor.person(manners, walk(rng), &joins), [10.5, 4.0])
+        }),
+    ];
+    each(&scenarios, seeds)
+}
+
+/// How somebody makes way.
+fn drawn(rng: &mut Pcg64Mcg) -> &'static str {
+    if rng.random() { "orca" } else { "social_force" }
+}
+
+/// How fast somebody walks, m/s.
+fn walk(rng: &mut Pcg64Mcg) -> f64 {
+    centimetres(rng.random_range(0.8..1.3))
 }

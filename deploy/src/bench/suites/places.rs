@@ -69,7 +69,7 @@ pub(super) fn rooms(seeds: u64) -> Result<Vec<Case>, Failure> {
 }
 
 /// Pillars with gaps of 0.9 m and more.
-fn clutter(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
+pub(super) fn clutter(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
     let mut discs: Vec<([f64; 2], f64)> = vec![([1.0, 4.0], 0.3), ([11.0, 4.0], 0.3)];
     for _ in 0..400 {
@@ -100,7 +100,7 @@ fn trap(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
 }
 
 /// Two rows of rooms with doors of 0.9 m on a corridor of 2 m, a desk in each.
-fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
+pub(super) fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let mut floor = Floor::new([20.0, 12.0], [1.0, 1.5, 0.0]);
     for (wall, desk) in [(4.95, 2.8), (6.95, 8.7)] {
         for room in 0..4 {

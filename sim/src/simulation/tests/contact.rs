@@ -95,6 +95,50 @@ fn a_mover_that_runs_into_a_robot_waits_and_the_robot_is_not_to_blame() {
     assert!(simulation.movers().next().unwrap().x < 0.5);
 }
 
+#[test]
+fn glass_is_felt_but_not_seen() {
+    let mut simulation = simulate(
+        &world(&WALL.replace("thickness", "glass = true\nthickness")),
+        vec![robot("a", "tiago", Pose2::IDENTITY)],
+    );
+    steps(&mut simulation, 0, [3.0, 3.0], 200);
+    let truth = simulation.truth(0);
+    assert!(truth.collisions == 1 && simulation.readings(0).bump.pressed);
+    assert!((truth.map_from_base.x - (0.95 - 0.265)).abs() < 1e-3, "{truth:?}");
+    let mut seen = false;
+    for _ in 0..10 {
+        simulation.step();
+        let sweeps = simulation.readings(0).sweeps;
+        seen |= sweeps
+            .iter()
+            .any(|sweep| sweep.ranges.iter().any(|range| range.is_finite()));
+    }
+    assert!(!seen);
+}
+
+#[test]
+fn people_with_manners_walk_round_a_robot_that_stands_and_keep_their_distance() {
+    for manners in ["orca", "social_force"] {
+        let walkers = format!(
+            "[[mover]]\nradius = 0.25\npath = [[3, 0], [-3, 0]]\nspeed = 1\nmanners = \"{manners}\"\n{}{}",
+            "[[wall]]\nfrom = [-5, 1.6]\nto = [5, 1.6]\nthickness = 0.1\n",
+            "[[wall]]\nfrom = [-5, -1.6]\nto = [5, -1.6]\nthickness = 0.1\n",
+        );
+        let mut simulation = simulate(&world(&walkers), vec![robot("a", "tiago", Pose2::IDENTITY)]);
+        let (mut least, mut farthest) = (f64::INFINITY, 3.0_f64);
+        for _ in 0..500 {
+            simulation.step();
+            least = least.min(simulation.truth(0).to_person);
+            farthest = farthest.min(simulation.movers().next().unwrap().x);
+        }
+        assert_eq!(simulation.truth(0).collisions, 0, "{manners}");
+        assert!(
+            least > 0.01 && least < 1.0 && farthest < -2.8,
+            "{manners}: {least} {farthest}"
+        );
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
     #[test]

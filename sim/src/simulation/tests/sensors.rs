@@ -177,3 +177,44 @@ fn each_sensor_has_its_own_rate_and_latency_and_keeps_the_stamp_of_its_measureme
         assert!((count as f64 - rate * secs).abs() <= 2.0, "{count} at {rate} Hz");
     }
 }
+
+#[test]
+fn faults_break_the_sensor_that_they_name_in_their_window() {
+    let fault = |keys: &str| format!("[[fault]]\nrobot = \"a\"\n{keys}\n");
+    let faults = [
+        "sensor = \"lidar\"\nkind = \"dead\"\nfrom = 2\nuntil = 4",
+        "sensor = \"lidar\"\nkind = \"late\"\namount = 0.5\nfrom = 6\nuntil = 8",
+        "sensor = \"imu\"\nkind = \"dead\"\nfrom = 1",
+    ];
+    let text: String = faults.into_iter().map(fault).collect();
+    let both = vec![
+        robot("a", "tiago", Pose2::IDENTITY),
+        robot("b", "tiago", Pose2::new(-3.0, 0.0, 0.0)),
+    ];
+    let mut simulation = simulate(&world(&text), both);
+    let (mut taken, mut latest, mut imu) = (Vec::new(), 0.0_f64, [0; 2]);
+    for _ in 0..500 {
+        simulation.step();
+        for (robot, count) in imu.iter_mut().enumerate() {
+            *count += u32::from(simulation.readings(robot).imu.is_some());
+        }
+        for sweep in simulation.readings(0).sweeps {
+            taken.push(sweep.stamp.as_secs());
+            latest = latest.max(simulation.now().secs_since(sweep.stamp));
+        }
+    }
+    let within = |from: f64, until: f64| taken.iter().filter(|secs| (from..until).contains(*secs)).count();
+    assert_eq!((within(1.0, 2.0), within(2.0, 4.0), within(4.0, 5.0)), (10, 0, 10));
+    assert!((latest - 0.5).abs() < 0.021, "{latest}");
+    // One second of 50 Hz, and ten of them.
+    assert!(imu[0] < 52 && imu[1] > 490, "{imu:?}");
+    for (wrong, robots) in [("lidr", "a"), ("bump", "a")] {
+        let text = fault(&format!("sensor = \"{wrong}\"\nkind = \"dead\""));
+        let error = Simulation::new(&world(&text), vec![robot(robots, "tiago", Pose2::IDENTITY)], 1);
+        let error = error.err().unwrap().to_string();
+        assert!(
+            error.contains(wrong) && error.contains("encoders, gps, imu, lidar"),
+            "{error}"
+        );
+    }
+}

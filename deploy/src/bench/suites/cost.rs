@@ -1,0 +1,37 @@
+//! Cost. How much processor time does a long way take? The map is known, nobody walks about.
+
+use super::floor::Floor;
+use super::{Case, ROBOTS};
+use crate::failure::Failure;
+
+/// S12: a corridor of 45 m, and 200 m through five lanes.
+pub(super) fn cost(seeds: u64) -> Result<Vec<Case>, Failure> {
+    let mut cases = Vec::new();
+    for (scenario, metres) in [("S12 corridor 45 m", 45.0), ("S12 lanes 200 m", 200.0)] {
+        for robot in ROBOTS {
+            for seed in 0..seeds {
+                let (floor, goal) = if metres < 100.0 { corridor() } else { lanes() };
+                let mut case = Case::new(scenario, robot, seed, floor, goal)?;
+                (case.known_map, case.is_costed) = (true, true);
+                case.timeout = (60.0 + 3.0 * metres / case.model.drive.top_speed()).round();
+                cases.push(case);
+            }
+        }
+    }
+    Ok(cases)
+}
+
+fn corridor() -> (Floor, [f64; 2]) {
+    (Floor::new([48.0, 3.0], [1.5, 1.5, 0.0]), [46.5, 1.5])
+}
+
+/// Lanes 2.4 m wide and 40 m long, to and fro.
+fn lanes() -> (Floor, [f64; 2]) {
+    let mut floor = Floor::new([41.0, 12.4], [1.2, 1.2, 0.0]);
+    for wall in 0..4_u8 {
+        let y = 2.4 + 2.5 * f64::from(wall);
+        let [left, right] = if wall % 2 == 0 { [0.0, 38.6] } else { [2.4, 41.0] };
+        floor = floor.block([left, y], [right, y + 0.1]);
+    }
+    (floor, [39.8, 11.2])
+}
