@@ -3,7 +3,7 @@
 use std::mem::discriminant;
 
 use zenav_protocol::messages::{
-    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Leader, Marker, Obstacles, Odometry, Plan,
+    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Intent, Leader, Marker, Obstacles, Odometry, Plan,
     PoseEstimate, Refusal, Scan, Teleop,
 };
 use zenav_protocol::readings::KindReading;
@@ -24,6 +24,8 @@ pub struct Inbox {
     pub teleops: Vec<Teleop>,
     /// Pose measurements made off board.
     pub corrections: Vec<Correction>,
+    /// What other robots are about to do.
+    pub intents: Vec<Intent>,
     /// Requests that wait for a reply.
     pub requests: Vec<(Ticket, EdgeRequest)>,
     /// Control ticks missed since start.
@@ -68,6 +70,8 @@ pub enum Publication {
     Event(Event),
     /// The moving obstacles that it tracks.
     Obstacles(Obstacles),
+    /// What it is about to do.
+    Intent(Intent),
     /// Shapes to draw.
     Marker(Marker),
 }

@@ -52,6 +52,7 @@ mod lost_beams;
 pub mod maneuvers;
 pub mod moving_obstacles;
 pub mod obstacle_tracks;
+pub mod other_robots;
 pub mod params;
 pub mod passive_safety;
 pub mod pilot;

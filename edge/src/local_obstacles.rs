@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Isometry2, Point2};
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::RobotModel;
@@ -14,7 +14,11 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
+use crate::obstacle_tracks::Track;
 use crate::settings::{EdgeSettings, LocalObstacleSettings};
+
+/// A return this near to a robot's disc is on it, m.
+const ON_ROBOT: f64 = 0.1;
 
 /// Obstacle points around the robot.
 #[derive(Clone, Debug)]
@@ -102,6 +106,9 @@ impl LocalObstacles {
                 self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
             let base_from_odom = scan.odom_from_base.inverse();
+            // Where a robot is that tells its course need not be remembered.
+            let robots = self.moving.tracks();
+            seen.retain(|point| robots.robot_at(*point).is_none());
             remember(&mut self.remembered, seen, &self.view, base_from_odom, &self.settings);
         }
         seen.clear();
@@ -211,6 +218,35 @@ impl LocalObstacles {
             }
         }
         runs
+    }
+
+    /// Takes the robots that tell their course.
+    pub(crate) fn set_robots(&mut self, robots: impl Iterator<Item = Track>) {
+        self.moving.set_robots(robots);
+    }
+
+    /// Points of robots that tell their course within a distance (m), in the base frame of a robot at `odom_from_base`, each with its
+    /// velocity over the floor, m/s: the returns on them, and the near side of who is in the blind spot.
+    #[must_use]
+    pub fn robots_in_base(&self, odom_from_base: Pose2, within: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
+        let (here, base_from_odom) = (odom_from_base.position(), rigid(odom_from_base.inverse()));
+        let robots = self.moving.tracks().robots().iter();
+        let mut points = Vec::new();
+        for robot in robots.filter(|robot| (robot.position - here).norm() <= within + robot.radius) {
+            let velocity = base_from_odom * robot.velocity;
+            let on = |point: &Point2<f64>| (point - robot.position).norm() <= robot.radius + ON_ROBOT;
+            let seen = self.in_odom().filter(on).map(|point| base_from_odom * point);
+            points.extend(seen.map(|point| (point, velocity)));
+            let center = base_from_odom * robot.position;
+            if self.view.in_blind_spot(center) {
+                let toward = -center.coords.try_normalize(1e-6).unwrap_or_else(Vector2::x);
+                let side = Vector2::new(-toward.y, toward.x);
+                let near =
+                    [-1.2, -0.8, -0.4, 0.0, 0.4, 0.8, 1.2_f64].map(|angle| toward * angle.cos() + side * angle.sin());
+                points.extend(near.map(|off| (center + off * robot.radius, velocity)));
+            }
+        }
+        points
     }
 
     /// The points of each lidar's newest sweep in the order of its beams, odometry frame.

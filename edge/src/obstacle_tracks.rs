@@ -4,7 +4,8 @@
 //! ([`crate::moving_obstacles`]) begins a track; one that lies where a track is expected continues it. A track is a disc with a position
 //! and a velocity, estimated by a Kalman filter with a constant-velocity model (white acceleration on each axis; Bar-Shalom, Li,
 //! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.2). A track that is hidden goes on by its
-//! prediction for a while; one whose place is seen to be empty ends.
+//! prediction for a while; one whose place is seen to be empty ends. A robot that tells its course ([`crate::other_robots`]) is a track by
+//! its own word.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::time::Stamp;
@@ -35,7 +36,61 @@ const ON_TRACK: f64 = 0.2;
 /// Radius of a tracked disc, m.
 const RADII: (f64, f64) = (0.05, 0.6);
 
-/// A moving obstacle: a disc that goes on at constant velocity.
+/// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m.
+const ON_ROBOT: (f64, f64) = (0.1, 0.3);
+
+/// What a robot has told of its future.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Course {
+    /// Where it will be, a step apart, odometry frame; it stays at the last. Never empty.
+    pub places: Vec<Point2<f64>>,
+    /// s.
+    pub step: f64,
+    /// How long after the first place the track's stamp is, s.
+    pub begun: f64,
+    /// Whether it makes way for this robot, rather than this one for it.
+    pub makes_way: bool,
+}
+
+impl Course {
+    fn at(&self, secs: f64) -> Point2<f64> {
+        let share = ((self.begun + secs) / self.step).clamp(0.0, self.places.len() as f64);
+        let place = |nth: usize| self.places.get(nth).or(self.places.last()).copied().unwrap_or_default();
+        let from = place(share as usize);
+        from + (place(share as usize + 1) - from) * share.fract()
+    }
+}
+
+/// The way of a track over some moments, as a line of a few points.
+#[derive(Clone, Copy, Debug)]
+pub struct Way {
+    points: [Point2<f64>; 4],
+    count: usize,
+}
+
+impl Way {
+    /// Distance of a point from it, m.
+    #[must_use]
+    pub fn distance(&self, point: Point2<f64>) -> f64 {
+        let legs = self.points[..self.count].windows(2).map(|leg| {
+            let (from, along) = (leg[0], leg[1] - leg[0]);
+            let share = ((point - from).dot(&along) / along.norm_squared().max(1e-9)).clamp(0.0, 1.0);
+            (point - (from + along * share)).norm_squared()
+        });
+        legs.fold(f64::INFINITY, f64::min).sqrt()
+    }
+
+    /// A place in its middle, and the distance of its farthest point from there, m.
+    #[must_use]
+    pub fn disc(&self) -> (Point2<f64>, f64) {
+        let points = &self.points[..self.count];
+        let middle = nalgebra::center(&self.points[0], &self.points[self.count - 1]);
+        let reach = points.iter().map(|point| (point - middle).norm());
+        (middle, reach.fold(0.0, f64::max))
+    }
+}
+
+/// A moving obstacle: a disc that goes on at constant velocity, or as it has told.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// Its number, never given twice.
@@ -66,9 +121,47 @@ pub struct Track {
     misses: u32,
     /// Since when it has been slower than anything that moves.
     still_since: Option<Stamp>,
+    /// Of a robot that tells it.
+    course: Option<Course>,
 }
 
 impl Track {
+    /// A robot that tells its course.
+    #[must_use]
+    pub fn of_robot(id: u64, radius: f64, velocity: Vector2<f64>, stamp: Stamp, course: Course) -> Self {
+        let position = course.at(0.0);
+        Self {
+            id,
+            position,
+            velocity,
+            variance: [0.0; 3],
+            radius,
+            born: stamp,
+            seen: stamp,
+            stamp,
+            origin: position,
+            moved: true,
+            most_speed: 0.0,
+            hits: SETTLED,
+            evidence: LEAST_EVIDENCE,
+            misses: 0,
+            still_since: None,
+            course: Some(course),
+        }
+    }
+
+    /// Whether it is a robot that tells its course.
+    #[must_use]
+    pub fn is_robot(&self) -> bool {
+        self.course.is_some()
+    }
+
+    /// Whether it is a robot that makes way for this one.
+    #[must_use]
+    pub fn makes_way(&self) -> bool {
+        self.course.as_ref().is_some_and(|course| course.makes_way)
+    }
+
     fn new(id: u64, seen: &Segment, stamp: Stamp, settings: &TrackingSettings) -> Self {
         Self {
             id,
@@ -86,6 +179,7 @@ impl Track {
             evidence: 1,
             misses: 0,
             still_since: None,
+            course: None,
         }
     }
 
@@ -115,15 +209,23 @@ impl Track {
     /// Center `secs` after its stamp, odometry frame.
     #[must_use]
     pub fn at(&self, secs: f64) -> Point2<f64> {
-        self.position + self.velocity * secs
+        match &self.course {
+            Some(course) => course.at(secs),
+            None => self.position + self.velocity * secs,
+        }
     }
 
-    /// The place nearest to a point on the way that it goes from `secs` after its stamp for another `lead` s, odometry frame.
+    /// The way that it goes from `secs` after its stamp for another `lead` s, odometry frame.
     #[must_use]
-    pub fn nearest_on_way(&self, secs: f64, lead: f64, point: Point2<f64>) -> Point2<f64> {
-        let (from, way) = (self.at(secs), self.velocity * lead);
-        let share = ((point - from).dot(&way) / way.norm_squared().max(1e-9)).clamp(0.0, 1.0);
-        from + way * share
+    pub fn way(&self, secs: f64, lead: f64) -> Way {
+        let (first, last) = (self.at(secs), self.at(secs + lead));
+        if self.course.is_none() {
+            let points = [first, last, last, last];
+            return Way { points, count: 2 };
+        }
+        let third = lead / 3.0;
+        let points = [first, self.at(secs + third), self.at(secs + 2.0 * third), last];
+        Way { points, count: 4 }
     }
 
     /// Goes on to a time.
@@ -201,6 +303,8 @@ pub struct ObstacleTracks {
     segments: Vec<Segment>,
     /// For each segment whether a track has taken it.
     taken: Vec<bool>,
+    /// Robots that tell their course.
+    robots: Vec<Track>,
     next_id: u64,
 }
 
@@ -212,6 +316,27 @@ impl ObstacleTracks {
             settings: settings.clone(),
             ..Self::default()
         }
+    }
+
+    /// Takes the robots that tell their course.
+    pub(crate) fn set_robots(&mut self, robots: impl Iterator<Item = Track>) {
+        self.robots.clear();
+        self.robots.extend(robots);
+        let robots = &self.robots;
+        self.tracks
+            .retain(|track| on_robot(robots, track.position, ON_ROBOT.1).is_none());
+    }
+
+    /// The robots that tell their course.
+    #[must_use]
+    pub fn robots(&self) -> &[Track] {
+        &self.robots
+    }
+
+    /// The robot that a point (odometry frame) belongs to.
+    #[must_use]
+    pub fn robot_at(&self, point: Point2<f64>) -> Option<&Track> {
+        on_robot(&self.robots, point, ON_ROBOT.0)
     }
 
     /// Takes a scan; `moved` says of each beam whether its return evidently moved.
@@ -260,7 +385,10 @@ impl ObstacleTracks {
         let widest = self.settings.widest;
         self.segments.retain(|segment| 2.0 * segment.radius <= widest);
         self.taken.clear();
-        self.taken.resize(self.segments.len(), false);
+        let robots = &self.robots;
+        let segments = self.segments.iter();
+        self.taken
+            .extend(segments.map(|segment| on_robot(robots, segment.center, ON_ROBOT.1).is_some()));
     }
 
     /// Gives each track the segment nearest to where it is expected, nearest pairs first; ends those whose place is empty.
@@ -306,9 +434,10 @@ impl ObstacleTracks {
         });
     }
 
-    /// The tracks whose velocity is known.
+    /// The tracks whose velocity is known, and the robots that tell their course.
     pub fn iter(&self) -> impl Iterator<Item = &Track> + '_ {
-        self.tracks.iter().filter(|track| track.is_confirmed())
+        let confirmed = self.tracks.iter().filter(|track| track.is_confirmed());
+        confirmed.chain(&self.robots)
     }
 
     /// As fast as what is seen at a point (odometry frame) may be, if it is on a track, m/s: as the fastest track near it.
@@ -323,10 +452,19 @@ impl ObstacleTracks {
     #[must_use]
     pub fn at(&self, point: Point2<f64>) -> Option<&Track> {
         let off = |track: &Track| (point - track.position).norm() - track.radius;
-        let tracks = self.iter().map(|track| (off(track), track));
-        let nearest = tracks.min_by(|a, b| a.0.total_cmp(&b.0));
-        nearest.filter(|(off, _)| *off <= ON_TRACK).map(|(_, track)| track)
+        let tracks = self.tracks.iter().filter(|track| track.is_confirmed());
+        let nearest = tracks
+            .map(|track| (off(track), track))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let nearest = nearest.filter(|(off, _)| *off <= ON_TRACK).map(|(_, track)| track);
+        nearest.or_else(|| self.robot_at(point))
     }
+}
+
+/// The robot whose disc a point lies on.
+fn on_robot(robots: &[Track], point: Point2<f64>, slack: f64) -> Option<&Track> {
+    let on = |robot: &&Track| (point - robot.position).norm() <= robot.radius + slack;
+    robots.iter().find(on)
 }
 
 /// The disc that a run of returns looks like; `None` for a single return.

@@ -29,6 +29,8 @@ const SAMPLE: f64 = 0.04;
 const STOPPING_STEPS: u32 = 5;
 /// Most poses that are checked along the stopping distance.
 const MAX_POSES: f64 = 100.0;
+/// No robot that tells its course is faster, m/s.
+const FASTEST_ROBOT: f64 = 3.0;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
 /// A motion that comes nearer to a point at no more than this share of its speed goes along it.
@@ -62,8 +64,23 @@ pub struct Mover {
     pub at: Point2<f64>,
     /// m; zero for a point.
     pub radius: f64,
-    /// As fast as it may be, m/s.
+    /// What it keeps to, base frame, m/s.
+    pub velocity: Vector2<f64>,
+    /// As fast as it may move beside that, m/s.
     pub speed: f64,
+}
+
+impl Mover {
+    /// Turns at will, at a speed up to this, m/s.
+    #[must_use]
+    pub fn at_will(at: Point2<f64>, radius: f64, speed: f64) -> Self {
+        Self {
+            at,
+            radius,
+            velocity: Vector2::zeros(),
+            speed,
+        }
+    }
 }
 
 impl<'a> Motion<'a> {
@@ -141,11 +158,20 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Limit by moving obstacles in view, each point of one by itself.
+    /// Limit by moving obstacles in view, each point of one by itself, and by the robots that tell their course: those keep nearly to their
+    /// velocity, or brake, which is what [`Self::limit_static`] looks at.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let moving = obstacles.moving().in_base(odom_from_base);
-        let points: Vec<_> = moving.map(|(at, speed)| Mover { at, radius: 0.0, speed }).collect();
+        let mut points: Vec<_> = moving.map(|(at, speed)| Mover::at_will(at, 0.0, speed)).collect();
+        let reach = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
+        let robots = obstacles.robots_in_base(odom_from_base, reach + FASTEST_ROBOT * self.stopping_time(1.0));
+        points.extend(robots.into_iter().map(|(at, velocity)| Mover {
+            at,
+            radius: 0.0,
+            velocity,
+            speed: self.settings.robot_deviation,
+        }));
         self.limit_among(&points)
     }
 
@@ -155,7 +181,10 @@ impl<'a> Motion<'a> {
     pub fn limit_among(&self, movers: &[Mover]) -> f64 {
         let stopping_time = self.stopping_time(1.0);
         let radius = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
-        let is_near = |mover: &&Mover| mover.at.coords.norm() <= radius + mover.radius + mover.speed * stopping_time;
+        let is_near = |mover: &&Mover| {
+            let fastest = mover.velocity.norm() + mover.speed;
+            mover.at.coords.norm() <= radius + mover.radius + fastest * stopping_time
+        };
         let near: Vec<Mover> = movers.iter().filter(is_near).copied().collect();
         if near.is_empty() {
             return 1.0;
@@ -177,10 +206,8 @@ impl<'a> Motion<'a> {
             let pose = Pose2::IDENTITY.advance(self.twist, travelled);
             let here_from_base = rigid(pose.inverse());
             for mover in movers {
-                let (place, reach) = (
-                    here_from_base * mover.at,
-                    self.margin + mover.radius + mover.speed * until,
-                );
+                let place = here_from_base * (mover.at + mover.velocity * until);
+                let reach = self.margin + mover.radius + mover.speed * until;
                 let touched = samples.iter().any(|(at, normal)| {
                     (place - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
                 });

@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
-    Battery, Bump, EdgeState, Event, Imu, Marker, Obstacles, Odometry, PoseEstimate, Refusal, Scan, SimClock,
+    Battery, Bump, EdgeState, Event, Imu, Intent, Marker, Obstacles, Odometry, PoseEstimate, Refusal, Scan, SimClock,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::robot::RobotModel;
@@ -104,6 +104,9 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     })?;
     hear(&mut intake, &bus, &handoff, &topics::CORRECTION, &robot, |inbox| {
         &mut inbox.corrections
+    })?;
+    hear(&mut intake, &bus, &handoff, &topics::INTENT, "*", |inbox| {
+        &mut inbox.intents
     })?;
     for server in bus.serve_part(&[&robot])? {
         intake.spawn(serve(server, Arc::clone(&handoff)));
@@ -203,6 +206,7 @@ struct Publishers {
     state: Publisher<EdgeState>,
     event: Publisher<Event>,
     obstacles: Publisher<Obstacles>,
+    intent: Publisher<Intent>,
     marker: Publisher<Marker>,
     clock: Option<Publisher<SimClock>>,
 }
@@ -252,6 +256,7 @@ impl Publishers {
             state: bus.publisher(&topics::STATE, robot)?,
             event: bus.publisher(&topics::EVENT, robot)?,
             obstacles: bus.publisher(&topics::OBSTACLES, robot)?,
+            intent: bus.publisher(&topics::INTENT, robot)?,
             marker: bus.publisher(&topics::MARKER, robot)?,
             clock: gives_the_time
                 .then(|| bus.publisher(&topics::SIM_CLOCK, &[]))
@@ -279,6 +284,7 @@ impl Publishers {
                 Publication::State(message) => self.state.put(message),
                 Publication::Event(message) => self.event.put(message),
                 Publication::Obstacles(message) => self.obstacles.put(message),
+                Publication::Intent(message) => self.intent.put(message),
                 Publication::Marker(message) => self.marker.put(message),
             }
         }

@@ -203,6 +203,8 @@ zenav_protocol::settings! {
         /// Assumed speed of moving obstacles that have left the field of view; without it, the robot's own top speed (1.4 m/s is a walking
         /// person).
         pub speed_out_of_sight: Option<f64> = None, "m/s";
+        /// A robot that tells its course deviates from its velocity by at most this, or brakes.
+        pub robot_deviation: f64 = 0.1, "m/s", 0.0..=5.0;
         /// Least time to contact while creeping inside the margin.
         pub creep_time: f64 = 1.0, "s", 0.1..=10.0;
         /// Distance kept from unseen floor beyond the margin: odometry drifts, and cells are coarse.
@@ -334,6 +336,12 @@ zenav_protocol::settings! {
         pub clearance_most: f64 = 0.6, "m", 0.0..=3.0;
         /// The way of a moving obstacle is left this long before it comes.
         pub lead: f64 = 1.2, "s", 0.0..=5.0;
+        /// Distance kept from the way of a robot that tells its course.
+        pub robot_clearance: f64 = 0.15, "m", 0.0..=2.0;
+        /// The way of such a robot is left this long before it comes.
+        pub robot_lead: f64 = 0.4, "s", 0.0..=5.0;
+        /// A robot that is to make way has done so after this long: nearer in time it is minded all the same.
+        pub robot_minded: f64 = 2.5, "s", 0.0..=10.0;
         /// Farther than this from where the plan has the robot, the plan is discarded while the robot makes way.
         pub off_track: f64 = 3.0, "m", 0.1..=20.0;
     }
@@ -374,6 +382,10 @@ zenav_protocol::settings! {
     pub struct TelemetrySettings {
         /// Period of the state (contract: 10 Hz).
         pub state_period: f64 = 0.1, "s", 0.02..=1.0;
+        /// Period of what the robot tells other robots of its course.
+        pub intent_period: f64 = 0.2, "s", 0.02..=1.0;
+        /// A robot with nothing to drive to tells nothing any more after this: it is an obstacle like any other.
+        pub intent_parked: f64 = 2.0, "s", 0.0..=60.0;
         /// Period of markers.
         pub marker_period: f64 = 0.2, "s", 0.02..=10.0;
         /// Period of what changes slowly (battery, bumper).

@@ -19,6 +19,7 @@ pub struct Telemetry {
     settings: TelemetrySettings,
     state: Due,
     marker: Due,
+    intent: Due,
     slow: Due,
     dropped: Due,
     told: (u64, u64),
@@ -91,6 +92,11 @@ impl Telemetry {
     /// Whether the state is due.
     pub fn state_due(&mut self, now: Stamp) -> bool {
         self.state.now(now, self.settings.state_period)
+    }
+
+    /// Whether the intent is due.
+    pub fn intent_due(&mut self, now: Stamp) -> bool {
+        self.intent.now(now, self.settings.intent_period)
     }
 
     /// Whether markers are due.

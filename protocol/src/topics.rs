@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use crate::codec::Encoding;
 use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
     ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan,
@@ -309,6 +309,7 @@ crate::sensor_kinds!(key_table [
         STATE: EdgeState = "zenav/{robot}/edge/state", Edge, Qos::Latest, 16 * KIB;
         EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, 16 * KIB;
         OBSTACLES: Obstacles = "zenav/{robot}/edge/obstacles", Edge, Qos::Latest, 64 * KIB;
+        INTENT: Intent = "zenav/{robot}/edge/intent", Edge, Qos::Latest, 16 * KIB;
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;

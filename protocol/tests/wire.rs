@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 use zenav_protocol::codec::{CodecError, Encoding, decode, encode};
 use zenav_protocol::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest,
+    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
     ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest,
@@ -59,6 +59,7 @@ zenav_protocol::sensor_kinds!(messages [
     EdgeState
     Event
     Obstacles
+    Intent
     Marker
     MapInfo
     MapPatch

@@ -335,6 +335,7 @@ pub(super) mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            makes_way: false,
         }
     }
 

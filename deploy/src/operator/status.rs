@@ -151,6 +151,7 @@ mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            makes_way: false,
         }
     }
 

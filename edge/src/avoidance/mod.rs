@@ -8,6 +8,9 @@
 //! 2. A dynamic window (Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997) whose arcs are checked
 //!    with the footprint against obstacles (`clearance_grid`) and predicted tracks, and judged at their end by that value function.
 //!
+//! Of a robot that tells its course that course is believed. Who of two has right of way minds the other only where there is no time left
+//! to make way; the other one keeps clear of the whole course, and tells where to ([`Avoidance::course`]).
+//!
 //! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor keeps the
 //! last word.
 
@@ -23,7 +26,7 @@ use crate::blind_spot_grid::Floor;
 use crate::collision_monitor::CollisionMonitor;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
-use crate::obstacle_tracks::Track;
+use crate::obstacle_tracks::{Track, Way};
 use crate::passive_safety::Mover;
 use crate::settings::AvoidanceSettings;
 use clearance_grid::ClearanceGrid;
@@ -51,6 +54,8 @@ const REJOINED: (f64, f64) = (0.15, 0.5);
 const CALM: f64 = 0.3;
 /// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
 const LONG_CALM: f64 = 1.5;
+/// Whose best course leads into a robot's for more layers than this, and this long, s, is trapped, and stays so for a while, s.
+const TRAPPED: (u32, f64, f64) = (1, 0.5, 10.0);
 
 /// What is ahead of the robot by its plan: pose in the odometry frame, and when it gets there at the plan's pace, s.
 #[derive(Clone, Copy, Debug)]
@@ -66,10 +71,8 @@ pub struct Ahead {
 pub struct AvoidanceInput<'a> {
     /// Since the last tick, s.
     pub dt: f64,
-    /// The time.
+    /// Now, on the clock of the tracks' stamps.
     pub now: Stamp,
-    /// Time since the tracks' stamp, s.
-    pub age: f64,
     /// Where the robot is.
     pub odom_from_base: Pose2,
     /// The twist that the wheels were told last.
@@ -110,6 +113,12 @@ pub struct Avoidance {
     circumscribed: f64,
     evading: bool,
     calm_for: f64,
+    /// Whether what it makes way for is a robot.
+    for_robot: bool,
+    /// Where it makes way to.
+    course: Vec<Point2<f64>>,
+    hit_for: f64,
+    trapped_for: f64,
     values: ValueFunction,
     clearances: ClearanceGrid,
     /// Obstacles that are on no track, odometry frame; kept for its memory.
@@ -128,6 +137,10 @@ impl Avoidance {
             reaction: 0.06 + 4.0 * drive.motor_lag,
             evading: false,
             calm_for: 0.0,
+            for_robot: false,
+            course: Vec::new(),
+            hit_for: 0.0,
+            trapped_for: 0.0,
             values: ValueFunction::new(model, settings),
             clearances: ClearanceGrid::default(),
             standing: Vec::new(),
@@ -141,14 +154,34 @@ impl Avoidance {
         self.evading
     }
 
+    /// Whether it makes way for a robot that tells its course.
+    #[must_use]
+    pub fn is_for_robot(&self) -> bool {
+        self.evading && self.for_robot
+    }
+
+    /// Where it makes way to, odometry frame, and the time from place to place, s; `None` while it follows its plan.
+    #[must_use]
+    pub fn course(&self) -> Option<(&[Point2<f64>], f64)> {
+        (self.evading && !self.course.is_empty()).then(|| (&self.course[..], self.values.layer()))
+    }
+
+    /// Whether lately no way led clear of robots that have right of way.
+    #[must_use]
+    pub fn is_trapped(&self) -> bool {
+        self.trapped_for > 0.0
+    }
+
     /// The plan has changed or ended: the tracker drives.
     pub fn reset(&mut self) {
         self.evading = false;
         self.calm_for = 0.0;
+        self.hit_for = 0.0;
     }
 
     /// Decides for one tick.
     pub fn step(&mut self, input: &AvoidanceInput<'_>) -> Control {
+        self.trapped_for = (self.trapped_for - input.dt).max(0.0);
         let reach = self.settings.horizon * (self.drive.top_speed() + 2.0);
         let here = input.odom_from_base.position();
         let tracks: Vec<&Track> = input
@@ -162,9 +195,13 @@ impl Avoidance {
             self.reset();
             return Control::Follow;
         }
-        let conflict = self.conflicts(input, &tracks);
+        let foremost = tracks.iter().find(|track| self.conflicts(input, track));
+        let conflict = foremost.is_some();
         if !conflict && !self.evading {
             return Control::Follow;
+        }
+        if let Some(track) = foremost {
+            self.for_robot = track.is_robot();
         }
         self.calm_for = if conflict { 0.0 } else { self.calm_for + input.dt };
         if self.evading && (self.calm_for >= LONG_CALM || self.calm_for >= CALM && self.is_on_plan(input)) {
@@ -175,20 +212,27 @@ impl Avoidance {
         self.standing.clear();
         self.standing.extend(input.obstacles.standing());
         self.values.fill(input, &self.standing, &tracks);
+        let hits = self.values.course(input.odom_from_base.position(), &mut self.course);
+        let (most, after, lasts) = TRAPPED;
+        self.hit_for = if hits > most { self.hit_for + input.dt } else { 0.0 };
+        if self.hit_for > after {
+            self.trapped_for = lasts;
+        }
         self.clearances.fill(input.odom_from_base.position(), &self.standing);
         Control::Evade(self.best_arc(input, &tracks))
     }
 
     /// Whether the plan, at its own pace, comes too near to where a track is predicted.
-    fn conflicts(&self, input: &AvoidanceInput<'_>, tracks: &[&Track]) -> bool {
+    fn conflicts(&self, input: &AvoidanceInput<'_>, track: &Track) -> bool {
+        let age = input.now.secs_since(track.stamp);
         let within = input
             .ahead
             .iter()
             .take_while(|ahead| ahead.secs <= self.settings.horizon);
         within.into_iter().any(|ahead| {
-            tracks.iter().any(|track| {
-                self.distance_from_way(ahead.pose, track, ahead.secs + input.age)
-                    < self.settings.clearance_after(ahead.secs)
+            kept(&self.settings, track, ahead.secs).is_some_and(|kept| {
+                let way = track.way(ahead.secs + age, lead(&self.settings, track));
+                self.distance_from_way(ahead.pose, &way, track.radius) < kept
             })
         })
     }
@@ -203,9 +247,14 @@ impl Avoidance {
         off.fold(f64::INFINITY, f64::min)
     }
 
-    /// Distance of the footprint at a pose from the way that a track takes in the moments after a time: the robot is to be out of it before.
-    fn distance_from_way(&self, pose: Pose2, track: &Track, secs: f64) -> f64 {
-        self.distance(pose, track.nearest_on_way(secs, self.settings.lead, pose.position())) - track.radius
+    /// Distance of the footprint at a pose from the way that a disc takes in some moments: the robot is to be out of it before.
+    fn distance_from_way(&self, pose: Pose2, way: &Way, radius: f64) -> f64 {
+        let heading = pose.heading();
+        let off = self
+            .discs
+            .iter()
+            .map(|(x, own)| way.distance(pose.position() + heading * *x) - own);
+        off.fold(f64::INFINITY, f64::min) - radius
     }
 
     /// Whether the robot is where its plan leads, and looks along it.
@@ -229,14 +278,13 @@ impl Avoidance {
             BACKWARDS * top
         };
         let base_from_odom = rigid(input.odom_from_base).inverse();
-        let movers: Vec<Mover> = tracks
-            .iter()
-            .map(|track| Mover {
-                at: base_from_odom * track.at(input.age),
-                radius: track.radius,
-                speed: track.most_speed(),
-            })
-            .collect();
+        let mover = |track: &&Track| {
+            let at = base_from_odom * track.at(input.now.secs_since(track.stamp));
+            // The monitor looks at the outline of a robot that tells its course.
+            let turns_at_will = !track.is_robot();
+            turns_at_will.then(|| Mover::at_will(at, track.radius, track.most_speed()))
+        };
+        let movers: Vec<Mover> = tracks.iter().filter_map(mover).collect();
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for nth in -3..=SPEEDS {
             let v = if nth < 0 {
@@ -299,16 +347,20 @@ impl Avoidance {
             let speed = self.drive.surface_speed(twist);
             let reach = self.circumscribed + self.settings.clearance_most;
             for track in tracks {
-                let at = track.at(secs + input.age);
-                let far = reach + track.radius + track.velocity.norm() * self.settings.lead;
+                let after = secs + input.now.secs_since(track.stamp);
+                let (at, lead) = (track.at(after), lead(&self.settings, track));
+                let far = reach + track.radius + track.velocity.norm() * lead;
                 if (at - pose.position()).norm_squared() > far * far {
                     continue;
                 }
                 let distance = self.distance(pose, at) - track.radius;
-                nearest = nearest
-                    .min(self.distance_from_way(pose, track, secs + input.age) - self.settings.clearance_after(secs));
+                if let Some(kept) = kept(&self.settings, track, secs) {
+                    let way = track.way(after, lead);
+                    nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
+                }
                 // Nearer than this the collision monitor slows the robot down.
-                let kept = track.velocity.norm() * (self.reaction + speed / self.drive.hard_braking);
+                let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
+                let kept = fast * (self.reaction + speed / self.drive.hard_braking);
                 if distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
                     slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
                 }
@@ -340,6 +392,24 @@ impl Avoidance {
         let there = pose.position() + pose.heading() * rear;
         let place = odom_from_base.inverse() * there;
         matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
+    }
+}
+
+/// Distance kept from where a track is predicted `secs` ahead, m; `None` of a robot that will have made way by then.
+fn kept(settings: &AvoidanceSettings, track: &Track, secs: f64) -> Option<f64> {
+    match () {
+        () if track.makes_way() && secs > settings.robot_minded => None,
+        () if track.is_robot() => Some(settings.robot_clearance),
+        () => Some(settings.clearance_after(secs)),
+    }
+}
+
+/// The way of a track is left this long before it comes, s.
+fn lead(settings: &AvoidanceSettings, track: &Track) -> f64 {
+    if track.is_robot() {
+        settings.robot_lead
+    } else {
+        settings.lead
     }
 }
 

@@ -77,7 +77,6 @@ impl Hall {
                 dt: 1.0 / RATE,
                 now: Stamp::from_secs(now),
                 monitor: &CollisionMonitor::new(&self.model, 1.0 / RATE),
-                age: 0.0,
                 odom_from_base: self.pose,
                 command: self.twist,
                 speed_cap: f64::INFINITY,

@@ -10,7 +10,7 @@ use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::robot::RobotModel;
 
-use super::{AvoidanceInput, cell_of};
+use super::{AvoidanceInput, cell_of, kept, lead};
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::obstacle_tracks::Track;
@@ -25,6 +25,8 @@ const LAYERS: usize = 24;
 const NO_WAY: f32 = 1e4;
 /// Cost of being beside a track, as a share of the time there.
 const NEARNESS: f32 = 6.0;
+/// Cost of a layer of time on a robot that tells its course and has right of way, s: not without end, so that there is a least evil.
+const HIT: f32 = 60.0;
 /// Time that a turn costs beyond the one at the top yaw rate, as a share.
 const TURN_COST: f64 = 0.6;
 /// Going backwards counts as a turn of this much, rad.
@@ -51,6 +53,8 @@ pub(super) struct ValueFunction {
     blocked: Vec<bool>,
     /// Time to the end of the plan from each cell of each layer, s.
     values: Vec<f32>,
+    /// By layer and cell: whether a robot is there that has right of way.
+    hits: Vec<bool>,
 }
 
 /// To the neighbours of a cell: how far on in the grid, and how many layers it takes.
@@ -77,7 +81,13 @@ impl ValueFunction {
             origin: Point2::origin(),
             blocked: vec![false; CELLS],
             values: vec![NO_WAY; CELLS * (LAYERS + 1)],
+            hits: vec![false; CELLS * LAYERS],
         }
+    }
+
+    /// Time of a layer, s.
+    pub(super) fn layer(&self) -> f64 {
+        self.layer
     }
 
     fn center(&self, index: usize) -> Point2<f64> {
@@ -109,6 +119,7 @@ impl ValueFunction {
         self.origin = here - Vector2::repeat(0.5 * SIDE as f64 * self.cell);
         self.block(input, standing);
         self.static_values(input);
+        self.hits.fill(false);
         // Backwards in time.
         for nth in (0..LAYERS).rev() {
             let (before, after) = self.values.split_at_mut((nth + 1) * CELLS);
@@ -135,28 +146,64 @@ impl ValueFunction {
                 }
             }
             for track in tracks {
-                self.add_track(nth, track, input.age);
+                self.add_track(nth, track, input.now.secs_since(track.stamp));
             }
         }
     }
 
     /// Makes a layer's cells impassable that a track takes then or in the moments after, and those beside them slow.
     fn add_track(&mut self, nth: usize, track: &Track, age: f64) {
-        let (secs, lead) = (self.layer * nth as f64, self.settings.lead);
+        let secs = self.layer * nth as f64;
+        let Some(kept) = kept(&self.settings, track, secs) else {
+            return;
+        };
+        let way = track.way(secs + age, lead(&self.settings, track));
         let near = track.radius + self.inscribed + LEAST_CLEARANCE;
-        let far = near.max(track.radius + self.inscribed + self.settings.clearance_after(secs));
-        let way = track.velocity * lead;
-        for index in self.disc(track.at(secs + age) + way * 0.5, far + 0.5 * way.norm()) {
-            let center = self.center(index);
-            let distance = (center - track.nearest_on_way(secs + age, lead, center)).norm();
+        let far = near.max(track.radius + self.inscribed + kept);
+        let (middle, reach) = way.disc();
+        for index in self.disc(middle, far + reach) {
+            let distance = way.distance(self.center(index));
             let value = &mut self.values[nth * CELLS + index];
-            if distance <= near {
+            if distance <= near && track.is_robot() {
+                *value = (*value + HIT).min(NO_WAY);
+                self.hits[nth * CELLS + index] = !track.makes_way();
+            } else if distance <= near {
                 *value = NO_WAY;
             } else if distance < far {
                 let depth = (far - distance) / (far - near);
                 *value = (*value + NEARNESS * self.layer as f32 * depth as f32).min(NO_WAY);
             }
         }
+    }
+
+    /// The best course from a place, a layer of time apart, into `out`; in how many layers it leads into a robot's.
+    pub(super) fn course(&self, from: Point2<f64>, out: &mut Vec<Point2<f64>>) -> u32 {
+        out.clear();
+        let Some(mut index) = cell_of(from, self.origin, self.cell, SIDE) else {
+            return 0;
+        };
+        out.push(from);
+        let mut hits = 0;
+        for nth in 1..=LAYERS {
+            let layer = &self.values[nth * CELLS..][..CELLS];
+            let (row, column) = (index / SIDE, index % SIDE);
+            if (1..SIDE - 1).contains(&row) && (1..SIDE - 1).contains(&column) {
+                let step = self.layer as f32;
+                let mut least = layer[index] + step;
+                let here = index;
+                for (shift, steps) in &NEIGHBOURS {
+                    let there = (here as isize + shift) as usize;
+                    let value = layer[there] + step * steps;
+                    if value < least {
+                        (least, index) = (value, there);
+                    }
+                }
+            }
+            // Where it is now nobody can help.
+            hits += u32::from(nth > 2 && nth < LAYERS && self.hits[nth * CELLS + index]);
+            out.push(self.center(index));
+        }
+        hits
     }
 
     /// Marks the cells that the robot cannot be in: too near to what stands, or never seen free.

@@ -136,6 +136,14 @@ impl Detector {
         evident
     }
 
+    /// Leaves out the points that something else is known about; of `evident` ones, how many are left.
+    pub(super) fn leave_out(&mut self, evident: usize, is_known: impl Fn(Point2<f64>) -> bool) -> usize {
+        let known = self.points.iter().take(evident).filter(|point| is_known(**point));
+        let left = evident - known.count().min(evident);
+        self.points.retain(|point| !is_known(*point));
+        left
+    }
+
     /// Notes where something has evidently moved: the first of the points.
     pub(super) fn note_moved(&mut self, evident: usize, stamp: Stamp) {
         for place in self.points.iter().take(evident) {

@@ -78,12 +78,16 @@ impl MovingObstacles {
         let Some(evident) = self.detectors.get_mut(index).map(|detector| detector.insert(scan)) else {
             return;
         };
-        if let Some(detector) = self.detectors.get(index) {
-            self.tracks.insert(scan, &detector.moved_beams);
+        let (tracks, mut left) = (&mut self.tracks, evident);
+        if let Some(detector) = self.detectors.get_mut(index) {
+            tracks.insert(scan, &detector.moved_beams);
+            if !tracks.robots().is_empty() {
+                left = detector.leave_out(evident, |point| tracks.robot_at(point).is_some());
+            }
         }
         self.track_occlusions(index, scan);
         if let Some(detector) = self.detectors.get_mut(index) {
-            detector.note_moved(evident, scan.stamp);
+            detector.note_moved(left, scan.stamp);
         }
     }
 
@@ -178,7 +182,7 @@ impl MovingObstacles {
     }
 
     /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`, and how fast each moves at most, m/s: a tracked one
-    /// as fast as its track, any other one as fast as is assumed.
+    /// as fast as its track, any other one as fast as is assumed. Without robots that tell their course.
     pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
         let points = self.detectors.iter().flat_map(|detector| &detector.points);
@@ -188,6 +192,11 @@ impl MovingObstacles {
                 self.tracks.most_speed_at(*point).unwrap_or(self.fastest),
             )
         })
+    }
+
+    /// Takes the robots that tell their course: what is known of them need not be guessed.
+    pub(crate) fn set_robots(&mut self, robots: impl Iterator<Item = Track>) {
+        self.tracks.set_robots(robots);
     }
 
     /// The tracks of moving obstacles.

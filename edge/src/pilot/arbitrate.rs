@@ -108,7 +108,6 @@ impl Pilot {
                 dt,
                 now,
                 monitor: &self.collision_monitor,
-                age: self.obstacles.stamp().map_or(0.0, |stamp| now.secs_since(stamp)),
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),
                 blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),

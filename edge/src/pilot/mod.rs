@@ -9,8 +9,10 @@
 //! | `plans` | which plan drives the robot? |
 //! | `arbitrate` | which twist does the source that may move the robot want? |
 //! | `report` | what is published at the end of a tick? |
+//! | `intent` | what do other robots learn of its course? |
 
 mod arbitrate;
+mod intent;
 mod plans;
 mod report;
 mod sense;
@@ -18,7 +20,7 @@ mod sense;
 use std::collections::VecDeque;
 
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{EventKind, LostPolicy, Mode, Revision, WallFollowerState};
+use zenav_protocol::messages::{EventKind, Intent, LostPolicy, Mode, Revision, WallFollowerState};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::time::Stamp;
@@ -38,6 +40,7 @@ use crate::local_obstacles::LocalObstacles;
 use crate::loop_timing::LoopTiming;
 use crate::lost_beams::LostBeams;
 use crate::maneuvers::Maneuvers;
+use crate::other_robots::OtherRobots;
 use crate::return_home::ReturnHome;
 use crate::telemetry::Telemetry;
 use crate::teleop::DeadMan;
@@ -62,8 +65,15 @@ pub struct Pilot {
     pub(crate) collision_monitor: CollisionMonitor,
     pub(crate) active_plan: Option<ActivePlan>,
     avoidance: Avoidance,
-    /// The plan ahead; kept for its memory.
+    /// The plan ahead in the last tick that followed one.
     ahead: Vec<Ahead>,
+    other_robots: OtherRobots,
+    /// What other robots were told last.
+    intent: Intent,
+    /// The goal that the told length of the way is for.
+    way_goal: Option<String>,
+    /// Since when it has stood with nothing to drive to.
+    parked_since: Option<Stamp>,
     pub(crate) wall_following: WallFollowing,
     wall_follower: WallFollower,
     return_home: ReturnHome,
@@ -103,6 +113,14 @@ impl Pilot {
             active_plan: None,
             avoidance: Avoidance::new(model, &settings.avoidance),
             ahead: Vec::new(),
+            other_robots: OtherRobots::new(config.robot.as_str()),
+            intent: Intent {
+                robot: config.robot.to_string(),
+                radius: model.footprint.circumscribed_radius(),
+                ..Intent::default()
+            },
+            way_goal: None,
+            parked_since: None,
             wall_following: model.wall_following.clone(),
             wall_follower: WallFollower::new(model, &settings.wall_follower),
             return_home: ReturnHome::new(&settings.return_home),
@@ -151,6 +169,10 @@ impl Pilot {
         if let Some(late) = inbox.late {
             self.loop_timing.record(late);
         }
+        self.other_robots.receive(now, inbox.intents);
+        let odom_from_map = self.estimator.map_from_odom().inverse();
+        self.obstacles
+            .set_robots(self.other_robots.tracks(now, &self.intent, odom_from_map));
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
         for (ticket, request) in inbox.requests {
             let reply = self.answer(now, request);

@@ -1,4 +1,4 @@
-//! Reporting. What does the robot publish at the end of a tick? Events at once, markers and the state when they are due.
+//! Reporting. What does the robot publish at the end of a tick? Events at once, markers, the intent and the state when they are due.
 
 use zenav_protocol::messages::{EdgeState, LostPolicy, Mode};
 use zenav_protocol::readings::Readings;
@@ -29,6 +29,7 @@ impl Pilot {
             };
             out.extend(markers.into_iter().map(Publication::Marker));
         }
+        self.tell_intent(now, out);
         if self.telemetry.state_due(now) {
             out.push(Publication::State(Box::new(self.state(now, readings))));
         }
@@ -49,6 +50,7 @@ impl Pilot {
             behaviour: self.maneuvers.last().cloned(),
             wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.wall_follower.state()),
             missed_ticks: self.missed_ticks,
+            makes_way: self.avoidance.is_for_robot(),
         }
     }
 }

@@ -42,7 +42,7 @@ impl Pilot {
                 out.extend(scan.map(|scan| Publication::Scan(sweep.lidar.clone(), scan)));
             }
         }
-        let tracked = self.obstacles.moving().tracks().iter().next().is_some();
+        let tracked = self.obstacles.moving().tracks().iter().any(|track| !track.is_robot());
         if !readings.sweeps.is_empty() && (tracked || self.tracked) {
             out.push(Publication::Obstacles(self.tracked_obstacles()));
             self.tracked = tracked;
@@ -70,6 +70,7 @@ impl Pilot {
         Obstacles {
             stamp: self.obstacles.stamp().unwrap_or_default(),
             obstacles: tracks
+                .filter(|track| !track.is_robot())
                 .map(|track| {
                     let place = map_from_odom.transform_point(track.position);
                     let (sin, cos) = map_from_odom.yaw.sin_cos();

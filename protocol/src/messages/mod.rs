@@ -13,6 +13,7 @@
 //! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `obstacles` | the moving obstacles that the robot tracks |
+//! | `intent` | what the robot is about to do, for other robots |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
 //! | `behaviour` | manoeuvres that the robot executes by itself |
@@ -30,6 +31,7 @@ mod control;
 mod estimate;
 mod event;
 mod goal;
+mod intent;
 mod journal;
 mod lease;
 mod map;
@@ -47,6 +49,7 @@ pub use control::*;
 pub use estimate::*;
 pub use event::*;
 pub use goal::*;
+pub use intent::*;
 pub use journal::*;
 pub use lease::*;
 pub use map::*;

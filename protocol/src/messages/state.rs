@@ -137,6 +137,9 @@ pub struct EdgeState {
     /// Control ticks skipped since the start because they came too late.
     #[serde(default)]
     pub missed_ticks: u64,
+    /// Whether the robot waits or leaves its plan to make way for another robot.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub makes_way: bool,
 }
 
 /// A shape to draw.

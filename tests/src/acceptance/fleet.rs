@@ -218,6 +218,7 @@ impl FakeRobot {
                 behaviour: None,
                 wall_follower: None,
                 missed_ticks: 0,
+                makes_way: false,
             });
         }
     }

@@ -20,6 +20,11 @@ impl Progress {
     /// Whether the robot has been without progress for too long.
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
+        if ctx.robot.state().is_some_and(|state| state.makes_way) {
+            // Another robot goes first.
+            self.reset();
+            return false;
+        }
         let settings = &ctx.config.settings.progress;
         match self.anchor {
             Some((since, anchor))

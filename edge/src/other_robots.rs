@@ -1,0 +1,102 @@
+//! Other robots. Where will those be that tell what they are about to do ([`Intent`]), and which of them makes way for this one?
+//!
+//! Each becomes a track with a known future ([`crate::obstacle_tracks`]) for as long as it is heard. Who is no longer heard, or parks, is
+//! what a lidar makes of it. Clocks of two robots are never compared: a message holds from its arrival.
+
+use nalgebra::Vector2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::Intent;
+use zenav_protocol::time::Stamp;
+
+use crate::obstacle_tracks::{Course, Track};
+
+/// Most robots that are listened to.
+const MOST: usize = 64;
+/// Who has been silent for longer is forgotten, s.
+const SILENT: f64 = 1.0;
+/// Ids of robots' tracks begin here: those of a lidar's never get there.
+const FIRST_ID: u64 = 1 << 48;
+
+/// The robots that this one hears.
+#[derive(Clone, Debug, Default)]
+pub struct OtherRobots {
+    own: String,
+    /// By name.
+    heard: Vec<(Stamp, Intent)>,
+}
+
+impl OtherRobots {
+    /// Nobody heard yet, by the robot of this name.
+    #[must_use]
+    pub fn new(own: &str) -> Self {
+        Self {
+            own: own.to_owned(),
+            heard: Vec::new(),
+        }
+    }
+
+    /// Takes in what arrived, and forgets who is silent.
+    pub fn receive(&mut self, now: Stamp, intents: Vec<Intent>) {
+        for intent in intents {
+            if intent.robot == self.own || !intent.is_sound() {
+                continue;
+            }
+            match self.heard.binary_search_by(|(_, known)| known.robot.cmp(&intent.robot)) {
+                Ok(place) => self.heard[place] = (now, intent),
+                Err(_) if self.heard.len() >= MOST => {}
+                Err(place) => self.heard.insert(place, (now, intent)),
+            }
+        }
+        self.heard.retain(|(arrived, _)| now.secs_since(*arrived) <= SILENT);
+    }
+
+    /// Their tracks at a time, in the odometry frame; `own` is what this robot has told of itself.
+    pub fn tracks(&self, now: Stamp, own: &Intent, odom_from_map: Pose2) -> impl Iterator<Item = Track> {
+        self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
+            let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());
+            let places = intent.places.iter().map(|place| odom_from_map.transform_point(*place));
+            let course = Course {
+                places: places.collect(),
+                step: intent.step,
+                begun: now.secs_since(*arrived),
+                makes_way: own.goes_before(intent),
+            };
+            Track::of_robot(id, intent.radius, heading * v + Vector2::zeros(), now, course)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point2;
+
+    #[test]
+    fn a_robot_is_where_it_said_it_would_be_until_it_is_silent_for_long() {
+        let mut others = OtherRobots::new("anna");
+        let intent = |robot: &str| Intent {
+            robot: robot.to_owned(),
+            radius: 0.3,
+            step: 0.5,
+            places: vec![Point2::new(1.0, 0.0), Point2::new(1.5, 0.0), Point2::new(1.5, 0.5)],
+            driving: true,
+            ..Intent::default()
+        };
+        let mut broken = intent("carl");
+        broken.radius = f64::NAN;
+        others.receive(Stamp::from_secs(10.0), vec![intent("anna"), intent("bert"), broken]);
+        let own = intent("anna");
+        let tracks = |others: &OtherRobots, secs| -> Vec<Track> {
+            others.tracks(Stamp::from_secs(secs), &own, Pose2::IDENTITY).collect()
+        };
+        let tracks_now = tracks(&others, 10.25);
+        assert_eq!(tracks_now.len(), 1, "neither itself nor what cannot be");
+        let bert = &tracks_now[0];
+        assert!((bert.position - Point2::new(1.25, 0.0)).norm() < 1e-9);
+        assert!((bert.at(0.5) - Point2::new(1.5, 0.25)).norm() < 1e-9);
+        assert!((bert.at(9.0) - Point2::new(1.5, 0.5)).norm() < 1e-9);
+        assert!(bert.makes_way(), "by name");
+        others.receive(Stamp::from_secs(11.5), Vec::new());
+        assert!(tracks(&others, 11.5).is_empty());
+    }
+}

@@ -1,0 +1,71 @@
+//! Intent. What do other robots learn of this one's course? Where it will be by its plan, or where it makes way to, and who goes first.
+
+use zenav_protocol::messages::{Intent, Mode};
+use zenav_protocol::time::Stamp;
+
+use super::Pilot;
+use crate::control_io::Publication;
+
+/// Time from one place that is told to the next, s, and how many there are.
+const STEP: f64 = 0.4;
+const PLACES: u32 = 16;
+/// What moves without a plan goes on as it does for this long, s.
+const UNPLANNED: f64 = 1.0;
+/// Slower than this it stands, m/s and rad/s.
+const STANDS: f64 = 0.02;
+
+impl Pilot {
+    /// Tells other robots where this one will be, until it has stood for a while with nothing to drive to.
+    pub(super) fn tell_intent(&mut self, now: Stamp, out: &mut Vec<Publication>) {
+        let velocity = self.estimator.velocity();
+        let driving = self.mode == Mode::Follow && self.active_plan.is_some();
+        let stands = velocity.v.abs() < STANDS && velocity.w.abs() < STANDS;
+        self.parked_since = match driving || !stands {
+            true => None,
+            false => self.parked_since.or(Some(now)),
+        };
+        let parked = self.config.settings.telemetry.intent_parked;
+        if self.parked_since.is_some_and(|since| now.secs_since(since) > parked) || !self.telemetry.intent_due(now) {
+            return;
+        }
+        let pose = self.estimator.map_from_base();
+        if let Some(active) = self.active_plan.as_ref().filter(|_| driving) {
+            let goal = &active.plan().goal_id;
+            if self.way_goal.as_ref() != Some(goal) {
+                self.way_goal = Some(goal.clone());
+                self.intent.way_secs = active.progress(now, &pose).time_left;
+            }
+        }
+        let mut places = std::mem::take(&mut self.intent.places);
+        places.clear();
+        let map_from_odom = self.estimator.map_from_odom();
+        let course = self.avoidance.course().filter(|_| driving);
+        places.extend((0..PLACES).map(|nth| {
+            let secs = STEP * f64::from(nth);
+            match course {
+                Some((course, layer)) => {
+                    let place = course.get((secs / layer).round() as usize).or(course.last());
+                    place.map_or(pose.position(), |place| map_from_odom.transform_point(*place))
+                }
+                None if driving && !self.ahead.is_empty() => {
+                    let place = self.ahead.iter().find(|ahead| ahead.secs >= secs).or(self.ahead.last());
+                    place.map_or(pose.position(), |ahead| {
+                        map_from_odom.transform_point(ahead.pose.position())
+                    })
+                }
+                None => pose.advance(velocity, secs.min(UNPLANNED)).position(),
+            }
+        }));
+        self.intent = Intent {
+            stamp: now,
+            map_from_base: pose,
+            velocity,
+            step: STEP,
+            places,
+            driving,
+            trapped: self.avoidance.is_trapped(),
+            ..std::mem::take(&mut self.intent)
+        };
+        out.push(Publication::Intent(self.intent.clone()));
+    }
+}

@@ -1,0 +1,101 @@
+//! What a robot is about to do, for the other robots around it.
+
+use std::cmp::Ordering;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::{Pose2, Twist2};
+use crate::time::Stamp;
+
+/// Where a robot is and will be, published some times a second until it has stood for a while with nothing to drive to: then it is an
+/// obstacle like any other. All robots that hear one another share the map frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Intent {
+    /// The time that the pose is for, on the robot's clock.
+    pub stamp: Stamp,
+    /// The robot's name.
+    pub robot: String,
+    /// Radius of the disc around the base that holds the whole outline, m.
+    pub radius: f64,
+    /// Pose in the map.
+    pub map_from_base: Pose2,
+    /// Velocity in the base frame.
+    pub velocity: Twist2,
+    /// Time from one of the places to the next, s.
+    pub step: f64,
+    /// Where it will be: from the stamp on, a step apart; it stays at the last. Map frame, m.
+    pub places: Vec<Point2<f64>>,
+    /// Whether it has somewhere to go now. Who has not cannot make way.
+    pub driving: bool,
+    /// Whether it has found no place to make way to.
+    pub trapped: bool,
+    /// Time that its whole way takes by its plan, fixed when it set out, s: the longer way goes first.
+    pub way_secs: f64,
+}
+
+impl Intent {
+    /// Whether this robot has right of way over another: who cannot make way, then who found no place to, then who has the longer way, then
+    /// by name. A total order, so no ring of robots waits for one another; both robots compute it alike, from the two messages alone.
+    #[must_use]
+    pub fn goes_before(&self, other: &Self) -> bool {
+        let order = self.driving.cmp(&other.driving);
+        let order = order.then(other.trapped.cmp(&self.trapped));
+        let order = order.then(other.way_secs.total_cmp(&self.way_secs));
+        order.then_with(|| self.robot.cmp(&other.robot)) == Ordering::Less
+    }
+
+    /// Whether its numbers can be meant.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let places = self
+            .places
+            .iter()
+            .all(|place| place.coords.iter().all(|at| at.is_finite()));
+        places
+            && (1..=MOST_PLACES).contains(&self.places.len())
+            && (0.02..=2.0).contains(&self.step)
+            && (0.01..=5.0).contains(&self.radius)
+            && self.way_secs.is_finite()
+            && self.map_from_base.is_finite()
+            && self.velocity.is_finite()
+    }
+}
+
+/// Most places that a robot tells.
+const MOST_PLACES: usize = 256;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_two_robots_exactly_one_has_right_of_way() {
+        let mut all = Vec::new();
+        for (nth, robot) in ["anna", "bert"].into_iter().enumerate() {
+            for bits in 0..8_u32 {
+                all.push(Intent {
+                    robot: format!("{robot}{bits}"),
+                    driving: bits & 1 > 0,
+                    trapped: bits & 2 > 0,
+                    way_secs: if bits & 4 > 0 { 10.0 + nth as f64 } else { 5.0 },
+                    ..Intent::default()
+                });
+            }
+        }
+        for a in &all {
+            for b in all.iter().filter(|b| b.robot != a.robot) {
+                assert_ne!(a.goes_before(b), b.goes_before(a), "{a:?} {b:?}");
+                for c in all.iter().filter(|c| c.robot != a.robot && c.robot != b.robot) {
+                    assert!(!(a.goes_before(b) && b.goes_before(c) && c.goes_before(a)));
+                }
+            }
+        }
+        let standing = &all[0];
+        assert!(
+            all.iter()
+                .filter(|other| other.driving)
+                .all(|other| standing.goes_before(other))
+        );
+    }
+}
