@@ -18,7 +18,7 @@ use crate::config::Layers;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::lockstep::{ContactKind, ContactReport, RunOutcome, Scenario};
+use crate::lockstep::{ContactKind, ContactReport, Entrant, RunOutcome, RunReport, Scenario, worst};
 use crate::output::{Format, line, table, value};
 
 /// Mean delay from scan to plan, ms.
@@ -62,6 +62,8 @@ pub struct DriveArgs {
 #[serde(rename_all = "snake_case")]
 enum Driver {
     Zenav,
+    /// The robot whose way takes longest, with no other robot in the world.
+    Alone,
     #[serde(untagged)]
     Anchor(Anchor),
 }
@@ -70,6 +72,7 @@ impl Driver {
     fn name(self) -> &'static str {
         match self {
             Self::Zenav => "zenav",
+            Self::Alone => "zenav, alone",
             Self::Anchor(Anchor::Standing) => "window, standing",
             Self::Anchor(Anchor::ConstantVelocity) => "window, velocities",
             Self::Anchor(Anchor::AllKnowing) => "all-knowing A*",
@@ -86,7 +89,8 @@ struct Run {
     outcome: RunOutcome,
     reason: Option<String>,
     time_s: f64,
-    /// Length of the shortest way of the inscribed disc over the top speed, s.
+    /// Length of the shortest way of the inscribed disc over the top speed, s; of several robots, the time of the one with the longest
+    /// way when it is alone.
     ideal_s: f64,
     length_m: f64,
     min_clearance_m: f64,
@@ -366,51 +370,98 @@ fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
     Ok(runs.into_iter().flatten().collect())
 }
 
-/// A case, driven by zenav and by the anchors.
-fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
-    let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
-    let ideal_s = field.shortest(case.world.start().position()) / case.model.drive.top_speed();
+/// A case, driven by zenav: of several robots, the worst outcome, when the last was done, and everybody's contacts.
+fn zenav(
+    layers: &Layers,
+    case: &Case,
+    driver: Driver,
+    entrants: Vec<Entrant<'_>>,
+    ideal_s: f64,
+) -> Result<Run, Failure> {
     let scenario = Scenario {
         world: &case.world,
-        robot: Some(case.robot),
+        entrants,
         seed: Some(case.seed),
         known_map: case.known_map,
         zones: None,
         cloud_delay_ms: DELAY_MS,
-        goal: case.goal,
         tolerance: case.tolerance,
         profile: None,
         timeout: case.timeout,
     };
     let mut watch = Watch::default();
-    let report = scenario.run(layers, |now, truth| watch.see(now, truth, case.blind_from))?;
-    let mut runs = vec![Run {
+    let reports = scenario.run(layers, |robot, now, truth| {
+        if robot == 0 {
+            watch.see(now, truth, case.blind_from);
+        }
+    })?;
+    let outcome = worst(&reports);
+    let most = |value: fn(&RunReport) -> f64| reports.iter().map(value).fold(0.0, f64::max);
+    let blamed = reports.iter().position(|report| report.outcome == outcome);
+    let reason = blamed.and_then(|index| Some((index, reports.get(index)?.reason.clone()?)));
+    let time_s = most(|report| report.time_s);
+    let cpu_s = reports.iter().map(|report| report.cpu_s).sum::<Option<f64>>();
+    let entered = reports
+        .iter()
+        .map(|report| report.time_entered_s.filter(|_| report.collisions == 0));
+    let entered = entered.reduce(|last, entered| Some(last?.max(entered?))).flatten();
+    let optimal_s = case
+        .optimal
+        .map_or(ideal_s, |metres| metres / case.model.drive.top_speed());
+    Ok(Run {
         scenario: case.scenario.clone(),
         name: case.name.clone(),
-        driver: Driver::Zenav,
-        outcome: report.outcome,
-        reason: report.reason,
-        time_s: report.time_s,
+        driver,
+        outcome,
+        reason: reason.map(|(index, reason)| match reports.len() {
+            1 => reason,
+            _ => format!("robot {}: {reason}", index + 1),
+        }),
+        time_s,
         ideal_s,
-        length_m: report.length_m,
-        min_clearance_m: report.min_clearance_m,
-        contacts: report.contacts,
-        pose_error_m: Some(report.pose_error_m),
-        recoveries: Some(report.recoveries),
-        cpu_s: report.cpu_s,
+        length_m: reports.iter().map(|report| report.length_m).sum(),
+        min_clearance_m: reports
+            .iter()
+            .map(|report| report.min_clearance_m)
+            .fold(f64::INFINITY, f64::min),
+        pose_error_m: Some(most(|report| report.pose_error_m)),
+        recoveries: Some(reports.iter().map(|report| report.recoveries).sum()),
+        cpu_s,
         close_share: watch.close_share(case),
         faultless: case.faultless.clone(),
         over_faultless: None,
         rest_after_s: watch.rest,
-        cpu_share: report.cpu_s.filter(|_| case.is_costed).map(|cpu| cpu / report.time_s),
-        score: case.is_scored.then(|| {
-            let optimal_s = case
-                .optimal
-                .map_or(ideal_s, |metres| metres / case.model.drive.top_speed());
-            let taken = report.time_entered_s.filter(|_| report.collisions == 0);
-            taken.map_or(0.0, |secs| score(optimal_s, secs))
-        }),
-    }];
+        cpu_share: cpu_s.filter(|_| case.is_costed).map(|cpu| cpu / time_s),
+        score: case
+            .is_scored
+            .then(|| entered.map_or(0.0, |secs| score(optimal_s, secs))),
+        contacts: reports.into_iter().flat_map(|report| report.contacts).collect(),
+    })
+}
+
+/// A case, driven by zenav and by the anchors.
+fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
+    let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
+    let ideal_s = field.shortest(case.world.start().position()) / case.model.drive.top_speed();
+    let others = case.others.iter().map(|other| (other.start, other.goal));
+    let all = [(case.world.start(), case.goal)].into_iter().chain(others);
+    let entrants: Vec<Entrant<'_>> = all
+        .map(|(start, goal)| Entrant {
+            robot: Some(case.robot),
+            start: Some(start),
+            goal,
+        })
+        .collect();
+    let way = |one: &&Entrant<'_>| one.start.map_or(0.0, |start| (start.position() - one.goal).norm());
+    let farthest = entrants.iter().max_by(|a, b| way(a).total_cmp(&way(b))).copied();
+    let several = entrants.len() > 1;
+    let mut runs = vec![zenav(layers, case, Driver::Zenav, entrants, ideal_s)?];
+    if let Some(one) = farthest.filter(|_| several) {
+        let alone = zenav(layers, case, Driver::Alone, vec![one], ideal_s)?;
+        // The price of the others.
+        runs.iter_mut().for_each(|together| together.ideal_s = alone.time_s);
+        runs.push(alone);
+    }
     for anchor in case.anchors {
         let mut watch = Watch::default();
         let driven = anchors::drive(*anchor, case, &field, |now, truth| watch.see(now, truth, None))?;

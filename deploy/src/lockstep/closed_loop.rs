@@ -4,7 +4,7 @@
 //! links' delay stands for everything from scan to plan.
 //!
 //! [`ClosedLoop::tick`] is the whole; who wants to see what goes over the wire, or to have a part fail, takes the turns one by one:
-//! [`ClosedLoop::advance`], [`ClosedLoop::step_mission`], [`ClosedLoop::carry_out`].
+//! [`ClosedLoop::advance`], then for each robot [`RobotLoop::step_mission`] and [`RobotLoop::carry_out`].
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +16,10 @@ use zenav_mapping::{Mapper, MappingSettings};
 use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Restored};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::{GoalState, Heartbeat, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal};
+use zenav_protocol::messages::{
+    GoalState, Heartbeat, Intent, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal,
+};
+use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
@@ -27,7 +30,7 @@ use crate::batch::thread_time;
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
 
-/// What a run is made of.
+/// What a robot's side of a run is made of.
 #[derive(Debug)]
 pub struct ClosedLoopConfig {
     /// The robot.
@@ -61,8 +64,88 @@ enum Down {
 
 /// Everything, in one thread.
 pub struct ClosedLoop {
-    /// The world; its robot 0 is driven.
+    /// The world; its first robots are driven.
     pub simulation: Simulation,
+    /// Each robot with its own mapper, worker and mission, in the order of the world.
+    pub robots: Vec<RobotLoop>,
+    /// From each robot to the others.
+    intents: Vec<Link<(usize, Intent)>>,
+}
+
+impl ClosedLoop {
+    /// Prepares a run: one robot for each configuration, which are the first robots of the simulation.
+    #[must_use]
+    pub fn new(simulation: Simulation, configs: Vec<ClosedLoopConfig>) -> Self {
+        let link = |config: &ClosedLoopConfig| Link::new(0.5 * config.cloud_delay, config.seed.wrapping_mul(3));
+        Self {
+            simulation,
+            intents: configs.iter().map(link).collect(),
+            robots: configs.into_iter().map(RobotLoop::new).collect(),
+        }
+    }
+
+    /// One control tick.
+    pub fn tick(&mut self) {
+        self.advance();
+        for robot in &mut self.robots {
+            let begun = thread_time();
+            for effect in robot.step_mission() {
+                robot.carry_out(effect);
+            }
+            robot.cpu += thread_time().saturating_sub(begun);
+        }
+    }
+
+    /// One control tick of world, robots and mappers. Returns what each robot gave out.
+    pub fn advance(&mut self) -> Vec<Outbox> {
+        self.simulation.step();
+        let now = self.simulation.now();
+        self.exchange(now);
+        let mut outboxes = Vec::with_capacity(self.robots.len());
+        for (index, robot) in self.robots.iter_mut().enumerate() {
+            let outbox = robot.advance(now, &self.simulation.readings(index));
+            self.simulation.drive(index, outbox.wheels);
+            outboxes.push(outbox);
+        }
+        outboxes
+    }
+
+    /// Gives the robots what the others have told, and takes what they told in the last tick.
+    fn exchange(&mut self, now: Stamp) {
+        if self.robots.len() < 2 {
+            return;
+        }
+        for (sender, (robot, link)) in self.robots.iter_mut().zip(&mut self.intents).enumerate() {
+            if let Some(intent) = robot.told.take() {
+                link.send(now, (sender, intent));
+            }
+        }
+        for link in &mut self.intents {
+            for (sender, intent) in link.receive(now) {
+                let others = self.robots.iter_mut().enumerate().filter(|(index, _)| *index != sender);
+                others.for_each(|(_, robot)| robot.inbox.intents.push(intent.clone()));
+            }
+        }
+    }
+
+    /// Simulated time.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.simulation.now()
+    }
+
+    /// The simulator's truth about a robot.
+    ///
+    /// # Panics
+    /// See [`Simulation::drive`].
+    #[must_use]
+    pub fn truth(&self, robot: usize) -> Truth {
+        self.simulation.truth(robot)
+    }
+}
+
+/// One robot with everything that is its own: pilot, links, mapper, worker, mission.
+pub struct RobotLoop {
     /// The robot's side.
     pub pilot: Pilot,
     /// For the robot's next tick, from anybody but the mission.
@@ -81,15 +164,16 @@ pub struct ClosedLoop {
     replies: Vec<Result<MissionReply, Refusal>>,
     /// The newest state of each goal.
     goal: Option<GoalState>,
+    /// What it told other robots in its last tick.
+    told: Option<Intent>,
+    now: Stamp,
     ticks: u64,
     clients: u64,
     cpu: Duration,
 }
 
-impl ClosedLoop {
-    /// Prepares a run; the simulation has one robot.
-    #[must_use]
-    pub fn new(simulation: Simulation, config: ClosedLoopConfig) -> Self {
+impl RobotLoop {
+    fn new(config: ClosedLoopConfig) -> Self {
         let map = MapRef {
             id: "lockstep".to_owned(),
             revision: 0,
@@ -102,7 +186,6 @@ impl ClosedLoop {
         // Live scans go on into a known map: what moved since must be seen.
         mapper.resume();
         Self {
-            simulation,
             pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
             inbox: Inbox::default(),
             mapper,
@@ -114,6 +197,8 @@ impl ClosedLoop {
             down: Link::new(0.5 * config.cloud_delay, config.seed.wrapping_add(1)),
             replies: Vec::new(),
             goal: None,
+            told: None,
+            now: Stamp::ZERO,
             ticks: 0,
             clients: 0,
             cpu: Duration::ZERO,
@@ -137,30 +222,18 @@ impl ClosedLoop {
         };
     }
 
-    /// One control tick.
-    pub fn tick(&mut self) {
-        self.advance();
-        let begun = thread_time();
-        for effect in self.step_mission() {
-            self.carry_out(effect);
-        }
-        self.cpu += thread_time().saturating_sub(begun);
-    }
-
-    /// One control tick of world, robot and mapper. Returns what the robot gave out.
-    pub fn advance(&mut self) -> Outbox {
-        self.simulation.step();
+    /// One control tick of robot and mapper. Returns what the robot gave out.
+    fn advance(&mut self, now: Stamp, readings: &Readings) -> Outbox {
         let begun = thread_time();
         self.ticks += 1;
-        let now = self.simulation.now();
-        let outbox = self.step_edge(now);
-        self.simulation.drive(0, outbox.wheels);
+        self.now = now;
+        let outbox = self.step_edge(now, readings);
         self.deliver(now);
         self.cpu += thread_time().saturating_sub(begun);
         outbox
     }
 
-    fn step_edge(&mut self, now: Stamp) -> Outbox {
+    fn step_edge(&mut self, now: Stamp, readings: &Readings) -> Outbox {
         let mut inbox = std::mem::take(&mut self.inbox);
         for message in self.down.receive(now) {
             match message {
@@ -169,8 +242,11 @@ impl ClosedLoop {
                 Down::Request(ticket, request) => inbox.requests.push((zenav_edge::Ticket(ticket.0), request)),
             }
         }
-        let outbox = self.pilot.step(now, &self.simulation.readings(0), inbox);
+        let outbox = self.pilot.step(now, readings, inbox);
         for publication in &outbox.publications {
+            if let Publication::Intent(intent) = publication {
+                self.told = Some(intent.clone());
+            }
             self.up.send(now, Up::Publication(publication.clone()));
         }
         for (ticket, answer) in &outbox.replies {
@@ -208,7 +284,7 @@ impl ClosedLoop {
             return Vec::new();
         }
         let inputs = std::mem::take(&mut self.inputs);
-        let now = self.simulation.now();
+        let now = self.now;
         self.mission
             .as_mut()
             .map_or_else(Vec::new, |mission| mission.step(now, inputs))
@@ -216,7 +292,7 @@ impl ClosedLoop {
 
     /// Carries an effect of the mission's out.
     pub fn carry_out(&mut self, effect: Effect) {
-        let now = self.simulation.now();
+        let now = self.now;
         match effect {
             Effect::Heartbeat(heartbeat) => self.down.send(now, Down::Heartbeat(heartbeat)),
             Effect::Plan(plan) => self.down.send(now, Down::Plan(plan)),
@@ -277,19 +353,13 @@ impl ClosedLoop {
         Answer::Map(Box::new(reply))
     }
 
-    /// Simulated time.
+    /// The time of its last tick.
     #[must_use]
     pub fn now(&self) -> Stamp {
-        self.simulation.now()
+        self.now
     }
 
-    /// The simulator's truth.
-    #[must_use]
-    pub fn truth(&self) -> Truth {
-        self.simulation.truth(0)
-    }
-
-    /// What [`Self::tick`] has computed so far, the simulator left out: robot, mapper, mission and motion.
+    /// What [`ClosedLoop::tick`] has computed for it so far, the simulator left out: robot, mapper, mission and motion.
     #[must_use]
     pub fn cpu(&self) -> Duration {
         self.cpu

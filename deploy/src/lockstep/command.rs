@@ -1,4 +1,4 @@
-//! `zenav run`: one goal in a world, from a seed, to its end. The report is the simulator's truth.
+//! `zenav run`: a goal in a world, from a seed, to its end, or one for each of several robots. The report is the simulator's truth.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -6,11 +6,12 @@ use std::path::PathBuf;
 use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
 
 use super::referee::{ContactKind, ContactReport};
-use super::scenario::Scenario;
+use super::scenario::{Entrant, Scenario};
 use crate::config::Layers;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -26,10 +27,14 @@ pub struct RunArgs {
     /// World file or shipped name, instead of the deployment's
     #[arg(long)]
     world: Option<String>,
-    /// A robot of the deployment by name, or a robot file or shipped name instead of its first robot's model
+    /// A robot of the deployment by name, or a robot file or shipped name instead of its first robot's model; of several robots, once
+    /// for all or once for each goal
     #[arg(long)]
-    robot: Option<String>,
-    /// Goal, m in the world
+    robot: Vec<String>,
+    /// Start, m and rad in the world, instead of the deployment's; of several robots, once for each goal
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true)]
+    start: Vec<f64>,
+    /// Goal, m in the world; again for each further robot
     #[arg(long, num_args = 2, value_names = ["X", "Y"], allow_negative_numbers = true, required = true)]
     goal: Vec<f64>,
     /// Simulated time after which the run has failed, s
@@ -56,7 +61,7 @@ pub struct RunArgs {
     /// Report the processor time of robot, mapper, mission and motion as `cpu_s`: no two runs give the same
     #[arg(long)]
     cpu: bool,
-    /// Write the driven path as CSV `t,x,y,yaw,v,w`
+    /// Write the driven path as CSV `t,x,y,yaw,v,w`; of several robots, with the robot's number before it
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
     /// Output format
@@ -64,22 +69,22 @@ pub struct RunArgs {
     output: Format,
 }
 
-/// How a run ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// How a run ended; the later ones are worse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RunOutcome {
     /// At rest within the tolerance of the goal, by truth; something may have touched the robot on its way.
     Reached,
     /// Not in time.
     Timeout,
-    /// The robot touched something by its own motion, however the run went on.
-    Collision,
+    /// The mission gave up, or took itself for being there.
+    Aborted,
     /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,
-    /// The mission gave up, or took itself for being there.
-    Aborted,
+    /// The robot touched something by its own motion, however the run went on.
+    Collision,
 }
 
 /// Report of `zenav run`.
@@ -126,56 +131,133 @@ pub struct RunReport {
     pub cpu_s: Option<f64>,
 }
 
+/// Report of `zenav run` with several robots.
+#[derive(Clone, Debug, Serialize)]
+struct FleetReport {
+    /// The worst of the robots' outcomes.
+    outcome: RunOutcome,
+    /// When the last of them was done, s.
+    makespan_s: f64,
+    /// Each robot, in the order of the goals.
+    robots: Vec<RunReport>,
+}
+
 /// `zenav run`.
 ///
 /// # Errors
 /// Bad files or arguments.
 pub fn run(args: &RunArgs) -> Outcome {
-    for (name, number) in [
-        ("--goal", args.goal[0]),
-        ("--goal", args.goal[1]),
-        ("--timeout", args.timeout),
-        ("--tolerance", args.tolerance.unwrap_or_default()),
-        ("--cloud-delay-ms", args.cloud_delay_ms),
-    ] {
-        if !number.is_finite() || (name != "--goal" && number < 0.0) {
-            return Err(Failure::usage(format!(
-                "{name} {number}: expected a finite number{}",
-                if name == "--goal" { "" } else { ", not negative" }
-            )));
-        }
-    }
+    check(args)?;
     let layers = Layers::load(args.deployment.as_deref())?;
     let world = files::world(args.world.as_ref().unwrap_or(&layers.deployment.simulation.world))?;
     let scenario = Scenario {
         world: &world,
-        robot: args.robot.as_deref(),
+        entrants: entrants(args)?,
         seed: args.seed,
         known_map: args.known_map,
         zones: args.zones.as_deref(),
         cloud_delay_ms: args.cloud_delay_ms,
-        goal: Point2::new(args.goal[0], args.goal[1]),
         tolerance: args.tolerance,
         profile: args.profile,
         timeout: args.timeout,
     };
-    let mut rows = format!("{}\n", TrajectoryPoint::CSV_HEADER);
-    let mut report = scenario.run(&layers, |now, truth| {
+    let several = scenario.entrants.len() > 1;
+    let mut rows = format!(
+        "{}{}\n",
+        if several { "robot," } else { "" },
+        TrajectoryPoint::CSV_HEADER
+    );
+    let mut reports = scenario.run(&layers, |robot, now, truth| {
         let point = TrajectoryPoint::new(now.as_secs(), truth.map_from_base, truth.twist);
         // Writing to a String cannot fail.
-        let _ = writeln!(rows, "{point}");
+        let _ = match several {
+            true => writeln!(rows, "{},{point}", robot + 1),
+            false => writeln!(rows, "{point}"),
+        };
     })?;
-    report.cpu_s = report.cpu_s.filter(|_| args.cpu);
+    for report in &mut reports {
+        report.cpu_s = report.cpu_s.filter(|_| args.cpu);
+    }
     if let Some(file) = &args.trajectory {
         files::write(file, rows)?;
     }
-    value(args.output, &report, text)?;
-    Ok(match report.outcome {
+    let outcome = worst(&reports);
+    match reports.as_slice() {
+        [report] => value(args.output, report, text)?,
+        _ => {
+            let report = FleetReport {
+                outcome,
+                makespan_s: reports.iter().map(|report| report.time_s).fold(0.0, f64::max),
+                robots: reports,
+            };
+            value(args.output, &report, fleet_text)?;
+        }
+    }
+    Ok(match outcome {
         RunOutcome::Reached => exit_code::OK,
         RunOutcome::Timeout => exit_code::TIMEOUT,
         RunOutcome::Rejected => exit_code::REJECTED,
         RunOutcome::Collision | RunOutcome::NoPath | RunOutcome::Aborted => exit_code::FAILED,
     })
+}
+
+fn check(args: &RunArgs) -> Result<(), Failure> {
+    let places = args.goal.iter().map(|number| ("--goal", *number));
+    let starts = args.start.iter().map(|number| ("--start", *number));
+    for (name, number) in places.chain(starts).chain([
+        ("--timeout", args.timeout),
+        ("--tolerance", args.tolerance.unwrap_or_default()),
+        ("--cloud-delay-ms", args.cloud_delay_ms),
+    ]) {
+        let is_place = matches!(name, "--goal" | "--start");
+        if !number.is_finite() || (!is_place && number < 0.0) {
+            return Err(Failure::usage(format!(
+                "{name} {number}: expected a finite number{}",
+                if is_place { "" } else { ", not negative" }
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// A robot for each goal.
+fn entrants(args: &RunArgs) -> Result<Vec<Entrant<'_>>, Failure> {
+    let goals = args.goal.chunks_exact(2).map(|goal| Point2::new(goal[0], goal[1]));
+    let (count, robots, starts) = (goals.len(), args.robot.len(), args.start.len() / 3);
+    if robots > 1 && robots != count {
+        return Err(Failure::usage(format!(
+            "--robot: given {robots} times for {count} goals; expected once, or once for each goal"
+        )));
+    }
+    if (starts > 0 || count > 1) && starts != count {
+        return Err(Failure::usage(format!(
+            "--start: given {starts} times for {count} goals; expected once for each goal"
+        )));
+    }
+    let mut starts = args
+        .start
+        .chunks_exact(3)
+        .map(|start| Pose2::new(start[0], start[1], start[2]));
+    let entrants = goals.enumerate().map(|(index, goal)| Entrant {
+        robot: args.robot.get(index).or(args.robot.first()).map(String::as_str),
+        start: starts.next(),
+        goal,
+    });
+    Ok(entrants.collect())
+}
+
+/// The worst outcome of several robots.
+pub(crate) fn worst(reports: &[RunReport]) -> RunOutcome {
+    let worst = reports.iter().map(|report| report.outcome).max();
+    worst.unwrap_or(RunOutcome::Reached)
+}
+
+fn fleet_text(report: &FleetReport) -> String {
+    let mut lines = vec![format!("{:?} after {:.2} s", report.outcome, report.makespan_s)];
+    for (index, report) in report.robots.iter().enumerate() {
+        lines.push(format!("robot {}: {}", index + 1, text(report)));
+    }
+    lines.join("\n")
 }
 
 fn text(report: &RunReport) -> String {

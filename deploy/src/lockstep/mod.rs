@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `closed_loop` | how do body, pilot, mapper, workers and mission take turns? |
 //! | `delay` | when does a message arrive? |
-//! | `scenario` | how does one goal go, to its end? |
+//! | `scenario` | how does a goal go, or one for each of several robots, to the end? |
 //! | `referee` | how did it go, by truth? |
 //! | `command` | what does `zenav run` do and print? |
 
@@ -14,7 +14,8 @@ mod delay;
 mod referee;
 mod scenario;
 
-pub use closed_loop::{ClosedLoop, ClosedLoopConfig};
+pub use closed_loop::{ClosedLoop, ClosedLoopConfig, RobotLoop};
+pub(crate) use command::worst;
 pub use command::{RunArgs, RunOutcome, RunReport, run};
 pub use referee::{ContactKind, ContactReport, Referee};
-pub(crate) use scenario::Scenario;
+pub(crate) use scenario::{Entrant, Scenario};

@@ -1,4 +1,4 @@
-//! Scenario. How does one goal go in a world, from a seed, to its end?
+//! Scenario. How does a goal go in a world, from a seed, to its end, or one for each of several robots?
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::MissionRequest;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
-use super::closed_loop::{ClosedLoop, ClosedLoopConfig};
+use super::closed_loop::{ClosedLoop, ClosedLoopConfig, RobotLoop};
 use super::command::{RunOutcome, RunReport};
 use super::referee::Referee;
 use crate::components::{edge_config, places};
@@ -21,18 +21,29 @@ use crate::failure::Failure;
 use crate::files;
 use crate::report::per_metre;
 
-/// The robot's name in a run.
+/// The robot's name in a run; of several, each has its number behind it.
 const ROBOT: &str = "robot";
 /// Largest side of a known map, cells.
 const MAX_CELLS: f64 = 16_384.0;
 /// Time for a robot to come to rest when its mission has ended, s.
 const SETTLING: f64 = 5.0;
 
-/// A world, a robot and its goal; what is `None` is the deployment's.
-pub(crate) struct Scenario<'a> {
-    pub world: &'a World,
+/// A robot and its goal; what is `None` is the deployment's.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Entrant<'a> {
     /// A robot of the deployment by name, a robot file or a shipped name.
     pub robot: Option<&'a str>,
+    /// Where it starts; else where the deployment says, else where the world does.
+    pub start: Option<Pose2>,
+    /// m in the world.
+    pub goal: Point2<f64>,
+}
+
+/// A world, the robots in it and their goals; what is `None` is the deployment's.
+pub(crate) struct Scenario<'a> {
+    pub world: &'a World,
+    /// One or more.
+    pub entrants: Vec<Entrant<'a>>,
     /// Of all noise and delays.
     pub seed: Option<u64>,
     /// Whether it starts with the true map.
@@ -40,8 +51,6 @@ pub(crate) struct Scenario<'a> {
     pub zones: Option<&'a Path>,
     /// Mean delay from scan to plan, ms.
     pub cloud_delay_ms: f64,
-    /// m in the world.
-    pub goal: Point2<f64>,
     /// Distance that counts as reached, m.
     pub tolerance: Option<f64>,
     pub profile: Option<DrivingProfile>,
@@ -49,78 +58,129 @@ pub(crate) struct Scenario<'a> {
     pub timeout: f64,
 }
 
+/// One robot on its way to its goal.
+struct Going {
+    referee: Referee,
+    /// When its mission ended, s.
+    mission_ended: Option<f64>,
+    report: Option<RunReport>,
+}
+
 impl Scenario<'_> {
-    /// Runs it to its end; `see` is told the truth after every tick.
+    /// Runs it until every robot is done; `see` is told the number of a robot and the truth about it after every tick. A report for
+    /// each robot, in their order: how it stood when it was done, and all contacts to the end of the run.
     ///
     /// # Errors
     /// Robots, zones or starts that cannot be.
-    pub(crate) fn run(&self, layers: &Layers, mut see: impl FnMut(Stamp, &Truth)) -> Result<RunReport, Failure> {
-        let config = self.closed_loop(layers)?;
-        let (seed, model) = (config.seed, config.edge.model.clone());
-        let tolerance = self.tolerance.unwrap_or(config.mission.settings.tolerance);
-        let mut referee = Referee::new(self.goal, tolerance, model.footprint.circumscribed_radius());
-        let spec = RobotSpec {
-            id: config.edge.robot.clone(),
-            model,
-            start: config.edge.start,
+    pub(crate) fn run(
+        &self,
+        layers: &Layers,
+        mut see: impl FnMut(usize, Stamp, &Truth),
+    ) -> Result<Vec<RunReport>, Failure> {
+        let indices = 0..self.entrants.len();
+        let entrants = indices.zip(&self.entrants);
+        let configs: Vec<ClosedLoopConfig> = entrants
+            .map(|(index, entrant)| self.closed_loop(layers, index, entrant))
+            .collect::<Result<_, _>>()?;
+        let Some(seed) = configs.first().map(|config| config.seed) else {
+            return Ok(Vec::new());
         };
-        let simulation =
-            Simulation::new(self.world, vec![spec], seed).map_err(|error| Failure::usage(error.to_string()))?;
-        let mut stage = ClosedLoop::new(simulation, config);
-        stage.ask(MissionRequest::Goal(GoalRequest {
-            id: Some("run".to_owned()),
-            x: Some(self.goal.x),
-            y: Some(self.goal.y),
-            tolerance: Some(tolerance),
-            profile: self.profile,
-            ..GoalRequest::default()
-        }));
-        let mut ended: Option<f64> = None;
-        let (outcome, reason) = loop {
+        let mut specs = Vec::new();
+        let mut all = Vec::new();
+        let mut requests = Vec::new();
+        for (config, entrant) in configs.iter().zip(&self.entrants) {
+            let (model, tolerance) = (
+                &config.edge.model,
+                self.tolerance.unwrap_or(config.mission.settings.tolerance),
+            );
+            specs.push(RobotSpec {
+                id: config.edge.robot.clone(),
+                model: model.clone(),
+                start: config.edge.start,
+            });
+            all.push(Going {
+                referee: Referee::new(entrant.goal, tolerance, model.footprint.circumscribed_radius()),
+                mission_ended: None,
+                report: None,
+            });
+            requests.push(MissionRequest::Goal(GoalRequest {
+                id: Some("run".to_owned()),
+                x: Some(entrant.goal.x),
+                y: Some(entrant.goal.y),
+                tolerance: Some(tolerance),
+                profile: self.profile,
+                ..GoalRequest::default()
+            }));
+        }
+        let simulation = Simulation::new(self.world, specs, seed).map_err(|error| Failure::usage(error.to_string()))?;
+        let mut stage = ClosedLoop::new(simulation, configs);
+        for (robot, request) in stage.robots.iter_mut().zip(requests) {
+            robot.ask(request);
+        }
+        while all.iter().any(|going| going.report.is_none()) {
             stage.tick();
             let now = stage.now();
-            let truth = stage.truth();
-            see(now, &truth);
-            referee.watch(now, &truth);
-            if referee.is_reached() {
-                break (RunOutcome::Reached, None);
-            }
-            if let Some(Err(refusal)) = stage.replies().first() {
-                break (RunOutcome::Rejected, Some(refusal.to_string()));
-            }
-            if let Some(state) = stage.goal().filter(|state| state.state.is_end()) {
-                let since = *ended.get_or_insert(now.as_secs());
-                if referee.is_at_rest() || now.as_secs() - since >= SETTLING {
-                    break ending(state, referee.error());
+            for (index, (going, robot)) in all.iter_mut().zip(&stage.robots).enumerate() {
+                let truth = stage.truth(index);
+                see(index, now, &truth);
+                going.referee.watch(now, &truth);
+                if going.report.is_none()
+                    && let Some((outcome, reason)) = self.end(going, robot, now.as_secs())
+                {
+                    going.report = Some(self.report(going, robot, &truth, seed, outcome, reason));
                 }
             }
-            if now.as_secs() >= self.timeout {
-                let step = stage.goal().map_or("not begun", |goal| goal.feedback.step.as_str());
-                let left = referee.error();
-                let reason = format!(
-                    "{left:.2} m from the goal after {} s; the mission: {step}",
-                    self.timeout
-                );
-                break (RunOutcome::Timeout, Some(reason));
+        }
+        let reports = all.into_iter().enumerate().filter_map(|(index, going)| {
+            let report = going.report?;
+            Some(judged(report, &going.referee, &stage.truth(index)))
+        });
+        Ok(reports.collect())
+    }
+
+    /// Whether a robot is done, and why.
+    fn end(&self, going: &mut Going, robot: &RobotLoop, now: f64) -> Option<(RunOutcome, Option<String>)> {
+        let referee = &going.referee;
+        if referee.is_reached() {
+            return Some((RunOutcome::Reached, None));
+        }
+        if let Some(Err(refusal)) = robot.replies().first() {
+            return Some((RunOutcome::Rejected, Some(refusal.to_string())));
+        }
+        if let Some(state) = robot.goal().filter(|state| state.state.is_end()) {
+            let since = *going.mission_ended.get_or_insert(now);
+            if referee.is_at_rest() || now - since >= SETTLING {
+                return Some(ending(state, referee.error()));
             }
-        };
-        let (outcome, reason) = match referee.own_contact() {
-            None => (outcome, reason),
-            Some(contact) => {
-                let touched = format!(
-                    "touched something at {:.3} m/s of its own after {:.2} s",
-                    contact.own_speed, contact.time_s
-                );
-                let then = reason.unwrap_or_else(|| "reached".to_owned());
-                (RunOutcome::Collision, Some(format!("{touched}; then: {then}")))
-            }
-        };
-        let (truth, estimate) = (stage.truth(), stage.pilot.map_from_base());
-        let feedback = stage.goal().map(|goal| goal.feedback.clone()).unwrap_or_default();
-        Ok(RunReport {
+        }
+        (now >= self.timeout).then(|| {
+            let step = robot.goal().map_or("not begun", |goal| goal.feedback.step.as_str());
+            let left = referee.error();
+            let reason = format!(
+                "{left:.2} m from the goal after {} s; the mission: {step}",
+                self.timeout
+            );
+            (RunOutcome::Timeout, Some(reason))
+        })
+    }
+
+    /// How it stands with a robot.
+    fn report(
+        &self,
+        going: &Going,
+        robot: &RobotLoop,
+        truth: &Truth,
+        seed: u64,
+        outcome: RunOutcome,
+        reason: Option<String>,
+    ) -> RunReport {
+        let referee = &going.referee;
+        let estimate = robot.pilot.map_from_base();
+        let feedback = robot.goal().map(|goal| goal.feedback.clone()).unwrap_or_default();
+        RunReport {
             outcome,
             reason,
-            time_s: stage.now().as_secs(),
+            time_s: robot.now().as_secs(),
             time_entered_s: referee.entered(),
             length_m: truth.length,
             min_clearance_m: truth.min_clearance,
@@ -136,23 +196,26 @@ impl Scenario<'_> {
             energy_per_m: per_metre(truth.drawn_j, truth.length),
             seed,
             cloud_delay_ms: self.cloud_delay_ms,
-            cpu_s: Some(stage.cpu().as_secs_f64()),
-        })
+            cpu_s: Some(robot.cpu().as_secs_f64()),
+        }
     }
 
     /// The parts of a run, with the deployment's settings.
-    fn closed_loop(&self, layers: &Layers) -> Result<ClosedLoopConfig, Failure> {
+    fn closed_loop(&self, layers: &Layers, index: usize, entrant: &Entrant<'_>) -> Result<ClosedLoopConfig, Failure> {
         let deployment = &layers.deployment;
         let failed = |error: InvalidId| Failure::failed(error.to_string());
-        let id = Id::robot(ROBOT).map_err(failed)?;
-        let named = self.robot.and_then(|robot| deployment.robots.get(robot));
+        let id = match self.entrants.len() {
+            1 => ROBOT.to_owned(),
+            _ => format!("{ROBOT}{}", index + 1),
+        };
+        let id = Id::robot(&id).map_err(failed)?;
+        let named = entrant.robot.and_then(|robot| deployment.robots.get(robot));
         let mut section = named.or(deployment.robots.values().next()).cloned().unwrap_or_default();
-        if let (Some(robot), None) = (self.robot, named) {
+        if let (Some(robot), None) = (entrant.robot, named) {
             robot.clone_into(&mut section.model);
         }
-        let start = section
-            .start
-            .map_or_else(|| self.world.start(), |start| Pose2::new(start.x, start.y, start.yaw));
+        let start = entrant.start.or(section.start);
+        let start = start.map_or_else(|| self.world.start(), |start| Pose2::new(start.x, start.y, start.yaw));
         let mut mission = deployment.mission.settings.clone();
         if !layers.sets("mission.latency_budget") {
             mission.latency_budget = (1e-3 * self.cloud_delay_ms * 2.0).max(0.1);
@@ -180,8 +243,34 @@ impl Scenario<'_> {
             motion: deployment.motion(),
             known_map,
             cloud_delay: 1e-3 * self.cloud_delay_ms,
-            seed: self.seed.unwrap_or(deployment.simulation.seed),
+            seed: self
+                .seed
+                .unwrap_or(deployment.simulation.seed)
+                .wrapping_add(2 * index as u64),
         })
+    }
+}
+
+/// The report of a robot after a run: the contacts until its end count, and one that the robot made itself decides.
+fn judged(report: RunReport, referee: &Referee, truth: &Truth) -> RunReport {
+    let (outcome, reason) = match referee.own_contact() {
+        None => (report.outcome, report.reason),
+        Some(contact) => {
+            let touched = format!(
+                "touched something at {:.3} m/s of its own after {:.2} s",
+                contact.own_speed, contact.time_s
+            );
+            let then = report.reason.unwrap_or_else(|| "reached".to_owned());
+            (RunOutcome::Collision, Some(format!("{touched}; then: {then}")))
+        }
+    };
+    RunReport {
+        outcome,
+        reason,
+        min_clearance_m: truth.min_clearance,
+        collisions: truth.collisions,
+        contacts: referee.contacts().to_vec(),
+        ..report
     }
 }
 
@@ -236,4 +325,48 @@ fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
         }
     }
     Ok(map)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn two_robots_swap_the_ends_of_a_corridor_and_do_so_alike_again() {
+        let walls = "[[wall]]\nfrom = [0, 0]\nto = [7, 0]\n[[wall]]\nfrom = [0, 2]\nto = [7, 2]\n";
+        let text = format!("size = [7, 2]\norigin = [0, 0]\n{walls}");
+        let world = World::from_toml(&text, "corridor", &|_| Err(String::new())).unwrap();
+        let entrant = |from: f64, yaw: f64| Entrant {
+            robot: Some("tiago"),
+            start: Some(Pose2::new(from, 1.0, yaw)),
+            goal: Point2::new(7.0 - from, 1.0),
+        };
+        let scenario = Scenario {
+            world: &world,
+            entrants: vec![entrant(1.0, 0.0), entrant(6.0, std::f64::consts::PI)],
+            seed: Some(1),
+            known_map: false,
+            zones: None,
+            cloud_delay_ms: 100.0,
+            tolerance: None,
+            profile: None,
+            timeout: 60.0,
+        };
+        let layers = Layers::load(None).unwrap();
+        let run = || -> Vec<(RunOutcome, f64, u32)> {
+            let reports = scenario.run(&layers, |_, _, _| {}).unwrap();
+            let ends = reports
+                .iter()
+                .map(|report| (report.outcome, report.time_s, report.collisions));
+            ends.collect()
+        };
+        let ends = run();
+        for (outcome, time, contacts) in &ends {
+            assert_eq!((*outcome, *contacts), (RunOutcome::Reached, 0), "{ends:?}");
+            // Alone it takes 9 s.
+            assert!(*time < 25.0, "{ends:?}");
+        }
+        assert_eq!(ends, run());
+    }
 }

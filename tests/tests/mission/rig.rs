@@ -153,7 +153,7 @@ impl Rig {
             seed: 1,
         };
         let mut rig = Self {
-            stage: ClosedLoop::new(simulation, stage),
+            stage: ClosedLoop::new(simulation, vec![stage]),
             config,
             edge,
             world,
@@ -190,12 +190,12 @@ impl Rig {
         self.kill();
         let store = Store::open(&self.folder.path().join("mission.redb")).unwrap();
         let restored = store.begin_life().unwrap();
-        self.stage.start(Mission::new(self.config.clone(), restored));
+        self.stage.robots[0].start(Mission::new(self.config.clone(), restored));
         self.store = Some(store);
     }
 
     pub fn kill(&mut self) {
-        self.stage.mission = None;
+        self.stage.robots[0].mission = None;
         self.store = None;
     }
 
@@ -206,7 +206,7 @@ impl Rig {
             start: self.pose(),
             ..self.edge.clone()
         };
-        self.stage.pilot = Pilot::new(edge, format!("boot-{}", self.boots), self.persisted.clone());
+        self.stage.robots[0].pilot = Pilot::new(edge, format!("boot-{}", self.boots), self.persisted.clone());
     }
 
     /// Puts something round into the room, for good.
@@ -222,12 +222,12 @@ impl Rig {
     /// The mapper's process ends, or is back.
     pub fn set_mapper(&mut self, is_up: bool) {
         self.mapper_up = is_up;
-        self.stage.inputs.mapper_alive = Some(is_up);
-        self.stage.inputs.map_info = is_up.then(|| self.stage.mapper.info());
+        self.stage.robots[0].inputs.mapper_alive = Some(is_up);
+        self.stage.robots[0].inputs.map_info = is_up.then(|| self.stage.robots[0].mapper.info());
     }
 
     pub fn ask(&mut self, request: MissionRequest) -> Client {
-        self.stage.ask(request)
+        self.stage.robots[0].ask(request)
     }
 
     /// Asks and runs until the answer; again, as a client does, while the mission does not know yet whether it leads.
@@ -263,7 +263,7 @@ impl Rig {
 
     /// Asks the robot itself.
     pub fn ask_robot(&mut self, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
-        self.stage.inbox.requests.push((OPERATOR, request));
+        self.stage.robots[0].inbox.requests.push((OPERATOR, request));
         self.step();
         self.robot_reply.take().expect("the robot answers in its next tick")
     }
@@ -284,7 +284,7 @@ impl Rig {
     }
 
     pub fn truth(&self) -> Truth {
-        self.stage.truth()
+        self.stage.truth(0)
     }
 
     pub fn pose(&self) -> Pose2 {
@@ -390,19 +390,19 @@ impl Rig {
             && self.ticks.is_multiple_of(BEAT)
         {
             *counter += 1;
-            self.stage.inbox.heartbeats.push(Heartbeat {
+            self.stage.robots[0].inbox.heartbeats.push(Heartbeat {
                 holder: holder.clone(),
                 epoch: *epoch,
                 counter: *counter,
             });
         }
-        let out = self.stage.advance();
+        let out = self.stage.advance().remove(0);
         if let Some(wheels) = self.wheels {
             self.stage.simulation.drive(0, wheels);
         }
         if !self.mapper_up {
-            self.stage.inputs.map_patches.clear();
-            self.stage.inputs.map_info = None;
+            self.stage.robots[0].inputs.map_patches.clear();
+            self.stage.robots[0].inputs.map_info = None;
         }
         self.persisted = out.persist.unwrap_or_else(|| self.persisted.clone());
         let reply = out.replies.into_iter().find(|(ticket, _)| *ticket == OPERATOR);
@@ -414,9 +414,9 @@ impl Rig {
                 _ => {}
             }
         }
-        for (index, effect) in self.stage.step_mission().into_iter().enumerate() {
+        for (index, effect) in self.stage.robots[0].step_mission().into_iter().enumerate() {
             self.carry_out(index, effect);
-            if self.stage.mission.is_none() {
+            if self.stage.robots[0].mission.is_none() {
                 return;
             }
         }
@@ -471,11 +471,11 @@ impl Rig {
                     _ => None,
                 };
                 if let Some(answer) = answer {
-                    return self.stage.inputs.answers.push((*ticket, answer));
+                    return self.stage.robots[0].inputs.answers.push((*ticket, answer));
                 }
             }
         }
-        self.stage.carry_out(effect);
+        self.stage.robots[0].carry_out(effect);
     }
 }
 

@@ -66,7 +66,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
             if matches!(rig.replies.get(&client), Some(Ok(_))) {
                 acknowledged.insert(goal.id.clone().unwrap(), goal.clone());
             }
-            if rig.stage.mission.is_none() {
+            if rig.stage.robots[0].mission.is_none() {
                 rig.start();
             }
         }
@@ -86,7 +86,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
                 canceled = true;
             }
-            if rig.stage.mission.is_none() {
+            if rig.stage.robots[0].mission.is_none() {
                 rig.run(2.0);
                 rig.start();
             }
@@ -126,13 +126,13 @@ fn a_mission_that_was_only_paused_does_not_command_on_waking() {
     let mut rig = Rig::new();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     rig.run(3.0);
-    let sleeping = rig.stage.mission.take();
+    let sleeping = rig.stage.robots[0].mission.take();
     rig.run(20.0);
     // Somebody else has taken over meanwhile.
     rig.take_lease("anna", LeaseRole::Operator);
     let plans = rig.plans.len();
-    rig.stage.mission = sleeping;
+    rig.stage.robots[0].mission = sleeping;
     rig.run(2.0);
     assert_eq!(rig.plans.len(), plans);
-    assert_eq!(rig.stage.mission.as_ref().unwrap().epoch(), None);
+    assert_eq!(rig.stage.robots[0].mission.as_ref().unwrap().epoch(), None);
 }

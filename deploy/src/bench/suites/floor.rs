@@ -12,13 +12,14 @@ pub(super) const FOR_GOOD: f64 = 10_000.0;
 /// A rectangle from the origin, walled in.
 pub(super) struct Floor {
     size: [f64; 2],
+    start: [f64; 3],
     things: String,
 }
 
 impl Floor {
     /// Of a width and a height inside its walls, m; the robot starts at a pose.
-    pub(super) fn new(size: [f64; 2], [x, y, yaw]: [f64; 3]) -> Self {
-        let mut things = format!("[start]\nx = {x}\ny = {y}\nyaw = {yaw}\n");
+    pub(super) fn new(size: [f64; 2], start: [f64; 3]) -> Self {
+        let mut things = String::new();
         let [w, h] = size;
         let (low, half) = (-WALL, 0.5 * WALL);
         for (from, to) in [
@@ -30,7 +31,13 @@ impl Floor {
             // Writing to a String cannot fail.
             let _ = writeln!(things, "[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = {WALL}");
         }
-        Self { size, things }
+        Self { size, start, things }
+    }
+
+    /// With another start.
+    pub(super) fn starting(mut self, start: [f64; 3]) -> Self {
+        self.start = start;
+        self
     }
 
     /// A solid box between two corners, m.
@@ -96,8 +103,9 @@ impl Floor {
     /// The world file.
     pub(super) fn text(&self, name: &str) -> String {
         let [w, h] = self.size.map(|side| side + 2.0 * WALL);
+        let [x, y, yaw] = self.start;
         format!(
-            "name = \"{name}\"\nsize = [{w}, {h}]\norigin = [-{WALL}, -{WALL}]\n{}",
+            "name = \"{name}\"\nsize = [{w}, {h}]\norigin = [-{WALL}, -{WALL}]\n[start]\nx = {x}\ny = {y}\nyaw = {yaw}\n{}",
             self.things
         )
     }

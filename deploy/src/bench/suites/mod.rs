@@ -9,6 +9,7 @@
 //! | `patience` | who leaves again? (S7) |
 //! | `broken` | which sensor is broken? (S9) |
 //! | `cost` | what does a long way cost? (S12) |
+//! | `robots` | which other robots are on their way? (S11) |
 
 mod barn;
 mod broken;
@@ -17,6 +18,7 @@ mod floor;
 mod patience;
 mod people;
 mod places;
+mod robots;
 
 use std::path::Path;
 
@@ -24,6 +26,7 @@ use clap::ValueEnum;
 use nalgebra::Point2;
 use rand::SeedableRng as _;
 use rand_pcg::Pcg64Mcg;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
 
@@ -59,6 +62,8 @@ pub(super) enum Suite {
     S9,
     /// Processor time on long ways with the map known
     S12,
+    /// Robots among robots: swap places, cross, meet on a circle, in a lane
+    S11,
 }
 
 impl Suite {
@@ -81,8 +86,16 @@ impl Suite {
             Self::S7 => patience::patience(seeds.unwrap_or(3)),
             Self::S9 => broken::broken(seeds.unwrap_or(2)),
             Self::S12 => cost::cost(seeds.unwrap_or(1)),
+            Self::S11 => robots::robots(seeds.unwrap_or(1)),
         }
     }
+}
+
+/// Another robot of the same kind: where it starts, and its goal, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Other {
+    pub start: Pose2,
+    pub goal: Point2<f64>,
 }
 
 /// One run: a world, a robot, a goal and a seed.
@@ -101,6 +114,8 @@ pub(super) struct Case {
     pub model: RobotModel,
     /// m.
     pub goal: Point2<f64>,
+    /// Who else is on the way.
+    pub others: Vec<Other>,
     /// Distance that counts as reached, m; the deployment's where it is `None`.
     pub tolerance: Option<f64>,
     /// Whether the robot starts with the true map.
@@ -152,6 +167,7 @@ impl Case {
             robot,
             model,
             goal,
+            others: Vec::new(),
             tolerance: None,
             known_map: false,
             seed,
@@ -192,9 +208,20 @@ impl Case {
             .tolerance
             .map_or_else(String::new, |metres| format!(" --tolerance {metres}"));
         let known = if self.known_map { " --known-map" } else { "" };
+        let mut goals = format!("--goal {} {}", goal.x, goal.y);
+        if !self.others.is_empty() {
+            let start = self.world.start();
+            goals = format!("--start {} {} {} {goals}", start.x, start.y, start.yaw);
+        }
+        for Other { start, goal } in &self.others {
+            let other = format!(
+                " --start {} {} {} --goal {} {}",
+                start.x, start.y, start.yaw, goal.x, goal.y
+            );
+            goals.push_str(&other);
+        }
         format!(
-            "zenav run --world {name}.toml --robot {robot} --goal {} {} --seed {seed} --timeout {timeout}{tolerance}{known}",
-            goal.x, goal.y
+            "zenav run --world {name}.toml --robot {robot} {goals} --seed {seed} --timeout {timeout}{tolerance}{known}"
         )
     }
 
@@ -265,11 +292,13 @@ mod tests {
                 assert_eq!(case.file(), again.file());
                 let start = case.world.clearance(&case.model.footprint, case.world.start());
                 let disc = Footprint::Radius(case.model.footprint.inscribed_radius());
-                let goal = case.world.clearance(
-                    &disc,
-                    zenav_protocol::geometry::Pose2::new(case.goal.x, case.goal.y, 0.0),
-                );
+                let room = |goal: Point2<f64>| case.world.clearance(&disc, Pose2::new(goal.x, goal.y, 0.0));
+                let goal = room(case.goal);
                 assert!(start > 0.01 && goal > 0.01, "{}: {start} {goal}", case.name);
+                for other in &case.others {
+                    let start = case.world.clearance(&case.model.footprint, other.start);
+                    assert!(start > 0.01 && room(other.goal) > 0.01, "{}: {other:?}", case.name);
+                }
             }
         }
     }
