@@ -177,6 +177,7 @@ fn state() -> EdgeState {
         behaviour: None,
         wall_follower: None,
         missed_ticks: 0,
+        makes_way: false,
     }
 }
 

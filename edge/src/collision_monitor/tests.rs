@@ -271,6 +271,7 @@ fn a_robot_touched_at_its_side_slides_along_slowly_and_turns_away_only() {
     let bump = Bump {
         pressed: true,
         bearing: Some(1.5),
+        ..NO_BUMP
     };
     let place = contact_point(&model.footprint, &bump);
     obstacles.touch(Stamp::from_secs(1.0), Some(place), Pose2::IDENTITY);
