@@ -47,7 +47,7 @@ const NEARNESS_COST: f64 = 15.0;
 /// Cost of an arc that the collision monitor would stop, s.
 const SLOWED_COST: f64 = 4.0;
 /// Cost of a twist that the collision monitor holds back entirely, s.
-const HELD_COST: f64 = 0.5;
+const HELD_COST: f64 = 1.5;
 /// Off the plan by this much the tracker takes over again, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.

@@ -34,7 +34,7 @@ const BACKWARDS_TURN: f64 = 0.8;
 /// Floor this near to the plan is driven on even where no lidar sees it, m.
 const ALONG_PLAN: f64 = 0.3;
 /// It moves no faster than this, m/s: at higher speeds its cells would be too coarse for a door.
-const MOST_SPEED: f64 = 1.0;
+const MOST_SPEED: f64 = 1.6;
 /// Distance kept from what stands and from a track's disc, beyond the inscribed radius, m.
 const LEAST_CLEARANCE: f64 = 0.03;
 
