@@ -108,6 +108,8 @@ pub struct ActiveGoal {
     pub started: Stamp,
     /// What was waited for last, and until when.
     pub waited: Option<(Blockage, Stamp)>,
+    /// When the robot was turned to it last.
+    pub looked: Option<Stamp>,
 }
 
 /// What the leaves of one robot's trees act on.

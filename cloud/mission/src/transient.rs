@@ -2,13 +2,12 @@
 //!
 //! | may leave | because |
 //! |---|---|
-//! | what stands where the map was free, with free space around it | it came |
+//! | what stands where the map was free, all around | it came |
 //! | what is no larger than a person and touches nothing, in a map that grows | people and carts stand so; walls do not |
 //!
-//! Beams that graze a wall show its surface as free now and then. But behind a wall nothing was ever free, and beside it is more wall: that is
-//! why the free space around counts. What stands in a stored map has stood there long, and stays.
+//! Beams that graze a wall show its surface as free now and then. But behind a wall nothing was ever free: that is why all around counts. What stands in a stored map has stood there long, and stays.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
@@ -26,10 +25,10 @@ const LINK: f64 = 0.1;
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
 /// Cells that a thing must have at least.
 const MIN_CELLS: usize = 4;
-/// Share of the cells around it that must be free for a thing to have come: nearly all around a person, four fifths around the leaf of a
-/// door, half along a wall.
-const FREE_AROUND: f64 = 0.65;
-/// Width of what counts as around a thing, cells.
+/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, nine tenths at the leaf of a
+/// door, three fifths at the surface of a wall.
+const FREE_AROUND: f64 = 0.75;
+/// Cells to each side that are around one.
 const AROUND: i64 = 2;
 /// Things are looked for this near to the robot and to its goals, m, and not beyond so many cells.
 const WINDOW: (f64, i64) = (12.0, 256);
@@ -127,6 +126,13 @@ impl Transients {
         }
     }
 
+    /// Whether a cell (row and column) was free once.
+    fn was_free(&self, (y, x): Place) -> bool {
+        let side = SIDE as i64;
+        let tile = self.tiles.get(&(x.div_euclid(side), y.div_euclid(side)));
+        tile.is_some_and(|tile| tile.was_free[y.rem_euclid(side) as usize] >> x.rem_euclid(side) & 1 == 1)
+    }
+
     /// Column and row of a grid's first cell. Of another map, or of a grid whose tiles lie elsewhere, nothing is known yet; `None` for one
     /// that is out of all bounds.
     fn offset(&mut self, map: &str, spec: &GridSpec) -> Option<Place> {
@@ -150,11 +156,13 @@ impl Transients {
             let Some(window) = Window::new(grid, *place) else {
                 continue;
             };
-            let since = |x: i64, y: i64| {
+            let known = |x: i64, y: i64| {
                 let (dx, dy) = offset?;
-                self.since.get(&(y.checked_add(dy)?, x.checked_add(dx)?)).copied()
+                Some((y.checked_add(dy)?, x.checked_add(dx)?))
             };
-            for (x, y) in window.transient(grid, grows, &since) {
+            let since = |x: i64, y: i64| self.since.get(&known(x, y)?).copied();
+            let was_free = |x: i64, y: i64| known(x, y).is_some_and(|cell| self.was_free(cell));
+            for (x, y) in window.transient(grid, grows, &|x, y| since(x, y).is_some(), &was_free) {
                 found.insert((y, x), since(x, y));
             }
         }
@@ -217,8 +225,14 @@ impl Window {
         inside.then(|| (y * self.width + x) as usize)
     }
 
-    /// Cells (column and row in the map) of what may leave.
-    fn transient(&self, grid: &OccupancyGrid, grows: bool, since: &dyn Fn(i64, i64) -> Option<Stamp>) -> Vec<Place> {
+    /// Cells (column and row in the map) of what may leave. `is_new`: occupied, and free before; `was_free`: free once.
+    fn transient(
+        &self,
+        grid: &OccupancyGrid,
+        grows: bool,
+        is_new: &dyn Fn(i64, i64) -> bool,
+        was_free: &dyn Fn(i64, i64) -> bool,
+    ) -> Vec<Place> {
         let wide = i64::from(grid.spec().width);
         let rows = (0..self.height).flat_map(|y| {
             let begin = ((self.first.1 + y) * wide + self.first.0) as usize;
@@ -226,24 +240,30 @@ impl Window {
                 .get(begin..begin + self.width as usize)
                 .unwrap_or_default()
         });
-        let values: Vec<Occupancy> = rows.map(|value| Occupancy::of(*value)).collect();
-        let occupied: Vec<bool> = values.iter().map(|value| *value == Occupancy::Occupied).collect();
-        let has_come: Vec<bool> = (0_i64..)
+        let occupied: Vec<bool> = rows.map(|value| Occupancy::of(*value) == Occupancy::Occupied).collect();
+        let in_map = |(x, y): Place| (x + self.first.0, y + self.first.1);
+        let each = || (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
+        let new: Vec<bool> = each()
             .zip(&occupied)
-            .map(|(index, occupied)| {
-                let (x, y) = (index % self.width + self.first.0, index / self.width + self.first.1);
-                *occupied && since(x, y).is_some()
-            })
+            .map(|(cell, occupied)| *occupied && is_new(in_map(cell).0, in_map(cell).1))
             .collect();
-        let is_free = |cell| {
-            let value = self.index(cell).and_then(|index| values.get(index));
-            value == Some(&Occupancy::Free)
+        let square = (2 * AROUND + 1) * (2 * AROUND + 1);
+        let is_in_the_open = |cell: Place| {
+            let (x, y) = in_map(cell);
+            let around = beside(AROUND).filter(|(dx, dy)| was_free(x + dx, y + dy));
+            around.count() as f64 >= FREE_AROUND * square as f64
         };
+        let come: Vec<bool> = each()
+            .zip(&new)
+            .map(|(cell, new)| *new && is_in_the_open(cell))
+            .collect();
         let mut cells = Vec::new();
-        for thing in self.things(&has_come) {
-            if self.is_large_enough(&thing) && self.free_around(&thing, is_free) >= FREE_AROUND {
-                cells.extend(thing.cells);
-            }
+        for thing in self.things(&come).iter().filter(|thing| self.is_large_enough(thing)) {
+            // It may touch a wall: there its last cells are not in the open.
+            let reach = beside(self.link());
+            let touched = reach.flat_map(|(dx, dy)| thing.cells.iter().map(move |(x, y)| (x + dx, y + dy)));
+            let is_new = |cell: &Place| self.index(*cell).is_some_and(|index| new[index]);
+            cells.extend(touched.filter(is_new));
         }
         let alone = |thing: &Thing| {
             let inside =
@@ -254,8 +274,12 @@ impl Window {
             let things = self.things(&occupied).into_iter();
             cells.extend(things.filter(alone).flat_map(|thing| thing.cells));
         }
-        let in_map = |(x, y): Place| (x + self.first.0, y + self.first.1);
         cells.into_iter().map(in_map).collect()
+    }
+
+    /// Cells that belong to one thing are so many apart at most.
+    fn link(&self) -> i64 {
+        ((LINK / self.resolution).round() as i64).clamp(1, 8)
     }
 
     fn is_large_enough(&self, thing: &Thing) -> bool {
@@ -270,7 +294,6 @@ impl Window {
 
     /// Marked cells that are near each other, as things.
     fn things(&self, marks: &[bool]) -> Vec<Thing> {
-        let link = ((LINK / self.resolution).round() as i64).clamp(1, 8);
         let mut left = marks.to_vec();
         let mut things = Vec::new();
         for start in 0..marks.len() {
@@ -289,7 +312,7 @@ impl Window {
                 thing.cells.push((x, y));
                 thing.low = (thing.low.0.min(x), thing.low.1.min(y));
                 thing.high = (thing.high.0.max(x), thing.high.1.max(y));
-                for (dx, dy) in (-link..=link).flat_map(|dy| (-link..=link).map(move |dx| (dx, dy))) {
+                for (dx, dy) in beside(self.link()) {
                     let next = (x + dx, y + dy);
                     if let Some(mark) = self.index(next).and_then(|index| left.get_mut(index))
                         && std::mem::take(mark)
@@ -302,21 +325,11 @@ impl Window {
         }
         things
     }
+}
 
-    /// Share of the cells around a thing that are free.
-    fn free_around(&self, thing: &Thing, is_free: impl Fn(Place) -> bool) -> f64 {
-        let near = (-AROUND..=AROUND).flat_map(|dy| (-AROUND..=AROUND).map(move |dx| (dx, dy)));
-        let near: Vec<Place> = near.collect();
-        let own: BTreeSet<Place> = thing.cells.iter().copied().collect();
-        let around: BTreeSet<Place> = thing
-            .cells
-            .iter()
-            .flat_map(|(x, y)| near.iter().map(move |(dx, dy)| (x + dx, y + dy)))
-            .filter(|cell| !own.contains(cell))
-            .collect();
-        let free = around.iter().filter(|cell| is_free(**cell)).count();
-        free as f64 / around.len().max(1) as f64
-    }
+/// A cell and its neighbours up to so many away, as steps to them.
+fn beside(cells: i64) -> impl Iterator<Item = Place> {
+    (-cells..=cells).flat_map(move |dy| (-cells..=cells).map(move |dx| (dx, dy)))
 }
 
 #[cfg(test)]
@@ -412,6 +425,24 @@ mod tests {
                 .filter(|cell| cell.since == Some(Stamp::from_secs(40.0)))
                 .count()
                 >= 18
+        );
+        // Only the door, although the surface of the walls beside it was taken for free.
+        let mut shown = Shown::new();
+        shown
+            .show(0, 20..110, 20..64)
+            .show(0, 50..68, 20..110)
+            .show(0, 20..110, 70..110);
+        shown
+            .show(100, 20..50, 63..64)
+            .show(100, 68..110, 63..64)
+            .show(100, 50..68, 65..66);
+        let cells = shown.cells(false);
+        let low = SPEC.from_cells(Point2::new(47.0, 62.0));
+        let high = SPEC.from_cells(Point2::new(71.0, 67.0));
+        assert!(cells.iter().filter(|cell| cell.center.y > high.y - 0.1 - 1e-9).count() >= 18);
+        assert!(
+            cells.iter().all(|cell| cell.center > low && cell.center < high),
+            "{cells:?}"
         );
         // A wall whose surface a grazing beam once showed as free, and behind which nothing was ever seen.
         let mut shown = Shown::new();

@@ -8,7 +8,7 @@ use super::ports::{goal_on, goals_on, pose_of};
 use super::selectors::Choice;
 use super::{fail, no_error, path, step};
 use crate::context::Context;
-use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code, look_at};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's codes of the same reasons are so much higher for a path through poses.
@@ -144,6 +144,7 @@ impl Leaf<Context> for ComputePath {
                     && ctx.now.secs_since(ctx.goal.started) < ctx.config.settings.linger =>
             {
                 search.again_at(ctx.now.plus_secs(LOOK_AGAIN));
+                look_at(ctx, Point2::new(request.goal.x, request.goal.y));
                 step(io, ctx, &format!("looks again: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {

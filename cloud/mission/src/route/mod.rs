@@ -30,6 +30,7 @@ use begin::{Begin, predicted};
 use waiting::Waiting;
 
 pub use request::RouteRequest;
+pub(crate) use waiting::look_at;
 
 /// Nav2's codes of why there is no path.
 pub mod error_code {
@@ -182,6 +183,9 @@ impl Search {
 
     /// Gives the search up.
     pub fn cancel(self, ctx: &mut Context) {
+        if self.waiting.is_some() {
+            ctx.goal.feedback.blockage = None;
+        }
         match self.stage {
             Stage::Asked(ticket, _) | Stage::Cleared(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
             Stage::Idle(_) => {}
@@ -199,6 +203,7 @@ impl Search {
         match (state, &self.waiting) {
             (Searching::Wait(_), Some(waiting)) => {
                 ctx.goal.feedback.blockage = Some(waiting.blockage);
+                look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
                 Searching::Blocked(waiting.said(ctx.now))
             }
             (state, _) => {
@@ -359,8 +364,9 @@ impl Search {
             // Where there is nothing to drive, the goal itself is the one waypoint.
             Some(smooth) if smooth.trajectory.is_empty() && path::length(&path) >= AT_GOAL => {
                 let goal = named(&self.request.goal);
-                let why = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
-                failed(error_code::UNKNOWN, why)
+                let reason = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
+                let code = error_code::UNKNOWN;
+                self.unless_its_end_is_taken(ctx, NoRoute { code, reason })
             }
             Some(SmoothReply {
                 map,

@@ -1,8 +1,11 @@
 //! Waiting. What that may leave bars the way, and is it still worth waiting for?
 
 use nalgebra::Point2;
+use zenav_protocol::geometry::wrap_angle;
 use zenav_protocol::grid::Occupancy;
-use zenav_protocol::messages::{Blockage, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest};
+use zenav_protocol::messages::{
+    BehaviourAction, BehaviourRequest, Blockage, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest,
+};
 use zenav_protocol::time::Stamp;
 
 use super::begin::Begin;
@@ -14,6 +17,10 @@ use crate::transient::TransientCell;
 
 /// Time between two tries while something is waited for, s: at least, when it gives way, and at most.
 const RETRY: [f64; 2] = [0.2, 1.0];
+/// What gives way leaves traces for a while: a path that is not there yet is asked for so much longer, s.
+const TRACES: f64 = 5.0;
+/// So much inside the border of its view a lidar sees what is waited for, rad; the robot turns to it at most so often, s.
+const VIEW: (f64, f64) = (0.3, 10.0);
 /// Most goals that things are looked for around.
 const MAX_GOALS: usize = 8;
 /// What may touch a robot beyond its circumscribed disc, m: a cell's diagonal.
@@ -126,17 +133,17 @@ impl Search {
     pub(super) fn unless_it_leaves(&mut self, ctx: &mut Context, begin: &Begin, no_route: NoRoute) -> Searching {
         let may_pass = [error_code::GOAL_OCCUPIED, error_code::NO_VALID_PATH].contains(&no_route.code);
         let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
-            return self.given_up(no_route);
+            return self.given_up(ctx, no_route);
         };
         if !may_pass || self.request.from.is_some() || ctx.config.settings.patience <= 0.0 {
-            return self.given_up(no_route);
+            return self.given_up(ctx, no_route);
         }
         let goals = self.request.via.iter().chain([&self.request.goal]);
         let near = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
         let near: Vec<Point2<f64>> = [begin.pose.position()].into_iter().chain(near).collect();
         self.cleared = ctx.map.transient(&near);
         if self.cleared.is_empty() {
-            return self.given_up(no_route);
+            return self.given_up(ctx, no_route);
         }
         let request = PlanRequest {
             cleared: self.cleared.iter().map(|cell| cell.center).collect(),
@@ -164,19 +171,38 @@ impl Search {
             },
             _ => Vec::new(),
         };
-        let radius = ctx
-            .robot
-            .model()
-            .map_or(0.0, |model| model.footprint.circumscribed_radius());
-        let waiting = Waiting::on(&path, &self.cleared, radius + BESIDE, ctx.now);
-        self.cleared.clear();
-        let Some(mut waiting) = waiting else {
-            return self.given_up(no_route);
+        let cells = std::mem::take(&mut self.cleared);
+        self.wait(ctx, &path, &cells, no_route)
+    }
+
+    /// There is a path, and it cannot be driven. Perhaps somebody stands at its end, seen from one side only.
+    pub(super) fn unless_its_end_is_taken(&mut self, ctx: &mut Context, no_route: NoRoute) -> Searching {
+        if ctx.config.settings.patience <= 0.0 || self.request.from.is_some() {
+            return self.given_up(ctx, no_route);
+        }
+        let goal = [Point2::new(self.request.goal.x, self.request.goal.y)];
+        let cells = ctx.map.transient(&goal);
+        self.wait(ctx, &goal, &cells, no_route)
+    }
+
+    /// Waits for the first thing on a path that may leave; gives up if there is none, or if it has stood there for too long.
+    fn wait(
+        &mut self,
+        ctx: &mut Context,
+        path: &[Point2<f64>],
+        cells: &[TransientCell],
+        no_route: NoRoute,
+    ) -> Searching {
+        let model = ctx.robot.model();
+        let radius = model.map_or(0.0, |model| model.footprint.circumscribed_radius());
+        let Some(mut waiting) = Waiting::on(path, cells, radius + BESIDE, ctx.now) else {
+            return self.given_up(ctx, no_route);
         };
         waiting.note(ctx);
         if waiting.stood(ctx.now) > ctx.config.settings.patience {
             let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
-            return self.given_up(NoRoute { reason, ..no_route });
+            self.waiting = None;
+            return Searching::Failed(NoRoute { reason, ..no_route });
         }
         if self.waiting.is_none() {
             tracing::info!(goal = ctx.goal.id, what = waiting.said(ctx.now), "the way is barred");
@@ -186,8 +212,37 @@ impl Search {
         Searching::Wait("is about to plan")
     }
 
-    fn given_up(&mut self, no_route: NoRoute) -> Searching {
+    fn given_up(&mut self, ctx: &Context, no_route: NoRoute) -> Searching {
+        let waited = ctx.goal.waited.filter(|_| self.waiting.is_some());
+        if waited.is_some_and(|(_, last)| ctx.now.secs_since(last) <= TRACES) {
+            self.again_at(ctx.now.plus_secs(RETRY[0]));
+            return Searching::Wait("is about to plan");
+        }
         self.waiting = None;
         Searching::Failed(no_route)
     }
+}
+
+/// Turns a robot at rest to a place that none of its lidars sees: what leaves there would stay in the map.
+pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
+    let looked = ctx.goal.looked.is_some_and(|at| ctx.now.secs_since(at) < VIEW.1);
+    let (Some(epoch), Some(pose), Some(model)) = (ctx.lease.epoch(), ctx.robot.pose(), ctx.robot.model()) else {
+        return;
+    };
+    let bearing = wrap_angle((place.y - pose.y).atan2(place.x - pose.x) - pose.yaw);
+    let is_seen = model
+        .all_lidars()
+        .any(|(_, lidar)| wrap_angle(bearing - lidar.mount.yaw).abs() <= 0.5 * lidar.field_of_view - VIEW.0);
+    if looked || is_seen || !ctx.robot.is_at_rest() || ctx.obstacle_to_driving().is_some() {
+        return;
+    }
+    ctx.goal.looked = Some(ctx.now);
+    let request = BehaviourRequest {
+        id: ctx.execution_id(),
+        action: BehaviourAction::Spin { angle: bearing },
+        epoch: Some(epoch),
+    };
+    // Whether it is done is seen by the robot's heading.
+    let ticket = ctx.asks.ask(Ask::Behaviour(request));
+    ctx.asks.forget(ticket);
 }

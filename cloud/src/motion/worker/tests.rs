@@ -1,0 +1,196 @@
+//! Claims about the motion worker.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::TrajectoryPoint;
+
+use super::*;
+
+/// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
+fn hall(door: f64) -> MapReplica {
+    let spec = GridSpec {
+        origin: Point2::origin(),
+        resolution: 0.05,
+        width: 120,
+        height: 80,
+    };
+    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+    for y in (0..80).filter(|y| !(2.0..2.0 + door).contains(&(0.05 * f64::from(*y) + 0.025))) {
+        grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+    }
+    let info = MapInfo {
+        stamp: Stamp::ZERO,
+        map: MapRef {
+            id: "hall".to_owned(),
+            revision: 1,
+        },
+        spec,
+        free: 0,
+        occupied: 0,
+        unknown: 0,
+        scans: 0,
+        stored: true,
+    };
+    let mut replica = MapReplica::new();
+    replica.replace(&MapReply {
+        info,
+        values: grid.values().to_vec(),
+        trajectory: Vec::new(),
+    });
+    replica
+}
+
+fn request(robot: &str, planner: &str) -> TrajectoryRequest {
+    TrajectoryRequest {
+        plan: PlanRequest {
+            robot: "r".to_owned(),
+            model: zenav_fixtures::robot(robot),
+            map: MapRef::default(),
+            start: Pose2::new(1.0, 1.0, 0.0),
+            via: Vec::new(),
+            goal: Pose2::new(5.0, 1.0, 0.0),
+            planner: planner.to_owned(),
+            unknown_is_free: false,
+            cleared: Vec::new(),
+            escape: 0.6,
+            budget_ms: 5000,
+            seed: 1,
+        },
+        start_velocity: Twist2::ZERO,
+        goal_yaw: Some(0.0),
+        profile: DrivingProfile::default(),
+    }
+}
+
+fn ask(map: &MapReplica, request: &TrajectoryRequest, cancel: &Cancel) -> TrajectoryReply {
+    let request = MotionRequest::Trajectory(request.clone());
+    match MotionWorker::default().answer(Some(map), &request, &mut || 0.0, cancel) {
+        Ok(MotionReply::Trajectory(reply)) => reply,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_trajectory_stops_at_the_poses_that_it_is_to_pass_and_cuts_no_corner_there() {
+    let mut request = request("tiago", "astar");
+    request.plan.via = vec![
+        Pose2::new(1.0, 3.0, 0.0),
+        Pose2::new(2.0, 3.0, 0.0),
+        Pose2::new(2.0, 1.0, 0.0),
+    ];
+    let reply = ask(&hall(1.5), &request, &Cancel::default()).smooth.unwrap();
+    let mut from = 0.0;
+    for stop in request.plan.via.iter().chain([&request.plan.goal]) {
+        let is_there = |point: &&TrajectoryPoint| {
+            point.t > from && (point.position() - stop.position()).norm() < 1e-3 && point.v.abs() < 1e-6
+        };
+        from = reply
+            .trajectory
+            .iter()
+            .find(is_there)
+            .unwrap_or_else(|| panic!("{stop:?}"))
+            .t;
+    }
+    assert!(reply.trajectory.windows(2).all(|pair| pair[0].t < pair[1].t));
+    assert!((reply.statistics.duration - from).abs() < 0.2, "{:?}", reply.statistics);
+}
+
+#[test]
+fn one_answer_holds_the_path_and_its_trajectory_to_rest_at_the_goal() {
+    let (map, request) = (hall(1.25), request("tiago", "astar"));
+    let reply = ask(&map, &request, &Cancel::default());
+    let PlanOutcome::Found { path, .. } = &reply.plan.outcome else {
+        panic!("{:?}", reply.plan.outcome)
+    };
+    assert_eq!(path.first(), Some(&request.plan.start.position()));
+    let smooth = reply.smooth.unwrap();
+    assert_eq!(smooth.statistics.status, "smoothed");
+    let last = smooth.trajectory.last().unwrap();
+    assert!(last.pose().distance(&request.plan.goal) < 1e-6 && last.v == 0.0);
+}
+
+#[test]
+fn a_path_passes_the_poses_asked_for_and_a_leg_without_one_is_named() {
+    let map = hall(1.25);
+    let mut request = request("tiago", "astar");
+    request.plan.via = vec![Pose2::new(1.0, 3.0, 0.0), Pose2::new(5.0, 3.0, 0.0)];
+    let reply = ask(&map, &request, &Cancel::default());
+    let PlanOutcome::Found { path, length } = &reply.plan.outcome else {
+        panic!("{:?}", reply.plan.outcome)
+    };
+    for pose in &request.plan.via {
+        assert!(path.contains(&pose.position()), "{path:?}");
+    }
+    assert!(*length > 8.0 && !reply.smooth.unwrap().trajectory.is_empty());
+    request.plan.via[1] = Pose2::new(3.025, 1.0, 0.0);
+    let reply = ask(&map, &request, &Cancel::default());
+    assert!(matches!(reply.plan.outcome, PlanOutcome::GoalOccupied { .. }) && reply.plan.leg == 1);
+    assert_eq!(reply.smooth, None);
+}
+
+#[test]
+fn a_robot_that_by_the_map_stands_in_something_leaves_it_if_it_may() {
+    let map = hall(1.25);
+    let mut request = request("tiago", "astar");
+    request.plan.start = Pose2::new(2.95, 1.0, 0.0);
+    let reply = ask(&map, &request, &Cancel::default());
+    assert!(reply.plan.escapes && !reply.smooth.unwrap().trajectory.is_empty());
+    request.plan.escape = 0.0;
+    let reply = ask(&map, &request, &Cancel::default());
+    assert!(matches!(reply.plan.outcome, PlanOutcome::StartOccupied { .. }));
+}
+
+#[test]
+fn a_path_without_what_may_leave_is_told_and_nothing_of_it_is_kept() {
+    let (map, mut worker) = (hall(0.0), MotionWorker::default());
+    let mut plan = request("tiago", "astar").plan;
+    let mut ask = |plan: &PlanRequest| {
+        let request = MotionRequest::Plan(plan.clone());
+        match worker.answer(Some(&map), &request, &mut || 0.0, &Cancel::default()) {
+            Ok(MotionReply::Plan(reply)) => Ok(reply.outcome),
+            Err(refusal) => Err(refusal),
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(ask(&plan), Ok(PlanOutcome::NoPath));
+    plan.cleared = (40..60)
+        .map(|y| Point2::new(3.025, 0.05 * f64::from(y) + 0.025))
+        .collect();
+    assert!(matches!(ask(&plan), Ok(PlanOutcome::Found { .. })));
+    plan.cleared.push(Point2::new(f64::NAN, 0.0));
+    assert!(matches!(ask(&plan), Err(Refusal::BadRequest { .. })));
+    plan.cleared.clear();
+    assert_eq!(ask(&plan), Ok(PlanOutcome::NoPath));
+}
+
+#[test]
+fn a_body_that_no_disc_stands_for_gets_a_path_that_it_can_drive_by_every_planner() {
+    for planner in ["astar", "theta", "jps", "rrt_connect"] {
+        let reply = ask(&hall(0.8), &request("jackal", planner), &Cancel::default());
+        let smooth = reply
+            .smooth
+            .unwrap_or_else(|| panic!("{planner}: {:?}", reply.plan.outcome));
+        assert!(!smooth.trajectory.is_empty(), "{planner}: {}", smooth.statistics.status);
+    }
+}
+
+#[test]
+fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory() {
+    let (map, request) = (hall(1.25), request("tiago", "astar"));
+    let over = || AtomicBool::new(true);
+    let no_search = Cancel {
+        search: over(),
+        ..Cancel::default()
+    };
+    assert_eq!(ask(&map, &request, &no_search).plan.outcome, PlanOutcome::TimedOut);
+    let no_smoothing = Cancel {
+        smoothing: over(),
+        ..Cancel::default()
+    };
+    let smooth = ask(&map, &request, &no_smoothing).smooth.unwrap();
+    assert_eq!(smooth.statistics.status, "fallback:timed_out");
+    assert!(smooth.trajectory.last().unwrap().pose().distance(&request.plan.goal) < 0.01);
+}
