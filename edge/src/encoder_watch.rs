@@ -94,6 +94,11 @@ mod tests {
         // At rest and in contact the encoders are right.
         assert_eq!(angle(read(1.31, false), 0.0), (1.31, 0.0));
         assert_eq!(angle(read(1.31, true), 5.0), (1.31, 0.0));
-        assert!(angle(read(f64::NAN, false), 5.0).0.is_nan());
+        assert!(
+            watch
+                .angles(&read(f64::NAN, false), [5.0; 2], 0.02)
+                .iter()
+                .all(|angle| angle.is_nan())
+        );
     }
 }

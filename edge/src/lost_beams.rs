@@ -19,8 +19,9 @@ const CHANCE: f64 = 1e-4;
 const MEMORY: f64 = 0.005;
 /// Returns of one surface differ by at most this, m, and by this share of their range.
 const SURFACE: (f32, f32) = (0.05, 0.05);
-/// Longer runs are not interpolated: a thin leg may have been missed.
+/// Longer runs are not interpolated: a thin leg may have been missed. Nor is anything where more than this share is lost.
 const SHORT: usize = 2;
+const SOUND: f64 = 0.5;
 
 /// Watches the beams of all lidars of a robot.
 #[derive(Clone, Debug, Default)]
@@ -55,6 +56,7 @@ impl LostBeams {
         }
         let longest = (CHANCE.ln() / lost.min(0.99).ln()).ceil() as usize;
         let mut mended = sweep.clone();
+        let short = if *lost < SOUND { SHORT } else { 0 };
         let mut last: Option<f32> = None;
         let mut run = 0;
         for beam in 0..=mended.ranges.len() {
@@ -66,7 +68,7 @@ impl LostBeams {
             if (1..=longest).contains(&run)
                 && let Some(gap) = mended.ranges.get_mut(beam - run..beam)
             {
-                fill(gap, last, next.filter(|range| is_return(*range)));
+                fill(gap, last, next.filter(|range| is_return(*range)), short);
             }
             run = 0;
             last = next.filter(|range| is_return(*range));
@@ -80,10 +82,10 @@ fn is_one_surface(before: f32, after: f32) -> bool {
 }
 
 /// Fills a run of lost beams between what is seen on either side.
-fn fill(gap: &mut [f32], before: Option<f32>, after: Option<f32>) {
+fn fill(gap: &mut [f32], before: Option<f32>, after: Option<f32>, short: usize) {
     let count = gap.len();
     match (before, after) {
-        (Some(before), Some(after)) if count <= SHORT && is_one_surface(before, after) => {
+        (Some(before), Some(after)) if count <= short && is_one_surface(before, after) => {
             for (index, range) in gap.iter_mut().enumerate() {
                 *range = before + (after - before) * (index + 1) as f32 / (count + 1) as f32;
             }
@@ -111,20 +113,20 @@ mod tests {
         let whole: Vec<f32> = (0..200).map(|beam| if beam < 100 { 2.0 } else { lost }).collect();
         let mut watch = LostBeams::default();
         assert!(matches!(watch.mend(&sweep(whole.clone()), &lidar), Cow::Borrowed(_)));
-        // Each fourth beam is lost.
+        // Each fifth beam is lost.
         let spoilt: Vec<f32> = (0..200)
-            .map(|beam| if beam % 4 == 3 { lost } else { whole[beam] })
+            .map(|beam| if beam % 5 == 3 { lost } else { whole[beam] })
             .collect();
         for _ in 0..20 {
             watch.mend(&sweep(spoilt.clone()), &lidar);
         }
         let mended = watch.mend(&sweep(spoilt.clone()), &lidar).into_owned().ranges;
-        assert!(mended[..99].iter().all(|range| *range == 2.0), "{mended:?}");
-        assert!(mended[99..].iter().all(|range| *range == lost));
+        assert!(mended[..100].iter().all(|range| *range == 2.0), "{mended:?}");
+        assert!(mended[100..].iter().all(|range| *range == lost));
         // At the edge of a post nobody knows.
         let mut post = spoilt;
-        post[4..7].fill(1.0);
+        post[4..8].fill(1.0);
         let mended = watch.mend(&sweep(post), &lidar).into_owned().ranges;
-        assert_eq!(mended[2..9], [2.0, 0.0, 1.0, 1.0, 1.0, 0.0, 2.0]);
+        assert_eq!(mended[2..10], [2.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 2.0]);
     }
 }

@@ -361,18 +361,22 @@ impl ObstacleTracks {
         let (laser, spacing) = (scan.laser(), scan.lidar.angle_increment());
         let mut run: Option<(usize, usize)> = None;
         let mut last: Option<(usize, f64)> = None;
+        let mut open = 0;
         for (beam, range) in scan.ranges.iter().enumerate() {
             let range = f64::from(*range);
             if !scan.is_return(range) || range > self.settings.range {
-                // A lost beam does not part what belongs together.
-                if last.is_some_and(|(at, _)| beam - at > 2) {
+                // A lost beam does not part what belongs together; one that is known to be lost has no range.
+                open += usize::from(range > 0.0);
+                if last.is_some() && open > 2 {
                     self.segments
                         .extend(run.take().and_then(|run| segment(scan, moved, run, laser)));
                     last = None;
                 }
                 continue;
             }
-            let gap = GAP.0.max(GAP.1 * spacing * range);
+            open = 0;
+            let apart = last.map_or(1, |(at, _)| beam - at) as f64;
+            let gap = GAP.0.max(GAP.1 * apart * spacing * range);
             if last.is_some_and(|(_, before)| (range - before).abs() > gap) {
                 self.segments
                     .extend(run.take().and_then(|run| segment(scan, moved, run, laser)));
