@@ -65,6 +65,12 @@ impl Pose2 {
         Vector2::new(self.yaw.cos(), self.yaw.sin())
     }
 
+    /// The same place, heading the other way.
+    #[must_use]
+    pub fn turned(&self) -> Self {
+        Self::new(self.x, self.y, self.yaw + std::f64::consts::PI)
+    }
+
     /// Whether every number is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {

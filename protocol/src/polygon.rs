@@ -43,6 +43,25 @@ pub fn is_convex(corners: &[Point2<f64>]) -> bool {
         .all(|(edge, next)| cross(edge.b - edge.a, next - edge.b) > 0.0)
 }
 
+/// A convex outline with every edge moved outwards by a distance, m; inwards for a negative one. Corners stay sharp, so that a grown outline
+/// contains the rounded one.
+#[must_use]
+pub fn offset(corners: &[Point2<f64>], by: f64) -> Vec<Point2<f64>> {
+    let count = corners.len();
+    let outward = |a: Point2<f64>, b: Point2<f64>| {
+        let along = (b - a).normalize();
+        Vector2::new(along.y, -along.x)
+    };
+    (0..count)
+        .map(|i| {
+            let (before, here, after) = (corners[(i + count - 1) % count], corners[i], corners[(i + 1) % count]);
+            let (n, m) = (outward(before, here), outward(here, after));
+            let sum = n + m;
+            here + sum * (2.0 * by / sum.norm_squared())
+        })
+        .collect()
+}
+
 /// Whether a point lies inside a polygon (crossing number; points on the boundary may count as either).
 #[must_use]
 pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {

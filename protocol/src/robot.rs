@@ -12,6 +12,7 @@ use crate::config_text::{OutOfBounds, Pair};
 pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
 pub use crate::gains::ControllerGains;
+use crate::polygon;
 pub use crate::robot_check::RobotError;
 use crate::sensors::DEFAULT_LIDAR;
 pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
@@ -139,6 +140,25 @@ impl Footprint {
         match self {
             Self::Radius(radius) => *radius,
             Self::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
+        }
+    }
+
+    /// The outline moved outwards by a distance on all sides, m; inwards for a negative one, by at most half the inscribed radius.
+    #[must_use]
+    pub fn offset(&self, by: f64) -> Self {
+        let by = by.max(-0.5 * self.inscribed_radius());
+        match self {
+            Self::Radius(radius) => Self::Radius(radius + by),
+            Self::Polygon(corners) => Self::Polygon(polygon::offset(corners, by)),
+        }
+    }
+
+    /// The outline of the same robot that takes its rear for its front.
+    #[must_use]
+    pub fn turned(&self) -> Self {
+        match self {
+            Self::Radius(radius) => Self::Radius(*radius),
+            Self::Polygon(corners) => Self::Polygon(corners.iter().map(|corner| -*corner).collect()),
         }
     }
 

@@ -147,6 +147,15 @@ impl Trajectory {
         self.iter().copied().chain(shifted).collect()
     }
 
+    /// The same for a robot that takes its rear for its front: what was driven forwards is driven backwards.
+    #[must_use]
+    pub fn turned(&self) -> Self {
+        let turned = self
+            .iter()
+            .map(|point| TrajectoryPoint::new(point.t, point.pose().turned(), Twist2::new(-point.v, point.w)));
+        turned.collect()
+    }
+
     /// Its first time, s; zero without points.
     #[must_use]
     pub fn start_time(&self) -> f64 {

@@ -266,6 +266,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
                     cleared: Vec::new(),
                     unknown_is_free: true,
                     escape: 0.0,
+                    goal_tolerance: 0.0,
                     budget_ms: 1000,
                     seed: 1,
                 };

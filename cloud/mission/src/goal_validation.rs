@@ -7,6 +7,7 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
 
 use super::context::Context;
+use super::route::NEARBY;
 use super::trees;
 use zenav_protocol::padding::Extent;
 use zenav_space::{BitGrid, ConfigurationSpace, reach};
@@ -148,15 +149,16 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
     }
 }
 
-/// Whether the robot can reach the target on the known map; unknown space counts for the goal, and so does what may leave again.
+/// Whether the robot can reach the target on the known map, or a place within the tolerance (m) of the pose; unknown space counts for the
+/// goal, and so does what may leave again.
 ///
 /// # Errors
 /// [`Refusal::Rejected`] for a goal outside the map, in an obstacle or unreachable, with the nearest reachable place.
-pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
-    let points: Vec<GoalPoint> = match target {
-        Target::Pose(point) => vec![*point],
-        Target::Waypoints(points) => points.clone(),
-        Target::Tree => Vec::new(),
+pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(), Refusal> {
+    let (points, enough) = match target {
+        Target::Pose(point) => (vec![*point], NEARBY * tolerance),
+        Target::Waypoints(points) => (points.clone(), 0.0),
+        Target::Tree => (Vec::new(), 0.0),
     };
     let Some(model) = ctx.robot.model().cloned() else {
         return Ok(());
@@ -178,9 +180,8 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
     let small = space.spec().len() <= MAX_FLOODED;
     let from = position.filter(|_| small);
     let reached = from.and_then(|position| reach::flood(&space, position));
-    let radius = model.footprint.inscribed_radius();
     let admits = |space: &ConfigurationSpace, reached: &Option<BitGrid>, point: Point2<f64>| {
-        let fits = space.clearance(point) > radius;
+        let fits = space.clearance(point) > space.radius();
         let reached = reached.as_ref();
         (
             fits,
@@ -211,15 +212,6 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
                 continue;
             }
         }
-        let what = if let Some(zone) = zone {
-            &format!("is in a keep-out zone: {zone}")
-        } else if outside {
-            "is outside the map"
-        } else if fits {
-            "cannot be reached: obstacles on the map separate it from the robot"
-        } else {
-            "is occupied: the footprint does not fit"
-        };
         let seen_free = |cell| {
             known
                 .grid()
@@ -229,6 +221,18 @@ pub fn reachable(target: &Target, ctx: &mut Context) -> Result<(), Refusal> {
         let nearest = match &reached {
             Some(reached) => reach::nearest(&space, reached, point, seen_free),
             None => space.nearest_free(point),
+        };
+        if nearest.is_some_and(|free| (free - point).norm() <= enough) {
+            continue;
+        }
+        let what = if let Some(zone) = zone {
+            &format!("is in a keep-out zone: {zone}")
+        } else if outside {
+            "is outside the map"
+        } else if fits {
+            "cannot be reached: obstacles on the map separate it from the robot"
+        } else {
+            "is occupied: the footprint does not fit"
         };
         let nearest_free = nearest.map(|free| GoalPoint {
             x: free.x,

@@ -78,7 +78,8 @@ impl Mission {
             };
         }
         let target = goal_validation::target(&request, &self.ctx)?;
-        goal_validation::reachable(&target, &mut self.ctx)?;
+        let tolerance = request.tolerance.unwrap_or(self.ctx.config.settings.tolerance);
+        goal_validation::reachable(&target, tolerance, &mut self.ctx)?;
         let busy = self
             .goals
             .active()

@@ -33,7 +33,7 @@ pub(super) fn search(
         let between = path.corners.iter().map(|corner| spec.from_cells(*corner));
         let mut path: Vec<_> = [query.start].into_iter().chain(between).chain([query.goal]).collect();
         path.dedup_by(|a, b| (*a - *b).norm() < 1e-9);
-        is_drivable(space, &path, query.heading)
+        is_drivable(space, &path, &[], query.heading)
             .then_some(path)
             .ok_or(NotFound::NoPath)
     });
@@ -63,10 +63,13 @@ mod tests {
             start: Point2::new(0.81, 1.03),
             heading,
             goal: Point2::new(5.02, 3.01),
+            tolerance: 0.0,
         };
         let found = search(space, &Uniform, &query, Budget::UNLIMITED).result;
         if let Ok(path) = &found {
-            assert!(is_drivable(space, path, heading) && path[0] == query.start && path[path.len() - 1] == query.goal);
+            assert!(
+                is_drivable(space, path, &[], heading) && path[0] == query.start && path[path.len() - 1] == query.goal
+            );
         }
         found
     }

@@ -21,6 +21,8 @@ pub struct PlanOptions {
     pub any_heading: bool,
     /// A robot that stands in an obstacle of the map may go this far to the nearest free place, m (default 0: it is refused).
     pub escape: f64,
+    /// A goal where the robot does not fit may be replaced by the nearest free place if that is this near, m (default 0: it is refused).
+    pub goal_tolerance: f64,
     /// What can be tuned.
     pub settings: PlanningSettings,
 }
@@ -40,6 +42,7 @@ impl PlanOptions {
             seed: 1,
             any_heading: false,
             escape: 0.0,
+            goal_tolerance: 0.0,
             settings: PlanningSettings::default(),
         }
     }

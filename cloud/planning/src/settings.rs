@@ -56,7 +56,11 @@ zenav_protocol::settings! {
     pub struct Se2Settings {
         /// What a turn to the next of sixteen headings costs, as metres of driving.
         pub turn_cost: f64 = 0.08, "m", 0.0..=10.0;
-        /// How far a robot that cannot turn where it stands goes straight on to where it can.
+        /// What a metre backwards costs, as metres forwards: most robots see less behind them.
+        pub reverse_cost: f64 = 2.0, "", 1.0..=100.0;
+        /// What a change between forwards and backwards costs, as metres of driving.
+        pub cusp_cost: f64 = 0.5, "m", 0.0..=100.0;
+        /// How far a robot that cannot turn where it stands goes straight on, or straight back, to where it can.
         pub straight_on: f64 = 2.0, "m", 0.0..=20.0;
         /// Weight of the cost to go: 1 finds the cheapest path, more finds one sooner that may cost this many times as much.
         pub heuristic_weight: f64 = 1.5, "", 1.0..=10.0;

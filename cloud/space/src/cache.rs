@@ -11,6 +11,12 @@ use zenav_protocol::robot::Footprint;
 use super::{ConfigurationSpace, UnknownPolicy, Zones};
 use zenav_protocol::map_replica::MapReplica;
 
+/// By how much walls of a map are too thick on average, in cells: a surface lies anywhere in the cell that is occupied for it. The footprint is
+/// smaller by as much on all sides …
+const THICKENING: f64 = 0.5;
+/// … and by no more than this, m: what the robot's own eyes take for free is left to its collision monitor.
+const MOST_THICKENING: f64 = 0.0125;
+
 /// Spaces that are kept.
 const KEPT: usize = 8;
 
@@ -32,10 +38,12 @@ impl SpaceCache {
         }
     }
 
-    /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
+    /// The space of a map's present state, for the footprint without what walls are too thick in it: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
     ///
     /// Whoever still holds an older one keeps it as it was; otherwise it is changed in place.
     pub fn get(&mut self, map: &MapReplica, footprint: &Footprint, unknown: UnknownPolicy) -> Arc<ConfigurationSpace> {
+        let thickening = (THICKENING * map.grid().spec().resolution).min(MOST_THICKENING);
+        let footprint = &footprint.offset(-thickening);
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
             of.id == map.map().id && space.unknown_policy() == unknown && space.footprint() == footprint
         };
@@ -134,7 +142,7 @@ mod tests {
                 }
                 for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked] {
                     let kept = cache.get(&mirror, &footprint, policy);
-                    let anew = ConfigurationSpace::new(mirror.grid(), &footprint, policy, 0.0);
+                    let anew = ConfigurationSpace::new(mirror.grid(), kept.footprint(), policy, 0.0);
                     prop_assert_eq!((kept.spec(), kept.free(), kept.field()), (anew.spec(), anew.free(), anew.field()));
                     prop_assert_eq!((kept.obstacles(), kept.forbidden()), (anew.obstacles(), anew.forbidden()));
                     prop_assert!(Arc::ptr_eq(&kept, &cache.get(&mirror, &footprint, policy)));

@@ -162,6 +162,15 @@ impl ConfigurationSpace {
         space
     }
 
+    /// The same map for the same robot that takes its rear for its front; everything is shared.
+    #[must_use]
+    pub fn turned(&self) -> Self {
+        Self {
+            footprint: self.footprint.turned(),
+            ..self.clone()
+        }
+    }
+
     /// Whether the robot is larger than the field reaches: what is free is then told by the whole transform.
     pub(super) fn is_beyond_the_field(&self) -> bool {
         self.threshold >= 4 * i64::from(self.field.reach_cells()).pow(2)

@@ -256,6 +256,7 @@ mod tests {
             unknown_is_free: false,
             cleared: Vec::new(),
             escape: 0.0,
+            goal_tolerance: 0.0,
             budget_ms: 5000,
             seed: 1,
         };
@@ -289,6 +290,7 @@ mod tests {
             map: found.map,
             path: path.clone(),
             via: Vec::new(),
+            backwards: Vec::new(),
             start: question.start,
             start_velocity: Twist2::ZERO,
             goal_yaw: Some(0.0),

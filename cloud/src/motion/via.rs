@@ -1,4 +1,4 @@
-//! Poses to stop at. How is a path with stops on its way smoothed piece by piece?
+//! Poses to stop at. How is a path with stops on its way, and with pieces driven backwards, smoothed piece by piece?
 
 use nalgebra::Point2;
 use zenav_protocol::messages::PlanStatistics;
@@ -7,8 +7,58 @@ use zenav_smoothing::Outcome;
 /// A path passes a point that is so near to it, m.
 const PASSED: f64 = 0.05;
 
+/// A piece of a path, from rest to rest.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Piece {
+    /// Corner points, m.
+    pub(super) path: Vec<Point2<f64>>,
+    /// Whether it is driven backwards.
+    pub(super) backwards: bool,
+    /// Whether the next piece goes the other way.
+    pub(super) ends_in_cusp: bool,
+}
+
+impl Piece {
+    /// The heading to end with, rad: where the next piece goes the other way, that of the last leg. Elsewhere any will do.
+    pub(super) fn end_yaw(&self) -> Option<f64> {
+        let [.., from, to] = self.path[..] else { return None };
+        let along = if self.backwards { from - to } else { to - from };
+        self.ends_in_cusp.then(|| along.y.atan2(along.x))
+    }
+}
+
+/// A path cut where it changes between forwards and backwards (legs are numbered by the corner that they begin at), and at the points to stop
+/// at.
+pub(super) fn pieces(path: &[Point2<f64>], backwards: &[usize], via: &[Point2<f64>]) -> Vec<Piece> {
+    let mut is_back = vec![false; path.len()];
+    for leg in backwards {
+        if let Some(is_back) = is_back.get_mut(*leg) {
+            *is_back = true;
+        }
+    }
+    let mut pieces: Vec<Piece> = Vec::new();
+    let mut first = 0;
+    for corner in 1..path.len().max(2) {
+        let goes_back = is_back.get(first) == Some(&true);
+        let is_last = corner + 1 >= path.len();
+        if !is_last && is_back[corner] == goes_back {
+            continue;
+        }
+        let leg = path.get(first..=corner).unwrap_or(path);
+        let cut = cut(leg, via);
+        let count = cut.len();
+        pieces.extend(cut.into_iter().enumerate().map(|(nth, path)| Piece {
+            path,
+            backwards: goes_back,
+            ends_in_cusp: nth + 1 == count && !is_last,
+        }));
+        first = corner;
+    }
+    pieces
+}
+
 /// A path cut at the points to stop at. One that the path does not pass, and one at its beginning or end, is left out.
-pub(super) fn pieces(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
+fn cut(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
     let mut pieces = Vec::new();
     let mut rest = path.to_vec();
     for stop in via {
@@ -58,5 +108,32 @@ pub(super) fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatisti
         min_clearance: least,
         status,
         ..piece
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_is_cut_where_it_turns_back_and_where_it_is_to_stop() {
+        let path = [0.0, 2.0, 1.0, 0.5, 5.0].map(|x| Point2::new(x, 0.0));
+        let cut = |backwards: &[usize], via: &[Point2<f64>]| {
+            pieces(&path, backwards, via)
+                .into_iter()
+                .map(|piece| (piece.path.len(), piece.backwards, piece.ends_in_cusp))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(cut(&[], &[]), [(5, false, false)]);
+        assert_eq!(cut(&[0], &[]), [(2, true, true), (4, false, false)]);
+        assert_eq!(
+            cut(&[1, 2], &[]),
+            [(2, false, true), (3, true, true), (2, false, false)]
+        );
+        let stop = Point2::new(3.0, 0.0);
+        let expected = [(2, false, true), (3, true, true), (2, false, false), (2, false, false)];
+        assert_eq!(cut(&[1, 2], &[stop]), expected);
+        assert_eq!(cut(&[3], &[]), [(4, false, true), (2, true, false)]);
+        assert_eq!(pieces(&path[..1], &[], &[]).len(), 1);
     }
 }

@@ -3,6 +3,7 @@
 //! Pure: a request, a copy of the map, a clock for the statistics, and flags that end a phase early, in; a reply out.
 
 use std::collections::VecDeque;
+use std::f64::consts::PI;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,7 +20,7 @@ use zenav_protocol::trajectory::Trajectory;
 use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
 
-use super::via::{pieces, sum};
+use super::via::{Piece, pieces, sum};
 
 /// Robots and maps that searches are kept for.
 const MAX_REPLANNERS: usize = 4;
@@ -152,7 +153,7 @@ impl MotionWorker {
     ) -> Result<Option<SmoothReply>, Refusal> {
         match &plan.outcome {
             PlanOutcome::Found { path, .. } => {
-                let request = request.smooth(plan.map.clone(), path.clone());
+                let request = request.smooth(plan.map.clone(), path.clone(), plan.backwards.clone());
                 self.smooth(given, &request).map(Some)
             }
             _ => Ok(None),
@@ -183,6 +184,7 @@ impl MotionWorker {
         let mut reply = PlanReply {
             map: map.map_or_else(|| request.map.clone(), |map| map.map().clone()),
             outcome: PlanOutcome::NoMap,
+            backwards: Vec::new(),
             leg: 0,
             escapes: false,
             search_ms: 0.0,
@@ -201,6 +203,11 @@ impl MotionWorker {
                 seed: request.seed,
                 settings: self.settings.planning.clone(),
                 escape: if leg == 0 { request.escape } else { 0.0 },
+                goal_tolerance: if leg == request.via.len() {
+                    request.goal_tolerance
+                } else {
+                    0.0
+                },
                 ..PlanOptions::new(planner)
             };
             let planned = match &without {
@@ -216,6 +223,10 @@ impl MotionWorker {
                 return Ok(reply);
             };
             // One leg ends where the next begins.
+            let before = whole.len().saturating_sub(1);
+            reply
+                .backwards
+                .extend(planned.backwards.iter().map(|corner| before + corner));
             whole.extend(path.into_iter().skip(usize::from(leg > 0)));
             total += length;
         }
@@ -303,25 +314,44 @@ impl MotionWorker {
             statistics: PlanStatistics::default(),
         };
         let (mut start, mut start_velocity) = (request.start, request.start_velocity);
-        let pieces = pieces(&request.path, &request.via);
-        for (index, path) in pieces.iter().enumerate() {
+        let turned = if request.backwards.is_empty() {
+            Arc::clone(&space)
+        } else {
+            Arc::new(space.turned())
+        };
+        let pieces = pieces(&request.path, &request.backwards, &request.via);
+        for (index, piece) in pieces.iter().enumerate() {
+            let Piece { path, backwards, .. } = piece;
+            let goal_yaw = if index + 1 == pieces.len() {
+                request.goal_yaw
+            } else {
+                piece.end_yaw()
+            };
+            // Backwards is forwards for the robot that takes its rear for its front.
             let query = SmoothQuery {
                 path,
-                start,
-                start_velocity,
-                goal_yaw: request.goal_yaw.filter(|_| index + 1 == pieces.len()),
+                start: if *backwards { start.turned() } else { start },
+                start_velocity: if *backwards {
+                    Twist2::new(-start_velocity.v, start_velocity.w)
+                } else {
+                    start_velocity
+                },
+                goal_yaw: goal_yaw.map(|yaw| if *backwards { yaw + PI } else { yaw }),
                 profile: request.profile,
             };
             let settings = &self.settings.smoothing;
             let smoothed = smooth(
-                &space,
+                if *backwards { &turned } else { &space },
                 &query,
                 &model,
                 settings,
                 Some(&given.cancel.smoothing),
                 &mut *given.clock,
             );
-            let trajectory = smoothed.sampled(SAMPLE_PERIOD);
+            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD);
+            if *backwards {
+                trajectory = trajectory.turned();
+            }
             reply.statistics = sum(reply.statistics, smoothed.statistics);
             let Some(last) = trajectory.last() else {
                 reply.trajectory = trajectory;

@@ -87,15 +87,16 @@ pub struct TrajectoryRequest {
 }
 
 impl TrajectoryRequest {
-    /// The second half of the request: the trajectory along the path that was found on a map.
+    /// The second half of the request: the trajectory along the path that was found on a map, some pieces of it backwards.
     #[must_use]
-    pub fn smooth(&self, map: MapRef, path: Vec<Point2<f64>>) -> SmoothRequest {
+    pub fn smooth(&self, map: MapRef, path: Vec<Point2<f64>>, backwards: Vec<usize>) -> SmoothRequest {
         SmoothRequest {
             robot: self.plan.robot.clone(),
             model: self.plan.model.clone(),
             map,
             path,
             via: self.plan.via.iter().map(Pose2::position).collect(),
+            backwards,
             start: self.plan.start,
             start_velocity: self.start_velocity,
             goal_yaw: self.goal_yaw,
@@ -141,6 +142,9 @@ pub struct PlanRequest {
     /// A robot that does not fit where it stands, by the map, may leave by the nearest free position, if that is this near, m.
     #[serde(default)]
     pub escape: f64,
+    /// A goal where the robot does not fit may be replaced by the nearest free position, if that is this near, m.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub goal_tolerance: f64,
     /// Time the search may take, ms.
     pub budget_ms: u64,
     /// Seed of planners that draw samples.
@@ -155,6 +159,9 @@ pub struct PlanReply {
     pub map: MapRef,
     /// What came out.
     pub outcome: PlanOutcome,
+    /// Pieces of the path that are driven backwards, by the corner that they begin at.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub backwards: Vec<usize>,
     /// The leg that the outcome is about where there is no path: zero leads to the first pose of `via`, or to the goal.
     #[serde(default)]
     pub leg: usize,
@@ -228,6 +235,9 @@ pub struct SmoothRequest {
     /// Points of the path to stop at on the way, in order, map frame: elsewhere its corners may be cut.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Point2<f64>>,
+    /// Pieces of the path that are driven backwards, by the corner that they begin at.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub backwards: Vec<usize>,
     /// Pose at the start.
     pub start: Pose2,
     /// Velocity at the start.
@@ -287,6 +297,11 @@ pub struct SearchTree {
     pub path: Vec<Point2<f64>>,
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_none(tolerance: &f64) -> bool {
+    *tolerance == 0.0
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -306,6 +321,7 @@ mod tests {
             unknown_is_free: false,
             cleared: Vec::new(),
             escape: 0.0,
+            goal_tolerance: 0.0,
             budget_ms: 500,
             seed: 1,
         };

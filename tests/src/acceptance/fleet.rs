@@ -421,6 +421,7 @@ async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
         let plan = PlanReply {
             map: wanted.plan.map.clone(),
             outcome: PlanOutcome::Found { path, length },
+            backwards: Vec::new(),
             leg: 0,
             escapes: false,
             search_ms: 0.0,

@@ -71,6 +71,7 @@ impl Leaf<Context> for SmoothPath {
             map,
             path: data.points.clone(),
             via: data.via.iter().map(|goal| Point2::new(goal.x, goal.y)).collect(),
+            backwards: Vec::new(),
             start,
             start_velocity: Twist2::ZERO,
             goal_yaw: data.goal.yaw,

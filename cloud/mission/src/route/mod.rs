@@ -52,6 +52,8 @@ pub mod error_code {
     pub const NO_VALID_PATH: i64 = 208;
 }
 
+/// A robot that does not fit at its goal may end this near to it, as a share of the goal's tolerance.
+pub(crate) const NEARBY: f64 = 0.8;
 /// A path shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
 
@@ -267,6 +269,7 @@ impl Search {
                     .iter()
                     .map(|goal| Point2::new(goal.x, goal.y))
                     .collect(),
+                backwards: Vec::new(),
                 start: begin.pose,
                 start_velocity: begin.twist,
                 goal_yaw,
@@ -305,6 +308,7 @@ impl Search {
             unknown_is_free: ctx.config.settings.unknown_is_free,
             cleared: Vec::new(),
             escape: ctx.config.settings.escape,
+            goal_tolerance: NEARBY * ctx.goal.tolerance,
             budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
             seed: 1,
         }

@@ -41,6 +41,8 @@ pub enum FootprintSearch {
 pub struct Planned {
     /// The path, or why there is none.
     pub outcome: PlanOutcome,
+    /// Legs of the path that are driven backwards, by the corner that they begin at, rising.
+    pub backwards: Vec<usize>,
     /// Which search found the path; `None` without a path.
     pub found_by: Option<FootprintSearch>,
     /// Whether the path begins with a leg out of an obstacle of the map ([`PlanOptions::escape`]).
@@ -55,6 +57,7 @@ impl Planned {
     fn without_search(outcome: PlanOutcome) -> Self {
         Self {
             outcome,
+            backwards: Vec::new(),
             found_by: None,
             escapes: false,
             expansions: 0,
@@ -66,9 +69,10 @@ impl Planned {
 /// A path that the robot can drive from one pose to another. `searcher` was made from `space.free()`.
 ///
 /// The path leads from the exact start to the exact goal (m, map frame). The footprint can drive it as it stands: legs straight, turns on
-/// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free). The goal's heading is
-/// not looked at. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
-/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that.
+/// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free); the SE(2) search may
+/// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that. A goal where it does not fit is refused,
+/// but for [`PlanOptions::goal_tolerance`].
 ///
 /// A round robot takes one search. For a polygon the searches are tried in a fixed order, until one gives a path that the footprint can
 /// drive; [`Planned::found_by`] tells which one it was.
@@ -113,32 +117,36 @@ pub(super) fn answer(
     budget: Budget<'_>,
     find: &mut Find<'_>,
 ) -> Planned {
-    let planned = drivable(space, start, goal, options, budget, find);
-    let PlanOutcome::StartOccupied {
-        nearest_free: Some(free),
-    } = planned.outcome
-    else {
-        return planned;
-    };
-    let away = (free - start.position()).norm();
-    if away > options.escape {
-        return planned;
+    let (mut first, mut last) = (start, goal);
+    let mut planned = drivable(space, first, last, options, budget, find);
+    // Each end may be moved once.
+    for _ in 0..2 {
+        match planned.outcome {
+            PlanOutcome::StartOccupied {
+                nearest_free: Some(free),
+            } if first == start && (free - start.position()).norm() <= options.escape => {
+                first = Pose2::new(free.x, free.y, start.yaw);
+            }
+            PlanOutcome::GoalOccupied {
+                nearest_free: Some(free),
+            } if last == goal && (free - goal.position()).norm() <= options.goal_tolerance => {
+                last = Pose2::new(free.x, free.y, goal.yaw);
+            }
+            _ => break,
+        }
+        let before = planned.expansions;
+        planned = drivable(space, first, last, options, budget, find);
+        planned.expansions += before;
     }
-    let mut escaped = drivable(
-        space,
-        Pose2::new(free.x, free.y, start.yaw),
-        goal,
-        options,
-        budget,
-        find,
-    );
-    escaped.escapes = true;
-    escaped.expansions += planned.expansions;
-    if let PlanOutcome::Found { path, length } = &mut escaped.outcome {
+    planned.escapes = first != start;
+    if planned.escapes
+        && let PlanOutcome::Found { path, length } = &mut planned.outcome
+    {
         path.insert(0, start.position());
-        *length += away;
+        *length += first.distance(&start);
+        planned.backwards.iter_mut().for_each(|leg| *leg += 1);
     }
-    escaped
+    planned
 }
 
 /// The searches of [`plan`] in their order.
@@ -154,6 +162,7 @@ fn drivable(
         start: start.position(),
         heading: (!options.any_heading).then_some(start.yaw),
         goal: goal.position(),
+        tolerance: options.goal_tolerance,
     };
     let leaving = &options.settings.leaving;
     let footprint = space.footprint();
@@ -189,7 +198,7 @@ fn is_final(space: &ConfigurationSpace, outcome: &PlanOutcome, query: &se2_searc
     match outcome {
         // A robot that stands where it does not fit by the map leaves by the disc's path, as far as it gets.
         PlanOutcome::Found { path, .. } => {
-            se2_search::is_drivable(space, path, query.heading)
+            se2_search::is_drivable(space, path, &[], query.heading)
                 || !se2_search::can_stand(space, query.start, query.heading)
         }
         PlanOutcome::NoPath | PlanOutcome::StartOccupied { .. } | PlanOutcome::GoalOccupied { .. } => false,
@@ -228,7 +237,10 @@ fn fit_footprint(
     planned.origin = PlanOrigin::Searched;
     planned.found_by = searched.result.is_ok().then_some(FootprintSearch::Se2);
     match (searched.result, &planned.outcome) {
-        (Ok(path), _) => planned.outcome = found(path),
+        (Ok(path), _) => {
+            planned.outcome = found(path.corners);
+            planned.backwards = path.backwards;
+        }
         (Err(NotFound::TimedOut | NotFound::TooLong), _) => planned.outcome = PlanOutcome::TimedOut,
         (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
         (Err(_), _) => {}
@@ -291,6 +303,7 @@ fn for_disc(
     };
     Planned {
         outcome,
+        backwards: Vec::new(),
         found_by,
         escapes: false,
         expansions: searched.expansions,

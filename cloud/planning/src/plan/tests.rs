@@ -148,7 +148,7 @@ fn ask_long(gap: u32, start: Pose2, goal: (f64, f64), planner: Planner) -> Plann
     assert_eq!(again.unwrap(), planned);
     if let PlanOutcome::Found { path, .. } = &planned.outcome {
         assert!(
-            se2_search::is_drivable(&space, path, Some(start.yaw)),
+            se2_search::is_drivable(&space, path, &planned.backwards, Some(start.yaw)),
             "{planner}: {path:?}"
         );
     }

@@ -1,7 +1,8 @@
 //! SE(2) search. Is there a path for a robot that is longer than wide? A* over places and headings, with the true footprint.
 //!
-//! Sixteen headings, each with the step that leads along it, and turns on the spot from one to the next: whatever comes out is driven as
-//! stop, turn and go without touching anything, through gaps that a disc around the robot would be shut out of. Where cells are coarse for
+//! Sixteen headings, each with the steps that lead along it forwards and backwards, and turns on the spot from one to the next: whatever
+//! comes out is driven as stop, turn and go without touching anything, through gaps that a disc around the robot would be shut out of, and
+//! out of lanes in which there is no room to turn. Where cells are coarse for
 //! the robot, places lie between their centres as well. What is left to the goal is told by a search backwards over the cells
 //! where the robot can stand with any heading: it can do no better, and where there is room it does as well.
 //!
@@ -30,6 +31,8 @@ use super::searcher::{NotFound, Searched};
 use super::settings::Se2Settings;
 use zenav_space::ConfigurationSpace;
 
+/// Apart from one another, the places behind the start from which it is tried to go on, m.
+const BACK: f64 = 0.1;
 /// From so many places away a start or a goal that lies between places is gone to straight.
 const FAR: f64 = 10.0;
 
@@ -40,18 +43,40 @@ pub(super) struct Query {
     /// Heading at the start, rad; any without.
     pub(super) heading: Option<f64>,
     pub(super) goal: Point2<f64>,
+    /// Beside obstacles the path may end this near to the goal, m.
+    pub(super) tolerance: f64,
 }
 
-/// Whether the true footprint can drive a path as it stands: legs straight, turns on the spot.
-pub(super) fn is_drivable(space: &ConfigurationSpace, path: &[Point2<f64>], heading: Option<f64>) -> bool {
+/// A path that the true footprint can drive.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct DrivenPath {
+    /// Corner by corner, start and goal included.
+    pub(super) corners: Vec<Point2<f64>>,
+    /// Legs that are driven backwards, by the corner that they begin at, rising.
+    pub(super) backwards: Vec<usize>,
+}
+
+/// Whether the true footprint can drive a path as it stands: legs straight, turns on the spot, some legs backwards.
+pub(super) fn is_drivable(
+    space: &ConfigurationSpace,
+    path: &[Point2<f64>],
+    backwards: &[usize],
+    heading: Option<f64>,
+) -> bool {
     let mut heading = heading;
-    for leg in path.windows(2) {
-        let along = leg[1] - leg[0];
+    for (number, leg) in path.windows(2).enumerate() {
+        // Backwards is forwards from the other end.
+        let [from, to] = if backwards.contains(&number) {
+            [leg[1], leg[0]]
+        } else {
+            [leg[0], leg[1]]
+        };
+        let along = to - from;
         if along.norm_squared() == 0.0 {
             continue;
         }
         let yaw = along.y.atan2(along.x);
-        if space.leg_clearance(leg[0], leg[1], MARGIN) < MARGIN
+        if space.leg_clearance(from, to, MARGIN) < MARGIN
             || heading.is_some_and(|from| !space.turn_is_free(leg[0], from, yaw))
         {
             return false;
@@ -77,7 +102,7 @@ pub(super) fn search(
     query: &Query,
     settings: &Se2Settings,
     budget: Budget<'_>,
-) -> Searched<Vec<Point2<f64>>> {
+) -> Searched<DrivenPath> {
     let mut expansions = 0;
     let result = match FootprintMasks::new(space) {
         Some(masks) => expand(&masks, costs, query, settings, budget, &mut expansions),
@@ -96,6 +121,8 @@ struct Reached {
     before: u64,
     /// Turned since the place was come to, rad: robots turn the shorter way round.
     turned: f32,
+    /// Whether the last step was one backwards.
+    backwards: bool,
     closed: bool,
 }
 
@@ -132,10 +159,16 @@ fn expand(
     settings: &Se2Settings,
     budget: Budget<'_>,
     expansions: &mut u64,
-) -> Result<Vec<Point2<f64>>, NotFound> {
+) -> Result<DrivenPath, NotFound> {
     let space = masks.space;
     let spec = space.spec();
     let goal = spec.to_cells(query.goal);
+    let is_tight = space.clearance(query.goal) <= space.footprint().circumscribed_radius() + MARGIN;
+    let enough = if is_tight {
+        query.tolerance / spec.resolution
+    } else {
+        0.0
+    };
     let (first, last) = (spec.cell_at(query.start), spec.cell_at(query.goal));
     let (Some(first), Some(last)) = (first, last) else {
         return Err(NotFound::OutOfMap);
@@ -152,15 +185,16 @@ fn expand(
         let left = (u64::from(left) * weight) >> 8;
         cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX))
     };
-    let starts = starts(masks, query, settings.straight_on);
+    let starts = starts(masks, query, settings);
     for (number, start) in starts.iter().enumerate() {
-        let cost = (start.length / spec.resolution * UNIT) as u32;
+        let cost = (start.cost / spec.resolution * UNIT) as u32;
         let at = node(start.place, start.heading);
         if reached.get(&at).is_none_or(|known| cost < known.cost) {
             let begun = Reached {
                 cost,
                 before: STARTS + number as u64,
                 turned: start.turned as f32,
+                backwards: false,
                 closed: false,
             };
             reached.insert(at, begun);
@@ -171,12 +205,13 @@ fn expand(
     // So that the budget's flag is looked at now and then.
     *expansions = expansions.next_multiple_of(CELLS_A_NODE);
     let turn_cost = (settings.turn_cost / spec.resolution * UNIT) as u32;
+    let cusp_cost = settings.cusp_cost / spec.resolution;
     while let Some(Reverse((_, at))) = open.pop() {
         let Some(known) = reached.get_mut(&at).filter(|known| !known.closed) else {
             continue;
         };
         known.closed = true;
-        let (cost, since) = (known.cost, known.turned);
+        let (cost, since, backed) = (known.cost, known.turned, known.backwards);
         nodes += 1;
         if nodes > settings.max_nodes {
             return Err(NotFound::TimedOut);
@@ -188,9 +223,13 @@ fn expand(
         let (index, heading) = ((at >> 4) as i64, (at & 15) as usize);
         let place = (index % masks.width, index / masks.width);
         if arrives(masks, place, yaw_of(heading) - f64::from(since), goal) {
-            return Ok(trace(masks, &reached, &starts, at, query));
+            return Ok(trace(masks, &reached, &starts, at, query.goal));
         }
-        let mut reach = |place: (i64, i64), heading: usize, step: u32, turned: f32| {
+        if (masks.point(place) - goal).norm() < enough {
+            let end = spec.from_cells(masks.point(place));
+            return Ok(trace(masks, &reached, &starts, at, end));
+        }
+        let mut reach = |place: (i64, i64), heading: usize, step: u32, turned: f32, backwards: bool| {
             let (next, cost) = (node(place, heading), cost.saturating_add(step));
             if reached
                 .get(&next)
@@ -200,6 +239,7 @@ fn expand(
                     cost,
                     before: at,
                     turned,
+                    backwards,
                     closed: false,
                 };
                 reached.insert(next, better);
@@ -207,46 +247,60 @@ fn expand(
             }
         };
         let (x, y) = STEPS[heading];
-        let to = (place.0 + x, place.1 + y);
-        if masks.contains(to) && masks.can_step(place, to, heading) {
-            let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
-            let length = masks.spacing * ((x * x + y * y) as f64).sqrt();
-            reach(to, heading, (length * (1.0 + extra) * UNIT) as u32, 0.0);
+        for backwards in [false, true] {
+            let to = if backwards {
+                (place.0 - x, place.1 - y)
+            } else {
+                (place.0 + x, place.1 + y)
+            };
+            // Backwards is forwards from the other end.
+            let (from, until) = if backwards { (to, place) } else { (place, to) };
+            if masks.contains(to) && masks.can_step(from, until, heading) {
+                let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
+                let length = masks.spacing * ((x * x + y * y) as f64).sqrt();
+                let times = if backwards { settings.reverse_cost } else { 1.0 };
+                let cusp = if backwards == backed { 0.0 } else { cusp_cost };
+                let step = (length * times * (1.0 + extra) + cusp) * UNIT;
+                reach(to, heading, step as u32, 0.0, backwards);
+            }
         }
         let (next, previous) = ((heading + 1) % STEPS.len(), (heading + STEPS.len() - 1) % STEPS.len());
         for (to, between) in [(next, heading), (previous, previous)] {
             let turned = since + wrap_angle(yaw_of(to) - yaw_of(heading)) as f32;
             let is_shorter = turned.abs() < HALF_TURN || masks.can_turn_round(place);
             if is_shorter && masks.can_turn(place, between) {
-                reach(place, to, turn_cost, turned);
+                reach(place, to, turn_cost, turned, backed);
             }
         }
     }
     Err(NotFound::NoPath)
 }
 
-/// How a search begins: at a place with a heading, after a few straight legs (m) from the start.
+/// How a search begins: at a place with a heading, after a few straight legs from the start.
 struct Start {
     corners: Vec<Point2<f64>>,
-    length: f64,
+    /// Whether the first leg is driven backwards.
+    backwards: bool,
+    /// Of the legs, m.
+    cost: f64,
     place: (i64, i64),
     heading: usize,
     /// Turned at the place into the heading, rad.
     turned: f64,
 }
 
-/// Every place beside the start, or straight on from it, where the robot can turn to a heading.
-fn starts(masks: &FootprintMasks<'_>, query: &Query, straight_on: f64) -> Vec<Start> {
+/// Every place beside the start, or straight on from it or straight back, where the robot can turn to a heading.
+fn starts(masks: &FootprintMasks<'_>, query: &Query, settings: &Se2Settings) -> Vec<Start> {
     let mut starts = Vec::new();
     match query.heading {
-        Some(yaw) => starts_with(masks, query.start, yaw, straight_on, &mut starts),
+        Some(yaw) => starts_with(masks, query.start, yaw, settings, &mut starts),
         None => (0..STEPS.len())
             .map(yaw_of)
             .filter(|yaw| {
                 let pose = Pose2::new(query.start.x, query.start.y, *yaw);
                 masks.space.is_valid(pose)
             })
-            .for_each(|yaw| starts_with(masks, query.start, yaw, straight_on, &mut starts)),
+            .for_each(|yaw| starts_with(masks, query.start, yaw, settings, &mut starts)),
     }
     starts
 }
@@ -255,52 +309,85 @@ fn starts_with(
     masks: &FootprintMasks<'_>,
     start: Point2<f64>,
     heading: f64,
-    straight_on: f64,
+    settings: &Se2Settings,
     starts: &mut Vec<Start>,
 ) {
     let (space, spec) = (masks.space, masks.space.spec());
     let spacing = masks.spacing * spec.resolution;
     let ahead = Vector2::new(heading.cos(), heading.sin());
     let known = starts.len();
-    for i in 0..=(straight_on / spacing) as u32 {
-        let from = start + ahead * (spacing * f64::from(i));
+    for i in 0..=(settings.straight_on / spacing) as u32 {
+        let way = spacing * f64::from(i);
+        let from = start + ahead * way;
         if i > 0 && space.leg_clearance(start, from, MARGIN) < MARGIN {
             break;
         }
         // Places beside the line ahead take a small turn only.
         for near in [from, from + ahead * (spacing * FAR)] {
-            let (x, y) = masks.nearest(spec.to_cells(near));
-            for place in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))) {
-                let to = spec.from_cells(masks.point(place));
-                let leg = to - from;
-                let is_there = leg.norm() < 1e-9;
-                let along = if is_there { heading } else { leg.y.atan2(leg.x) };
-                let goes = || {
-                    space.turn_is_free(from, heading, along)
-                        && space.leg_clearance(from, to, MARGIN) >= MARGIN
-                        && space.is_permitted_between(from, to)
-                };
-                if !masks.contains(place) || !(is_there || goes()) {
-                    continue;
-                }
-                let corners = if i > 0 { vec![start, from, to] } else { vec![start, to] };
-                for into in 0..STEPS.len() {
-                    let turned = wrap_angle(yaw_of(into) - along);
-                    // What is farther off comes by turns from heading to heading.
-                    if turned.abs() < 0.5 && space.turn_is_free(to, along, yaw_of(into)) {
-                        starts.push(Start {
-                            corners: corners.clone(),
-                            length: spacing * f64::from(i) + leg.norm(),
-                            place,
-                            heading: into,
-                            turned,
-                        });
-                    }
-                }
-            }
+            starts_beside(masks, (start, heading), from, near, (way, false), starts);
         }
         if starts.len() > known {
             break;
+        }
+    }
+    // One that cannot turn where it stands may have to back out, whichever way its lane runs.
+    if masks.can_turn_round(masks.nearest(spec.to_cells(start))) {
+        return;
+    }
+    for i in 1..=(settings.straight_on / BACK) as u32 {
+        let way = BACK * f64::from(i);
+        let from = start - ahead * way;
+        if space.leg_clearance(from, start, MARGIN) < MARGIN || !space.is_permitted_between(start, from) {
+            break;
+        }
+        let cost = settings.cusp_cost + settings.reverse_cost * way;
+        starts_beside(masks, (start, heading), from, from, (cost, true), starts);
+    }
+}
+
+/// The places around `near` that a robot turns and goes to straight, once it has come from the start to `from`: at which cost (m), and whether
+/// backwards.
+fn starts_beside(
+    masks: &FootprintMasks<'_>,
+    (start, heading): (Point2<f64>, f64),
+    from: Point2<f64>,
+    near: Point2<f64>,
+    (cost, backwards): (f64, bool),
+    starts: &mut Vec<Start>,
+) {
+    let (space, spec) = (masks.space, masks.space.spec());
+    let (x, y) = masks.nearest(spec.to_cells(near));
+    for place in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))) {
+        let to = spec.from_cells(masks.point(place));
+        let leg = to - from;
+        let is_there = leg.norm() < 1e-9;
+        let along = if is_there { heading } else { leg.y.atan2(leg.x) };
+        let goes = || {
+            space.turn_is_free(from, heading, along)
+                && space.leg_clearance(from, to, MARGIN) >= MARGIN
+                && space.is_permitted_between(from, to)
+        };
+        if !masks.contains(place) || !(is_there || goes()) {
+            continue;
+        }
+        let corners = if from == start {
+            vec![start, to]
+        } else {
+            vec![start, from, to]
+        };
+        for into in 0..STEPS.len() {
+            let turned = wrap_angle(yaw_of(into) - along);
+            // What is farther off comes by turns from heading to heading.
+            if turned.abs() < 0.5 && space.turn_is_free(to, along, yaw_of(into)) {
+                starts.push(Start {
+                    corners: corners.clone(),
+                    backwards,
+                    cost: cost + leg.norm(),
+                    place,
+                    heading: into,
+                    turned,
+                });
+            }
         }
     }
 }
@@ -325,47 +412,61 @@ fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, goal: Po
         && space.turn_is_free(from, heading, leg.y.atan2(leg.x))
 }
 
-/// The corners of the path to a node, and on to the goal.
+/// The path to a node, and on to the goal.
 fn trace<S>(
     masks: &FootprintMasks<'_>,
     reached: &HashMap<Node, Reached, S>,
     starts: &[Start],
     last: Node,
-    query: &Query,
-) -> Vec<Point2<f64>>
+    end: Point2<f64>,
+) -> DrivenPath
 where
     S: std::hash::BuildHasher,
 {
     let spec = masks.space.spec();
-    let mut points = vec![query.goal];
+    // Each with whether the leg to it is driven backwards.
+    let mut points = vec![(end, false)];
     let mut at = last;
     loop {
         let index = (at >> 4) as i64;
-        points.push(spec.from_cells(masks.point((index % masks.width, index / masks.width))));
+        let place = spec.from_cells(masks.point((index % masks.width, index / masks.width)));
         match reached.get(&at) {
-            Some(known) if known.before < STARTS => at = known.before,
+            Some(known) if known.before < STARTS => {
+                points.push((place, known.backwards));
+                at = known.before;
+            }
             Some(known) => {
                 let start = &starts[(known.before - STARTS) as usize];
-                points.extend(start.corners.iter().rev().skip(1));
+                points.push((place, false));
+                let corners = start.corners.iter().rev().skip(1);
+                points.extend(corners.map(|corner| (*corner, start.backwards)));
                 break;
             }
             None => break,
         }
     }
-    points.reverse();
-    let mut corners: Vec<Point2<f64>> = Vec::new();
-    for point in points {
-        if corners.last().is_some_and(|last| (point - last).norm() < 1e-9) {
+    let mut path = DrivenPath::default();
+    let corners = &mut path.corners;
+    let mut flags: Vec<bool> = Vec::new();
+    for (point, backwards) in points.into_iter().rev() {
+        if corners
+            .last()
+            .is_some_and(|last: &Point2<f64>| (point - last).norm() < 1e-9)
+        {
             continue;
         }
         if let [.., a, b] = corners[..] {
             let (before, after) = (b - a, point - b);
             let across = before.x * after.y - before.y * after.x;
-            if across.abs() < 1e-9 && before.dot(&after) > 0.0 {
+            if across.abs() < 1e-9 && before.dot(&after) > 0.0 && flags.last() == Some(&backwards) {
                 corners.pop();
+                flags.pop();
             }
         }
         corners.push(point);
+        flags.push(backwards);
     }
-    corners
+    let legs = flags.into_iter().skip(1).enumerate();
+    path.backwards = legs.filter_map(|(leg, backwards)| backwards.then_some(leg)).collect();
+    path
 }

@@ -21,17 +21,23 @@ fn room(is_wall: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
 }
 
 fn path(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<Vec<Point2<f64>>, NotFound> {
+    driven(grid, start, goal, any).map(|path| path.corners)
+}
+
+fn driven(grid: &OccupancyGrid, start: Pose2, goal: (f64, f64), any: bool) -> Result<DrivenPath, NotFound> {
     let space = ConfigurationSpace::new(grid, &long(), UnknownPolicy::Blocked, 0.0);
     let heading = (!any).then_some(start.yaw);
     let query = Query {
         start: start.position(),
         heading,
         goal: Point2::new(goal.0, goal.1),
+        tolerance: 0.0,
     };
     let found = search(&space, &Uniform, &query, &Se2Settings::default(), Budget::UNLIMITED).result;
     if let Ok(path) = &found {
-        assert!(is_drivable(&space, path, heading), "{path:?}");
-        assert_eq!((path[0], path[path.len() - 1]), (query.start, query.goal));
+        let DrivenPath { corners, backwards } = path;
+        assert!(is_drivable(&space, corners, backwards, heading), "{path:?}");
+        assert_eq!((corners[0], corners[corners.len() - 1]), (query.start, query.goal));
     }
     found
 }
@@ -70,6 +76,26 @@ fn a_robot_that_cannot_turn_where_it_stands_goes_on_to_where_it_can() {
 }
 
 #[test]
+fn a_robot_backs_out_of_a_lane_in_which_it_cannot_turn_and_nowhere_else() {
+    // A lane of 0.45 m that ends 10 cm before the robot: along the grid, and askew.
+    for askew in [0.0, 0.2] {
+        let (sin, cos) = f64::sin_cos(askew);
+        let in_lane = move |x: f64, y: f64| {
+            let (x, y) = (x - 4.0, y - 2.0);
+            let (along, across) = (cos * x + sin * y, cos * y - sin * x);
+            (-1.4..0.4).contains(&along) && across.abs() < 0.225
+        };
+        let around = move |x: f64, y: f64| (x - 4.0).hypot(y - 2.0) < 1.5;
+        let grid = room(|x, y| around(x, y) && !in_lane(x, y));
+        let found = driven(&grid, Pose2::new(4.0, 2.0, askew), (1.0, 1.0), false).unwrap();
+        assert_eq!(found.backwards.first(), Some(&0), "{found:?}");
+        assert!(found.backwards.len() < found.corners.len() - 1, "{found:?}");
+    }
+    let open = driven(&room(|_, _| false), Pose2::new(4.0, 2.0, 0.0), (1.0, 1.0), false).unwrap();
+    assert!(open.backwards.is_empty(), "{open:?}");
+}
+
+#[test]
 fn coarse_cells_leave_places_between_their_centres() {
     let spec = GridSpec {
         origin: Point2::origin(),
@@ -94,6 +120,7 @@ fn a_search_without_budget_times_out() {
         start: Point2::new(1.0, 1.0),
         heading: None,
         goal: Point2::new(5.0, 3.0),
+        tolerance: 0.0,
     };
     for max_expansions in [10, 5000] {
         let budget = Budget {

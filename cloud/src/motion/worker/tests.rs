@@ -9,31 +9,40 @@ use zenav_protocol::trajectory::TrajectoryPoint;
 
 use super::*;
 
-/// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
-fn hall(door: f64) -> MapReplica {
-    let spec = GridSpec {
+fn spec() -> GridSpec {
+    GridSpec {
         origin: Point2::origin(),
         resolution: 0.05,
         width: 120,
         height: 80,
-    };
-    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-    for y in (0..80).filter(|y| !(2.0..2.0 + door).contains(&(0.05 * f64::from(*y) + 0.025))) {
-        grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
     }
-    let info = MapInfo {
+}
+
+/// Of a hall of 6 m by 4 m.
+fn map_info() -> MapInfo {
+    MapInfo {
         stamp: Stamp::ZERO,
         map: MapRef {
             id: "hall".to_owned(),
             revision: 1,
         },
-        spec,
+        spec: spec(),
         free: 0,
         occupied: 0,
         unknown: 0,
         scans: 0,
         stored: true,
-    };
+    }
+}
+
+/// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
+fn hall(door: f64) -> MapReplica {
+    let spec = spec();
+    let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+    for y in (0..80).filter(|y| !(2.0..2.0 + door).contains(&(0.05 * f64::from(*y) + 0.025))) {
+        grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+    }
+    let info = map_info();
     let mut replica = MapReplica::new();
     replica.replace(&MapReply {
         info,
@@ -56,6 +65,7 @@ fn request(robot: &str, planner: &str) -> TrajectoryRequest {
             unknown_is_free: false,
             cleared: Vec::new(),
             escape: 0.6,
+            goal_tolerance: 0.0,
             budget_ms: 5000,
             seed: 1,
         },
@@ -193,4 +203,40 @@ fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory
     let smooth = ask(&map, &request, &no_smoothing).smooth.unwrap();
     assert_eq!(smooth.statistics.status, "fallback:timed_out");
     assert!(smooth.trajectory.last().unwrap().pose().distance(&request.plan.goal) < 0.01);
+}
+
+#[test]
+fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forwards() {
+    let mut map = hall(1.25);
+    let (mut info, mut values) = (map_info(), map.grid().values().to_vec());
+    info.map.revision = 2;
+    for (x, y) in (0..80).flat_map(|y| (0..120).map(move |x| (x, y))) {
+        // A lane of 0.4 m that ends at the wall.
+        if (30..60).contains(&x) && [15, 24].contains(&y) {
+            values[y * 120 + x] = 100;
+        }
+    }
+    map.replace(&MapReply {
+        info,
+        values,
+        trajectory: Vec::new(),
+    });
+    let mut request = request("jackal", "astar");
+    (request.plan.start, request.plan.goal) = (Pose2::new(2.7, 1.0, 0.0), Pose2::new(0.5, 3.0, 0.0));
+    request.goal_yaw = None;
+    let reply = ask(&map, &request, &Cancel::default());
+    assert_eq!(reply.plan.backwards, [0], "{reply:?}");
+    let trajectory = reply.smooth.unwrap().trajectory;
+    let cusp = trajectory.iter().rposition(|point| point.v < -1e-3).unwrap();
+    let (back, on) = trajectory.split_at(cusp + 1);
+    assert!(back.iter().all(|point| point.v <= 0.0 && point.yaw.abs() < 0.5));
+    assert!(on.iter().all(|point| point.v >= 0.0) && on.iter().any(|point| point.v > 0.1));
+    assert!(back[cusp].x < 1.7 && on[0].v.abs() < 0.1);
+    let gap = |pair: &[TrajectoryPoint]| pair[0].pose().distance(&pair[1].pose());
+    assert!(
+        trajectory
+            .windows(2)
+            .all(|pair| pair[0].t < pair[1].t && gap(pair) < 0.2)
+    );
+    assert!((trajectory.last().unwrap().position() - request.plan.goal.position()).norm() < 1e-6);
 }
