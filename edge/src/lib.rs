@@ -56,6 +56,7 @@ pub mod other_robots;
 pub mod params;
 pub mod passive_safety;
 pub mod pilot;
+mod range_filter;
 mod range_noise;
 pub mod recent_places;
 pub mod remote_body;

@@ -1,6 +1,7 @@
 //! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind spot
 //! what earlier sweeps saw.
 //!
+//! Points lie where surfaces are, as far as that can be told from the noise of single beams (`range_filter`).
 //! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
 
 use std::collections::VecDeque;
@@ -15,6 +16,7 @@ use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
 use crate::obstacle_tracks::Track;
+use crate::range_filter::RangeFilter;
 use crate::settings::{EdgeSettings, LocalObstacleSettings};
 
 /// A return this near to a robot's disc is on it, m.
@@ -43,9 +45,10 @@ struct LidarView {
     stamp: Option<Stamp>,
     /// The returns of its newest sweep, odometry frame.
     seen: Vec<Point2<f64>>,
-    /// Where it was then, and all ranges, m.
+    /// Where it was then.
     odom_from_laser: Isometry2<f64>,
-    ranges: Vec<f32>,
+    /// All its ranges, without what is noise in them.
+    filter: RangeFilter,
 }
 
 impl LocalObstacles {
@@ -65,7 +68,7 @@ impl LocalObstacles {
             stamp: None,
             seen: Vec::new(),
             odom_from_laser: Isometry2::identity(),
-            ranges: Vec::new(),
+            filter: RangeFilter::new(lidar.angle_increment(), lidar.noise),
         });
         Self {
             lidars: lidars.collect(),
@@ -89,7 +92,7 @@ impl LocalObstacles {
             stamp,
             seen,
             odom_from_laser,
-            ranges,
+            filter,
             ..
         }) = self.lidars.get_mut(index)
         else {
@@ -113,9 +116,9 @@ impl LocalObstacles {
         }
         seen.clear();
         *odom_from_laser = scan.odom_from_laser;
-        ranges.clone_from(&sweep.ranges);
+        filter.update(&sweep.ranges, |range| scan.is_return(range));
         let laser = scan.laser();
-        for (range, ray) in scan.ranges.iter().zip(scan.rays) {
+        for (range, ray) in filter.ranges().iter().zip(scan.rays) {
             let range = f64::from(*range);
             if scan.is_return(range) {
                 seen.push(laser + ray * range);
@@ -182,7 +185,10 @@ impl LocalObstacles {
             let local = lidar.odom_from_laser.inverse() * place;
             let angle = local.y.atan2(local.x) - model.angle_min();
             let beam = (angle / model.angle_increment()).round();
-            let range = lidar.ranges.get(if beam >= 0.0 { beam as usize } else { usize::MAX });
+            let range = lidar
+                .filter
+                .ranges()
+                .get(if beam >= 0.0 { beam as usize } else { usize::MAX });
             range.is_some_and(|range| f64::from(*range) > local.coords.norm())
         })
     }
@@ -208,7 +214,7 @@ impl LocalObstacles {
         }
         let rays = lidar.projector.rays();
         let laser = Point2::from(lidar.odom_from_laser.translation.vector);
-        for (beam, (range, ray)) in (0_u32..).zip(lidar.ranges.iter().zip(rays)) {
+        for (beam, (range, ray)) in (0_u32..).zip(lidar.filter.ranges().iter().zip(rays)) {
             if !range.is_finite() || tracks.at(laser + ray * f64::from(*range)).is_none() {
                 continue;
             }
@@ -247,6 +253,13 @@ impl LocalObstacles {
             }
         }
         points
+    }
+
+    /// A lidar's newest sweep without what is noise in its ranges, m; none before its first.
+    #[must_use]
+    pub fn ranges(&self, lidar: &str) -> &[f32] {
+        let known = self.lidars.iter().find(|known| known.name == lidar);
+        known.map_or(&[], |lidar| lidar.filter.ranges())
     }
 
     /// The points of each lidar's newest sweep in the order of its beams, odometry frame.

@@ -20,7 +20,7 @@ use crate::settings::PassiveSafetySettings;
 use crate::time_to_contact::SweptFootprint;
 
 /// No obstacle nearer than this is approached, m.
-pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
+pub(crate) const LEAST_CLEARANCE: f64 = 0.005;
 /// Shares of the wanted twist that are tried against moving obstacles.
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
 /// Spacing of the samples of the outline, and of the poses that they are checked at, m.
@@ -31,6 +31,8 @@ const STOPPING_STEPS: u32 = 5;
 const MAX_POSES: f64 = 100.0;
 /// No robot that tells its course is faster, m/s.
 const FASTEST_ROBOT: f64 = 3.0;
+/// What comes nearer more slowly does not come nearer, m/s.
+const RESTING: f64 = 1e-6;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
 /// A motion that comes nearer to a point at no more than this share of its speed goes along it.
@@ -147,7 +149,13 @@ impl<'a> Motion<'a> {
                 continue;
             }
             let creeping = if inner.contains(point) {
-                share_beside(self.footprint, self.twist, point)
+                match share_beside(self.footprint, self.twist, point) {
+                    // The rear swings past what was last seen by a beam or two, with all their noise: at this speed contact is no harm.
+                    0.0 if self.twist.v > 0.0 && obstacles.blind_spots().in_blind_spot(point) => {
+                        GENTLE / closing_speed(self.footprint, self.twist, point)
+                    }
+                    share => share,
+                }
             } else {
                 inner
                     .time_to_contact(point)
@@ -226,8 +234,8 @@ impl<'a> Motion<'a> {
         self.margin + speed * self.stopping_time(share)
     }
 
-    /// Limit by the lidar's blind spot: the robot moves only over floor that was seen before, and straight into the blind spot no faster
-    /// than `allowed` (m/s), because somebody may have come up unseen.
+    /// Limit by the lidar's blind spot: the outline moves only over floor that was seen before, but for what moves gently, and straight into
+    /// the blind spot no faster than `allowed` (m/s), because somebody may have come up unseen.
     #[must_use]
     pub fn limit_blind_spot(&self, obstacles: &LocalObstacles, odom_from_base: Pose2, allowed: f64) -> f64 {
         let grid = obstacles.blind_spots();
@@ -240,36 +248,39 @@ impl<'a> Motion<'a> {
         let way = self.stopping_distance(1.0) * (outline_speed / self.speed).max(1.0);
         let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
         let step = way / outline_speed / poses;
-        let mut fastest: f64 = 0.0;
         let samples: Vec<_> = outline_samples(self.footprint, self.margin + self.settings.unseen_margin)
             .into_iter()
             .filter(|(at, normal)| {
                 // A point that moves outwards this slowly does no harm.
-                let outward = self.outward(*at, *normal);
-                fastest = fastest.max(outward);
-                outward > GENTLE
+                self.outward(*at, *normal) > GENTLE
             })
             .map(|(at, normal)| {
                 (
                     at,
                     at - normal * (self.margin + self.settings.unseen_margin - LEAST_CLEARANCE),
+                    GENTLE / self.outward(at, normal),
                 )
             })
             .collect();
         let mut share: f64 = 1.0;
-        'poses: for pose in 1..=poses as u32 {
+        for pose in 1..=poses as u32 {
+            let stopping = self.share_within(self.speed * f64::from(pose - 1) * step);
+            if stopping >= share {
+                break;
+            }
             let there = rigid(Pose2::IDENTITY.advance(self.twist, f64::from(pose) * step));
-            for (outer, inner) in &samples {
+            for (outer, inner, gentle) in &samples {
+                if *gentle >= share {
+                    continue;
+                }
                 let floor = grid.floor(&odom_from_base, there * outer);
                 let met = || grid.floor(&odom_from_base, there * inner) == Floor::Occupied;
                 // An occupied cell is coarse: its obstacle is remembered as a point, too.
                 if floor == Floor::Unknown || (floor != Floor::InSight && met()) {
-                    share = self.share_within(self.speed * f64::from(pose - 1) * step);
-                    break 'poses;
+                    share = share.min(stopping.max(*gentle));
                 }
             }
         }
-        share = share.max(GENTLE / fastest.max(1e-9));
         if grid.leads_into_blind_spot(self.twist.v) {
             share = share.min(allowed.max(GENTLE) / self.twist.v.abs().max(1e-9));
         }
@@ -376,7 +387,7 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
 /// along it so slowly that the drive's and the sensors' errors do no harm; nothing towards it.
 pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
     let closing = closing_speed(footprint, twist, point);
-    if closing <= 1e-6 {
+    if closing <= RESTING {
         1.0
     } else if closing <= SLIDING * twist.v.abs() {
         (0.25 * GENTLE / closing).min(1.0)

@@ -105,9 +105,15 @@ impl Telemetry {
     }
 }
 
-/// A scan as a message, with the runs of beams that met a moving obstacle and the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
+/// A scan as a message, with its ranges (m) as far as they are no noise, the runs of beams that met a moving obstacle and the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
 #[must_use]
-pub fn scan(sweep: &Sweep, moving: Vec<[u32; 2]>, model: &RobotModel, estimator: &Estimator) -> Option<Scan> {
+pub fn scan(
+    sweep: &Sweep,
+    ranges: Vec<f32>,
+    moving: Vec<[u32; 2]>,
+    model: &RobotModel,
+    estimator: &Estimator,
+) -> Option<Scan> {
     let (_, lidar) = model.all_lidars().find(|(name, _)| *name == sweep.lidar)?;
     Some(Scan {
         stamp: sweep.stamp,
@@ -115,7 +121,7 @@ pub fn scan(sweep: &Sweep, moving: Vec<[u32; 2]>, model: &RobotModel, estimator:
         angle_increment: lidar.angle_increment(),
         range_min: lidar.range_min,
         range_max: lidar.range_max,
-        ranges: sweep.ranges.clone(),
+        ranges,
         moving,
         base_from_laser: lidar.mount,
         map_from_odom: estimator.map_from_odom(),

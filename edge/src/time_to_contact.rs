@@ -7,6 +7,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Twist2;
+use zenav_protocol::polygon::offset;
 use zenav_protocol::robot::Footprint;
 
 /// An outline, grown by a margin, that moves with a twist.
@@ -37,7 +38,7 @@ impl SweptFootprint {
     pub fn new(footprint: &Footprint, margin: f64, twist: Twist2) -> Self {
         let shape = match footprint {
             Footprint::Radius(radius) => Shape::Disc(radius + margin),
-            Footprint::Polygon(corners) => Shape::Polygon(grown(corners, margin)),
+            Footprint::Polygon(corners) => Shape::Polygon(offset(corners, margin)),
         };
         let motion = if twist.w.abs() > 1e-6 {
             Motion::Arc {
@@ -157,23 +158,6 @@ impl SweptFootprint {
 
 fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = (Point2<f64>, Point2<f64>)> + '_ {
     corners.iter().copied().zip(corners.iter().copied().cycle().skip(1))
-}
-
-/// Every edge moved outwards by `margin`; corners stay sharp, so the grown outline contains the rounded one.
-fn grown(corners: &[Point2<f64>], margin: f64) -> Vec<Point2<f64>> {
-    let count = corners.len();
-    let outward = |a: Point2<f64>, b: Point2<f64>| {
-        let along = (b - a).normalize();
-        Vector2::new(along.y, -along.x)
-    };
-    (0..count)
-        .map(|i| {
-            let (before, here, after) = (corners[(i + count - 1) % count], corners[i], corners[(i + 1) % count]);
-            let (n, m) = (outward(before, here), outward(here, after));
-            let sum = n + m;
-            here + sum * (2.0 * margin / sum.norm_squared())
-        })
-        .collect()
 }
 
 /// Where a circle crosses the segment from `a` to `b`.

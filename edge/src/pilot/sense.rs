@@ -38,7 +38,8 @@ impl Pilot {
                 && self.obstacles.insert(sweep, odom_from_base)
             {
                 let moving = self.obstacles.moving_beams(&sweep.lidar);
-                let scan = telemetry::scan(sweep, moving, &self.config.model, &self.estimator);
+                let ranges = self.obstacles.ranges(&sweep.lidar).to_vec();
+                let scan = telemetry::scan(sweep, ranges, moving, &self.config.model, &self.estimator);
                 out.extend(scan.map(|scan| Publication::Scan(sweep.lidar.clone(), scan)));
             }
         }

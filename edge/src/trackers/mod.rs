@@ -144,7 +144,8 @@ impl Law {
         }
     }
 
-    /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own.
+    /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own. What is driven backwards takes the default
+    /// law: the others drive at what lies ahead.
     #[must_use]
     pub fn along_trajectory(
         &self,
@@ -153,7 +154,12 @@ impl Law {
         time: f64,
         waypoints: &[Point2<f64>],
     ) -> Box<dyn Tracker> {
-        (self.along)(drive, trajectory, time, waypoints)
+        let law = if trajectory.iter().any(|point| point.v < 0.0) {
+            &LAWS[0]
+        } else {
+            self
+        };
+        (law.along)(drive, trajectory, time, waypoints)
     }
 
     /// A tracker through bare waypoints, from a robot at `map_from_base`.

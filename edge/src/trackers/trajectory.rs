@@ -211,12 +211,7 @@ mod tests {
     }
 
     /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
-    fn drive(
-        tracker: &mut TrajectoryTracker,
-        mut pose: Pose2,
-        ticks: usize,
-        cap: impl Fn(usize) -> f64,
-    ) -> (f64, Pose2) {
+    fn drive(tracker: &mut dyn Tracker, mut pose: Pose2, ticks: usize, cap: impl Fn(usize) -> f64) -> (f64, Pose2) {
         let model = model();
         let mut limiter = Limiter::new(&model.drive);
         let mut velocity = Twist2::ZERO;
@@ -254,6 +249,23 @@ mod tests {
                 && wrap_angle(pose.yaw - end.yaw).abs() < 0.04,
             "{pose:?} {end:?}"
         );
+    }
+
+    #[test]
+    fn a_curve_is_followed_backwards_as_it_is_forwards_by_whatever_law_the_robot_has() {
+        let trajectory = curve().turned();
+        let end = trajectory.sample(8.0).pose();
+        for law in super::super::LAWS {
+            let mut tracker = law.along_trajectory(&model().drive, trajectory.clone(), 0.0, &[]);
+            let start = Pose2::new(0.03, 0.02, std::f64::consts::PI - 0.05);
+            let (worst, pose) = drive(&mut *tracker, start, 700, |_| f64::INFINITY);
+            assert!(worst < 0.05, "{}: {worst}", law.name);
+            assert!(
+                tracker.progress(&pose).finished && pose.distance(&end) < 0.03,
+                "{}: {pose:?} {end:?}",
+                law.name
+            );
+        }
     }
 
     #[test]

@@ -1,0 +1,159 @@
+//! Range filter. Where is a surface, beneath the noise of single beams?
+//!
+//! Along a straight wall the inverse range is a sinusoid of the beam's angle, nearly a line over a few beams. Each return is replaced by the
+//! value of the line through its neighbours, where their inverse ranges lie on a line to within the lidar's noise; at the end of a wall
+//! the neighbours on one side do. What is thinner than a run of beams, and every step larger than the noise, stays as it was measured.
+//!
+//! Sources: Savitzky and Golay, "Smoothing and differentiation of data by simplified least squares procedures", Analytical Chemistry 1964;
+//! the choice among windows after Nagao and Matsuyama, "Edge preserving smoothing", CGIP 1979.
+
+use crate::range_noise::RangeNoise;
+
+/// Angle on either side of a beam whose neighbours are asked, rad: over twice as much a wall's inverse range bends by less than 0.2 %.
+const REACH: f64 = 0.07;
+/// Most beams on either side.
+const MOST: usize = 12;
+/// No range is changed by more than so many standard deviations.
+const LARGEST_CHANGE: f64 = 2.5;
+/// Residuals of a line, in their own standard deviations, that are taken for noise: all but one window of a hundred.
+const LARGEST_RESIDUAL: f64 = 2.5;
+/// Beyond this range nothing is filtered, m: what is near is what counts, and far away a run of beams spans more than one thing.
+const FARTHEST: f64 = 5.0;
+
+/// Filters the sweeps of one lidar.
+#[derive(Clone, Debug)]
+pub(crate) struct RangeFilter {
+    noise: RangeNoise,
+    /// Beams on either side.
+    half: usize,
+    /// Of the beams before each one: how many have no return, and sums of the inverse range, of it times the beam's number, and of its square.
+    sums: Vec<[f64; 4]>,
+    ranges: Vec<f32>,
+}
+
+impl RangeFilter {
+    /// For a lidar whose beams are `increment` rad apart, and whose ranges have the noise `expected` (m) as far as is known.
+    pub(crate) fn new(increment: f64, expected: f64) -> Self {
+        Self {
+            noise: RangeNoise::new(expected),
+            half: ((REACH / increment.abs().max(1e-6)) as usize).min(MOST),
+            sums: Vec::new(),
+            ranges: Vec::new(),
+        }
+    }
+
+    /// Filters a sweep of ranges (m), of which those are returns that `is_return` holds for.
+    pub(crate) fn update(&mut self, ranges: &[f32], is_return: impl Fn(f64) -> bool) {
+        let is_near = |range: f64| is_return(range) && range < FARTHEST;
+        let std_dev = self.noise.update(ranges, is_near);
+        self.sums.clear();
+        let mut sums = [0.0; 4];
+        self.sums.push(sums);
+        for (beam, range) in ranges.iter().enumerate() {
+            let range = f64::from(*range);
+            if is_near(range) && range > 0.0 {
+                let inverse = range.recip();
+                sums[1] += inverse;
+                sums[2] += inverse * beam as f64;
+                sums[3] += inverse * inverse;
+            } else {
+                sums[0] += 1.0;
+            }
+            self.sums.push(sums);
+        }
+        let half = self.half;
+        // Beams before and after, the least noise first.
+        let windows = [
+            [half, half],
+            [half / 2, 2 * half - half / 2],
+            [2 * half - half / 2, half / 2],
+            [half / 2, half / 2],
+            [0, 2 * half],
+            [2 * half, 0],
+            [0, half],
+            [half, 0],
+        ];
+        self.ranges.clear();
+        for (beam, range) in ranges.iter().enumerate() {
+            let measured = f64::from(*range);
+            let most = LARGEST_CHANGE * std_dev;
+            let smooth = || {
+                let lines = windows.iter().filter_map(|[before, after]| {
+                    let (first, last) = (beam.checked_sub(*before)?, beam + after);
+                    self.line(first, last, beam, std_dev)
+                });
+                lines.into_iter().find(|smooth| (smooth - measured).abs() <= most)
+            };
+            let kept = if is_near(measured) { smooth() } else { None };
+            self.ranges.push(kept.map_or(*range, |smooth| smooth as f32));
+        }
+    }
+
+    /// The sweep filtered last, m; what is no return is as it was.
+    pub(crate) fn ranges(&self) -> &[f32] {
+        &self.ranges
+    }
+
+    /// The range of a beam on the line through the inverse ranges of the beams `first` to `last`, if they lie on one.
+    fn line(&self, first: usize, last: usize, beam: usize, std_dev: f64) -> Option<f64> {
+        let (from, to) = (self.sums.get(first)?, self.sums.get(last + 1)?);
+        let count = (last + 1 - first) as f64;
+        if to[0] > from[0] || count < 4.0 {
+            return None;
+        }
+        let [sum, moment, squares] = [1, 2, 3].map(|i| to[i] - from[i]);
+        let (mean, middle) = (sum / count, 0.5 * (first + last) as f64);
+        let spread = count * (count * count - 1.0) / 12.0;
+        let slope = (moment - middle * sum) / spread;
+        let residual = (squares - count * mean * mean - slope * slope * spread).max(0.0);
+        // An inverse range has the range's noise over the square of the range; of the mean of squares, its own standard deviation.
+        let (freedom, noise) = (count - 2.0, std_dev * mean * mean);
+        let most = freedom + LARGEST_RESIDUAL * (2.0 * freedom).sqrt();
+        let value = mean + slope * (beam as f64 - middle);
+        (residual <= most * noise * noise && value > 0.0).then(|| value.recip())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall at 0.4 m to the left that ends ahead, a leg of one beam before it, nothing beyond; noise of 1 cm.
+    fn sweep(seed: u64) -> (Vec<f32>, Vec<f64>) {
+        // A linear congruential generator (Knuth): uniform from 0 to 1.
+        let mut state = seed;
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 40) as f64 / f64::from(1 << 24)
+        };
+        let truth: Vec<f64> = (0..360)
+            .map(|beam| match beam {
+                100 => 0.2,
+                60..=160 => 0.4 / (f64::from(beam) * std::f64::consts::TAU / 360.0).sin(),
+                _ => f64::INFINITY,
+            })
+            .collect();
+        let mut noise = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let measured = truth.iter().map(|range| (range + 0.01 * noise()) as f32).collect();
+        (measured, truth)
+    }
+
+    #[test]
+    fn a_wall_loses_most_of_its_noise_and_a_leg_before_it_stays_where_it_is() {
+        let mut filter = RangeFilter::new(std::f64::consts::TAU / 360.0, 0.01);
+        let mut squares = [0.0; 2];
+        for seed in 1..50 {
+            let (measured, truth) = sweep(seed);
+            filter.update(&measured, |range| range < 10.0);
+            for (beam, truth) in truth.iter().enumerate().filter(|(_, truth)| truth.is_finite()) {
+                let (before, after) = (f64::from(measured[beam]), f64::from(filter.ranges()[beam]));
+                assert!((after - before).abs() <= 0.03, "{before} became {after}");
+                squares[0] += (before - truth).powi(2);
+                squares[1] += (after - truth).powi(2);
+            }
+            assert_eq!(filter.ranges()[100], measured[100]);
+            assert_eq!(filter.ranges()[0], f32::INFINITY);
+        }
+        assert!(squares[1] < 0.3 * squares[0], "{squares:?}");
+    }
+}
