@@ -35,6 +35,8 @@ const FASTEST_ROBOT: f64 = 3.0;
 const RESTING: f64 = 1e-6;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
+/// A point inside an outline that is this much deeper behind one side than behind another may have come in through either, m.
+const CORNER: f64 = 0.03;
 /// A motion that comes nearer to a point at no more than this share of its speed goes along it.
 const SLIDING: f64 = 0.05;
 
@@ -378,8 +380,23 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
     if here > 0.0 {
         (here - there) / STEP
     } else {
-        // Inside the outline, by noise or in contact: what slides along it comes no nearer.
-        (footprint.depth(point + motion * STEP) - footprint.depth(point)) / STEP
+        // Inside the outline, by noise or in contact: what slides along a side comes no nearer. At a corner both sides count.
+        match footprint {
+            Footprint::Radius(_) => -point.coords.dot(&motion) / point.coords.norm().max(1e-9),
+            Footprint::Polygon(corners) => {
+                let edges = || corners.iter().zip(corners.iter().cycle().skip(1));
+                let inward = |(a, b): (&Point2<f64>, &Point2<f64>)| {
+                    let along = (b - a).normalize();
+                    (along.perp(&(point - a)), along.perp(&motion))
+                };
+                let depth = edges().map(|edge| inward(edge).0).fold(f64::INFINITY, f64::min);
+                edges()
+                    .map(inward)
+                    .filter(|(deep, _)| *deep <= depth + CORNER)
+                    .map(|(_, closing)| closing)
+                    .fold(f64::NEG_INFINITY, f64::max)
+            }
+        }
     }
 }
 
