@@ -83,9 +83,9 @@ fn a_robot_backs_out_of_a_lane_in_which_it_cannot_turn_and_nowhere_else() {
         let in_lane = move |x: f64, y: f64| {
             let (x, y) = (x - 4.0, y - 2.0);
             let (along, across) = (cos * x + sin * y, cos * y - sin * x);
-            (-1.4..0.4).contains(&along) && across.abs() < 0.225
+            (-1.3..0.4).contains(&along) && across.abs() < 0.225
         };
-        let around = move |x: f64, y: f64| (x - 4.0).hypot(y - 2.0) < 1.5;
+        let around = move |x: f64, y: f64| (x - 4.0).hypot(y - 2.0) < 1.2;
         let grid = room(|x, y| around(x, y) && !in_lane(x, y));
         let found = driven(&grid, Pose2::new(4.0, 2.0, askew), (1.0, 1.0), false).unwrap();
         assert_eq!(found.backwards.first(), Some(&0), "{found:?}");
