@@ -25,11 +25,11 @@ const LINK: f64 = 0.1;
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
 /// Cells that a thing must have at least.
 const MIN_CELLS: usize = 4;
-/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, nine tenths at the leaf of a
-/// door, three fifths at the surface of a wall.
-const FREE_AROUND: f64 = 0.75;
+/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, half along a wall, and a
+/// few more where two rows of its surface were grazed.
+const FREE_AROUND: f64 = 0.9;
 /// Cells to each side that are around one.
-const AROUND: i64 = 2;
+const AROUND: i64 = 3;
 /// Things are looked for this near to the robot and to its goals, m, and not beyond so many cells.
 const WINDOW: (f64, i64) = (12.0, 256);
 
@@ -439,7 +439,7 @@ mod tests {
         let cells = shown.cells(false);
         let low = SPEC.from_cells(Point2::new(47.0, 62.0));
         let high = SPEC.from_cells(Point2::new(71.0, 67.0));
-        assert!(cells.iter().filter(|cell| cell.center.y > high.y - 0.1 - 1e-9).count() >= 18);
+        assert!(cells.iter().filter(|cell| cell.center.y > high.y - 0.1 - 1e-9).count() >= 16);
         assert!(
             cells.iter().all(|cell| cell.center > low && cell.center < high),
             "{cells:?}"
