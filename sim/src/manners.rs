@@ -222,12 +222,12 @@ fn social_force(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>], s
     };
     let mut force = (walker.wanted - walker.velocity) / RELAXATION;
     for other in others {
-        // Both as large as the people of the model: what is larger is nearer.
+        // The model's people are points: here the other one has an outline, and robots are of all sizes.
         let apart = other.offset.norm();
         let Some(towards) = other.offset.try_normalize(1e-9) else {
             continue;
         };
-        let from_other = -towards * (apart - (other.radius - walker.radius)).max(0.05);
+        let from_other = -towards * (apart - other.radius).max(0.05);
         let step = other.velocity * STEP;
         let after = from_other - step;
         let sum = from_other.norm() + after.norm();
