@@ -37,6 +37,7 @@ pub mod collision_monitor;
 pub mod config;
 pub mod control;
 pub mod control_io;
+pub mod course;
 mod encoder_watch;
 pub mod estimator;
 pub mod event_log;

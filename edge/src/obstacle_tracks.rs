@@ -10,6 +10,7 @@
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::time::Stamp;
 
+use crate::course::{Course, Way};
 use crate::field_of_view::ProjectedScan;
 use crate::settings::TrackingSettings;
 
@@ -38,57 +39,6 @@ const RADII: (f64, f64) = (0.05, 0.6);
 
 /// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m.
 const ON_ROBOT: (f64, f64) = (0.1, 0.3);
-
-/// What a robot has told of its future.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Course {
-    /// Where it will be, a step apart, odometry frame; it stays at the last. Never empty.
-    pub places: Vec<Point2<f64>>,
-    /// s.
-    pub step: f64,
-    /// How long after the first place the track's stamp is, s.
-    pub begun: f64,
-    /// Whether it makes way for this robot, rather than this one for it.
-    pub makes_way: bool,
-}
-
-impl Course {
-    fn at(&self, secs: f64) -> Point2<f64> {
-        let share = ((self.begun + secs) / self.step).clamp(0.0, self.places.len() as f64);
-        let place = |nth: usize| self.places.get(nth).or(self.places.last()).copied().unwrap_or_default();
-        let from = place(share as usize);
-        from + (place(share as usize + 1) - from) * share.fract()
-    }
-}
-
-/// The way of a track over some moments, as a line of a few points.
-#[derive(Clone, Copy, Debug)]
-pub struct Way {
-    points: [Point2<f64>; 4],
-    count: usize,
-}
-
-impl Way {
-    /// Distance of a point from it, m.
-    #[must_use]
-    pub fn distance(&self, point: Point2<f64>) -> f64 {
-        let legs = self.points[..self.count].windows(2).map(|leg| {
-            let (from, along) = (leg[0], leg[1] - leg[0]);
-            let share = ((point - from).dot(&along) / along.norm_squared().max(1e-9)).clamp(0.0, 1.0);
-            (point - (from + along * share)).norm_squared()
-        });
-        legs.fold(f64::INFINITY, f64::min).sqrt()
-    }
-
-    /// A place in its middle, and the distance of its farthest point from there, m.
-    #[must_use]
-    pub fn disc(&self) -> (Point2<f64>, f64) {
-        let points = &self.points[..self.count];
-        let middle = nalgebra::center(&self.points[0], &self.points[self.count - 1]);
-        let reach = points.iter().map(|point| (point - middle).norm());
-        (middle, reach.fold(0.0, f64::max))
-    }
-}
 
 /// A moving obstacle: a disc that goes on at constant velocity, or as it has told.
 #[derive(Clone, Debug, PartialEq)]
@@ -220,12 +170,10 @@ impl Track {
     pub fn way(&self, secs: f64, lead: f64) -> Way {
         let (first, last) = (self.at(secs), self.at(secs + lead));
         if self.course.is_none() {
-            let points = [first, last, last, last];
-            return Way { points, count: 2 };
+            return Way::straight(first, last);
         }
         let third = lead / 3.0;
-        let points = [first, self.at(secs + third), self.at(secs + 2.0 * third), last];
-        Way { points, count: 4 }
+        Way::bent([first, self.at(secs + third), self.at(secs + 2.0 * third), last])
     }
 
     /// Goes on to a time.
@@ -337,6 +285,12 @@ impl ObstacleTracks {
     #[must_use]
     pub fn robot_at(&self, point: Point2<f64>) -> Option<&Track> {
         on_robot(&self.robots, point, ON_ROBOT.0)
+    }
+
+    /// Whether what evidently moves at a point (odometry frame) is one of the robots, or its shadow.
+    #[must_use]
+    pub(crate) fn is_by_robot(&self, point: Point2<f64>) -> bool {
+        on_robot(&self.robots, point, ON_ROBOT.1).is_some()
     }
 
     /// Takes a scan; `moved` says of each beam whether its return evidently moved.
@@ -520,116 +474,4 @@ fn is_seen_empty(scan: &ProjectedScan<'_>, track: &Track) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::field_of_view::{FieldOfView, ScanProjector};
-    use crate::moving_obstacles::MovingObstacles;
-    use zenav_protocol::geometry::Pose2;
-    use zenav_protocol::readings::Sweep;
-    use zenav_protocol::robot::{LidarModel, RobotModel};
-
-    /// Range of a ray from `from` to a disc, m; infinite past it.
-    fn to_disc(from: Point2<f64>, ray: Vector2<f64>, center: Point2<f64>, radius: f64) -> f64 {
-        let off = center - from;
-        let along = off.dot(&ray);
-        let aside = off.perp(&ray).abs();
-        if along <= 0.0 || aside >= radius {
-            return f64::INFINITY;
-        }
-        along - (radius * radius - aside * aside).sqrt()
-    }
-
-    /// What a lidar sees of discs in front of a wall at x = 7.
-    fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> Sweep {
-        let laser = base * lidar.mount;
-        let range = |beam: usize| {
-            let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
-            let ray = Vector2::new(angle.cos(), angle.sin());
-            let wall = if ray.x > 0.05 {
-                (7.0 - laser.x) / ray.x
-            } else {
-                f64::INFINITY
-            };
-            let discs = discs.iter().map(|disc| to_disc(laser.position(), ray, *disc, 0.25));
-            discs.fold(wall, f64::min) as f32
-        };
-        Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
-    }
-
-    /// Ten scans a second of a robot that drives at 0.3 m/s past discs that move as `place` says.
-    fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> MovingObstacles {
-        let lidar = robot.first_lidar().unwrap();
-        let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
-        let mut moving = MovingObstacles::new(robot, view, &crate::settings::EdgeSettings::default());
-        let mut projector = ScanProjector::new(lidar);
-        for step in 0..=(10.0 * secs) as u32 {
-            let now = 0.1 * f64::from(step);
-            let base = Pose2::new(0.3 * now, 0.0, 0.1 * now);
-            moving.insert(
-                0,
-                &projector.project(&sweep(lidar, now, base, &place(now)), base).unwrap(),
-            );
-        }
-        moving
-    }
-
-    #[test]
-    fn a_walker_has_a_track_with_its_velocity_and_what_stands_has_none() {
-        let robot = zenav_fixtures::robot("tiago");
-        let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
-        let post = Point2::new(2.5, 1.8);
-        let moving = watch(&robot, 2.5, |now| vec![walker(now), post]);
-        let tracks: Vec<_> = moving.tracks().iter().collect();
-        assert_eq!(tracks.len(), 1, "{tracks:?}");
-        let off = tracks[0].position - walker(2.5);
-        assert!(off.norm() < 0.1, "{off}");
-        assert!(
-            (tracks[0].velocity - Vector2::new(0.0, 0.8)).norm() < 0.2,
-            "{}",
-            tracks[0].velocity
-        );
-        assert!((tracks[0].radius - 0.25).abs() < 0.08, "{}", tracks[0].radius);
-        assert!(moving.tracks().at(walker(2.5)).is_some() && moving.tracks().at(post).is_none());
-    }
-
-    #[test]
-    fn two_walkers_who_meet_keep_their_tracks() {
-        let robot = zenav_fixtures::robot("tiago");
-        let places = |now: f64| vec![Point2::new(2.5, -1.2 + 0.6 * now), Point2::new(4.2, 1.2 - 0.6 * now)];
-        let before: Vec<_> = watch(&robot, 1.2, places).tracks().iter().cloned().collect();
-        let moving = watch(&robot, 3.2, places);
-        assert_eq!(before.len(), 2, "{before:?}");
-        for track in before {
-            let after = moving.tracks().iter().find(|after| after.id == track.id);
-            let after = after.unwrap_or_else(|| panic!("{} was lost", track.id));
-            assert!(after.velocity.dot(&track.velocity) > 0.0, "{after:?} was {track:?}");
-        }
-    }
-
-    #[test]
-    fn a_walker_who_stops_is_an_obstacle_like_any_other_after_a_while() {
-        let robot = zenav_fixtures::robot("tiago");
-        let settings = TrackingSettings::default();
-        let place = |now: f64| vec![Point2::new(3.0, -1.0 + 0.8 * now.min(1.5))];
-        assert_eq!(watch(&robot, 1.5, place).tracks().iter().count(), 1);
-        assert_eq!(watch(&robot, 3.0 + settings.standing, place).tracks().iter().count(), 0);
-    }
-
-    #[test]
-    fn a_hidden_track_goes_on_and_one_whose_place_is_empty_ends() {
-        let robot = zenav_fixtures::robot("tiago");
-        let nowhere = Point2::new(-9.0, 0.0);
-        let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
-        let gone = watch(&robot, 2.6, |now| vec![if now < 2.0 { walker(now) } else { nowhere }]);
-        assert_eq!(gone.tracks().iter().count(), 0);
-        // A column comes in between.
-        let column = |now: f64| Point2::new(1.6, if now < 2.0 { -9.0 } else { 0.25 });
-        let hidden = watch(&robot, 2.6, |now| {
-            vec![if now < 2.0 { walker(now) } else { nowhere }, column(now)]
-        });
-        let walkers: Vec<_> = hidden.tracks().iter().filter(|track| track.velocity.y > 0.4).collect();
-        assert_eq!(walkers.len(), 1, "{:?}", hidden.tracks());
-        assert!((walkers[0].position - walker(2.6)).norm() < 0.2);
-    }
-}
+mod tests;

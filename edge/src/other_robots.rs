@@ -8,7 +8,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Intent;
 use zenav_protocol::time::Stamp;
 
-use crate::obstacle_tracks::{Course, Track};
+use crate::course::Course;
+use crate::obstacle_tracks::Track;
 
 /// Most robots that are listened to.
 const MOST: usize = 64;

@@ -20,7 +20,7 @@ use crate::settings::PassiveSafetySettings;
 use crate::time_to_contact::SweptFootprint;
 
 /// No obstacle nearer than this is approached, m.
-pub(crate) const LEAST_CLEARANCE: f64 = 0.005;
+pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
 /// Shares of the wanted twist that are tried against moving obstacles.
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
 /// Spacing of the samples of the outline, and of the poses that they are checked at, m.

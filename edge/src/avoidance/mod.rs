@@ -24,9 +24,10 @@ use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::Floor;
 use crate::collision_monitor::CollisionMonitor;
+use crate::course::Way;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
-use crate::obstacle_tracks::{Track, Way};
+use crate::obstacle_tracks::Track;
 use crate::passive_safety::Mover;
 use crate::settings::AvoidanceSettings;
 use clearance_grid::ClearanceGrid;

@@ -54,8 +54,8 @@ fn full_speed_at_a_wall_is_slowed_and_stopped_before_it() {
     assert_eq!(judge(&model, &wall(&model, 2.0), full).zone, GuardZone::Clear);
     let near = judge(&model, &wall(&model, 0.42), full);
     assert!(near.zone == GuardZone::Slow && near.twist.v < 0.5, "{near:?}");
-    assert_eq!(judge(&model, &wall(&model, 0.268), full).twist.v, 0.0);
-    assert_eq!(judge(&model, &wall(&model, 0.268), full).zone, GuardZone::Stop);
+    assert_eq!(judge(&model, &wall(&model, 0.27), full).twist.v, 0.0);
+    assert_eq!(judge(&model, &wall(&model, 0.27), full).zone, GuardZone::Stop);
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn contact_allows_only_the_way_back() {
 fn another_reason_to_stop_is_reported_too() {
     let model = tiago();
     let mut monitor = CollisionMonitor::new(&model, 0.02);
-    let obstacles = wall(&model, 0.268);
+    let obstacles = wall(&model, 0.27);
     let mut reported = |secs: f64| {
         let verdict = monitor.judge(
             Stamp::from_secs(secs),

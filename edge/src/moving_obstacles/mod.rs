@@ -82,7 +82,7 @@ impl MovingObstacles {
         if let Some(detector) = self.detectors.get_mut(index) {
             tracks.insert(scan, &detector.moved_beams);
             if !tracks.robots().is_empty() {
-                left = detector.leave_out(evident, |point| tracks.robot_at(point).is_some());
+                left = detector.leave_out(evident, |point| tracks.is_by_robot(point));
             }
         }
         self.track_occlusions(index, scan);

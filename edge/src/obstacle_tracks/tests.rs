@@ -1,0 +1,114 @@
+//! Claims about tracks.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use crate::field_of_view::{FieldOfView, ScanProjector};
+use crate::moving_obstacles::MovingObstacles;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::{LidarModel, RobotModel};
+
+/// Range of a ray from `from` to a disc, m; infinite past it.
+fn to_disc(from: Point2<f64>, ray: Vector2<f64>, center: Point2<f64>, radius: f64) -> f64 {
+    let off = center - from;
+    let along = off.dot(&ray);
+    let aside = off.perp(&ray).abs();
+    if along <= 0.0 || aside >= radius {
+        return f64::INFINITY;
+    }
+    along - (radius * radius - aside * aside).sqrt()
+}
+
+/// What a lidar sees of discs in front of a wall at x = 7.
+fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> Sweep {
+    let laser = base * lidar.mount;
+    let range = |beam: usize| {
+        let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
+        let ray = Vector2::new(angle.cos(), angle.sin());
+        let wall = if ray.x > 0.05 {
+            (7.0 - laser.x) / ray.x
+        } else {
+            f64::INFINITY
+        };
+        let discs = discs.iter().map(|disc| to_disc(laser.position(), ray, *disc, 0.25));
+        discs.fold(wall, f64::min) as f32
+    };
+    Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
+}
+
+/// Ten scans a second of a robot that drives at 0.3 m/s past discs that move as `place` says.
+fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> MovingObstacles {
+    let lidar = robot.first_lidar().unwrap();
+    let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
+    let mut moving = MovingObstacles::new(robot, view, &crate::settings::EdgeSettings::default());
+    let mut projector = ScanProjector::new(lidar);
+    for step in 0..=(10.0 * secs) as u32 {
+        let now = 0.1 * f64::from(step);
+        let base = Pose2::new(0.3 * now, 0.0, 0.1 * now);
+        moving.insert(
+            0,
+            &projector.project(&sweep(lidar, now, base, &place(now)), base).unwrap(),
+        );
+    }
+    moving
+}
+
+#[test]
+fn a_walker_has_a_track_with_its_velocity_and_what_stands_has_none() {
+    let robot = zenav_fixtures::robot("tiago");
+    let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
+    let post = Point2::new(2.5, 1.8);
+    let moving = watch(&robot, 2.5, |now| vec![walker(now), post]);
+    let tracks: Vec<_> = moving.tracks().iter().collect();
+    assert_eq!(tracks.len(), 1, "{tracks:?}");
+    let off = tracks[0].position - walker(2.5);
+    assert!(off.norm() < 0.1, "{off}");
+    assert!(
+        (tracks[0].velocity - Vector2::new(0.0, 0.8)).norm() < 0.2,
+        "{}",
+        tracks[0].velocity
+    );
+    assert!((tracks[0].radius - 0.25).abs() < 0.08, "{}", tracks[0].radius);
+    assert!(moving.tracks().at(walker(2.5)).is_some() && moving.tracks().at(post).is_none());
+}
+
+#[test]
+fn two_walkers_who_meet_keep_their_tracks() {
+    let robot = zenav_fixtures::robot("tiago");
+    let places = |now: f64| vec![Point2::new(2.5, -1.2 + 0.6 * now), Point2::new(4.2, 1.2 - 0.6 * now)];
+    let before: Vec<_> = watch(&robot, 1.2, places).tracks().iter().cloned().collect();
+    let moving = watch(&robot, 3.2, places);
+    assert_eq!(before.len(), 2, "{before:?}");
+    for track in before {
+        let after = moving.tracks().iter().find(|after| after.id == track.id);
+        let after = after.unwrap_or_else(|| panic!("{} was lost", track.id));
+        assert!(after.velocity.dot(&track.velocity) > 0.0, "{after:?} was {track:?}");
+    }
+}
+
+#[test]
+fn a_walker_who_stops_is_an_obstacle_like_any_other_after_a_while() {
+    let robot = zenav_fixtures::robot("tiago");
+    let settings = TrackingSettings::default();
+    let place = |now: f64| vec![Point2::new(3.0, -1.0 + 0.8 * now.min(1.5))];
+    assert_eq!(watch(&robot, 1.5, place).tracks().iter().count(), 1);
+    assert_eq!(watch(&robot, 3.0 + settings.standing, place).tracks().iter().count(), 0);
+}
+
+#[test]
+fn a_hidden_track_goes_on_and_one_whose_place_is_empty_ends() {
+    let robot = zenav_fixtures::robot("tiago");
+    let nowhere = Point2::new(-9.0, 0.0);
+    let walker = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
+    let gone = watch(&robot, 2.6, |now| vec![if now < 2.0 { walker(now) } else { nowhere }]);
+    assert_eq!(gone.tracks().iter().count(), 0);
+    // A column comes in between.
+    let column = |now: f64| Point2::new(1.6, if now < 2.0 { -9.0 } else { 0.25 });
+    let hidden = watch(&robot, 2.6, |now| {
+        vec![if now < 2.0 { walker(now) } else { nowhere }, column(now)]
+    });
+    let walkers: Vec<_> = hidden.tracks().iter().filter(|track| track.velocity.y > 0.4).collect();
+    assert_eq!(walkers.len(), 1, "{:?}", hidden.tracks());
+    assert!((walkers[0].position - walker(2.6)).norm() < 0.2);
+}
