@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn two_robots_swap_the_ends_of_a_corridor_and_do_so_alike_again() {
-        let walls = "[[wall]]\nfrom = [0, 0]\nto = [7, 0]\n[[wall]]\nfrom = [0, 2]\nto = [7, 2]\n";
+        let walls = "[[wall]]\nfrom = [0, 0]\nto = [7, 0]\nthickness = 0.1\n[[wall]]\nfrom = [0, 2]\nto = [7, 2]\nthickness = 0.1\n";
         let text = format!("size = [7, 2]\norigin = [0, 0]\n{walls}");
         let world = World::from_toml(&text, "corridor", &|_| Err(String::new())).unwrap();
         let entrant = |from: f64, yaw: f64| Entrant {

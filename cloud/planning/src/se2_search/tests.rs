@@ -77,13 +77,13 @@ fn a_robot_that_cannot_turn_where_it_stands_goes_on_to_where_it_can() {
 
 #[test]
 fn a_robot_backs_out_of_a_lane_in_which_it_cannot_turn_and_nowhere_else() {
-    // A lane of 0.45 m that ends 10 cm before the robot: along the grid, and askew.
+    // A lane of 0.5 m that ends 10 cm before the robot: along the grid, and askew.
     for askew in [0.0, 0.2] {
         let (sin, cos) = f64::sin_cos(askew);
         let in_lane = move |x: f64, y: f64| {
             let (x, y) = (x - 4.0, y - 2.0);
             let (along, across) = (cos * x + sin * y, cos * y - sin * x);
-            (-1.3..0.4).contains(&along) && across.abs() < 0.225
+            (-1.3..0.4).contains(&along) && across.abs() < 0.25
         };
         let around = move |x: f64, y: f64| (x - 4.0).hypot(y - 2.0) < 1.2;
         let grid = room(|x, y| around(x, y) && !in_lane(x, y));
