@@ -27,11 +27,11 @@ const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
 const MIN_CELLS: usize = 4;
 /// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, half along a wall, and a
 /// few more where two rows of its surface were grazed.
-const FREE_AROUND: f64 = 0.9;
-/// Cells to each side that are around one.
-const AROUND: i64 = 3;
+const FREE_AROUND: f64 = 0.8;
+/// What is this near to a cell on each axis is around it, m.
+const AROUND: f64 = 0.125;
 /// Things are looked for this near to the robot and to its goals, m, and not beyond so many cells.
-const WINDOW: (f64, i64) = (12.0, 256);
+const WINDOW: (f64, i64) = (12.0, 480);
 
 /// Most cells that are told of.
 const MAX_CELLS: usize = 20_000;
@@ -247,11 +247,12 @@ impl Window {
             .zip(&occupied)
             .map(|(cell, occupied)| *occupied && is_new(in_map(cell).0, in_map(cell).1))
             .collect();
-        let square = (2 * AROUND + 1) * (2 * AROUND + 1);
+        let around = ((AROUND / self.resolution).round() as i64).clamp(1, 8);
+        let square = (2 * around + 1) * (2 * around + 1);
         let is_in_the_open = |cell: Place| {
             let (x, y) = in_map(cell);
-            let around = beside(AROUND).filter(|(dx, dy)| was_free(x + dx, y + dy));
-            around.count() as f64 >= FREE_AROUND * square as f64
+            let free = beside(around).filter(|(dx, dy)| was_free(x + dx, y + dy));
+            free.count() as f64 >= FREE_AROUND * square as f64
         };
         let come: Vec<bool> = each()
             .zip(&new)

@@ -98,6 +98,11 @@ const EXEMPT: &[(&str, &[Effect], &str)] = &[
         "the control loop keeps its own time on its own thread",
     ),
     (
+        "edge/src/exit_code.rs",
+        &[Network],
+        "which exit code an error of the bus has",
+    ),
+    (
         "edge/src/handoff.rs",
         &[Network],
         "what the control thread and the service's tasks exchange",
