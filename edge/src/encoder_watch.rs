@@ -11,6 +11,9 @@ use zenav_protocol::robot::RobotModel;
 const STEPS: f64 = 3.0;
 const NOTICEABLE: f64 = 0.002;
 
+/// After so long nothing more is guessed, s: a wheel may be held, too.
+const LONGEST_GUESS: f64 = 2.0;
+
 /// Watches both encoders.
 #[derive(Clone, Debug)]
 pub(crate) struct EncoderWatch {
@@ -51,7 +54,9 @@ impl EncoderWatch {
                 };
                 continue;
             }
-            wheel.turned += speed * secs;
+            if wheel.silent < LONGEST_GUESS {
+                wheel.turned += speed * secs;
+            }
             if wheel.turned.abs() > self.noticeable {
                 wheel.silent += secs;
                 *angle += wheel.turned;

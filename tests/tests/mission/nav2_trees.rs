@@ -92,6 +92,8 @@ fn nav2s_default_tree_goes_round_what_turns_up() {
 #[test]
 fn nav2s_default_tree_gives_up_where_no_recovery_can_help_and_tells_the_reason() {
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8));
+    (rig.config.settings.patience, rig.config.settings.linger) = (0.0, 0.0);
+    rig.start();
     rig.submit(goal(DEFAULT, 5.0, 0.0)).unwrap();
     rig.occupy(2.0, 0.0, 0.45);
     let state = rig.end_of("g", 120.0);
