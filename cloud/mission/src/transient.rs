@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use nalgebra::{Matrix2, Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, TILE};
 use zenav_protocol::time::Stamp;
@@ -20,11 +20,9 @@ const _: () = assert!(TILE as usize == SIDE, "a row of a tile is a word");
 /// Up to this percentage a cell was seen free, and not by one grazing beam: two observations with the usual sensor model.
 const SEEN_FREE: i8 = 15;
 /// Cells whose centres are this near belong to one thing: beams are farther apart than cells where it is far away, m.
-const LINK: f64 = 0.15;
+const LINK: f64 = 0.1;
 /// Longer side of the box around a thing, m: less is noise at the edge of a wall, more than a person is not taken for one.
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
-/// Standard deviation of a lone thing's cells across its long axis, as a share of that along it, if it is an arc and no piece of a wall.
-const ROUND: f64 = 0.28;
 /// Cells that a thing must have at least.
 const MIN_CELLS: usize = 4;
 /// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, half along a wall, and a
@@ -271,7 +269,7 @@ impl Window {
         let alone = |thing: &Thing| {
             let inside =
                 thing.low.0 > 0 && thing.low.1 > 0 && thing.high.0 + 1 < self.width && thing.high.1 + 1 < self.height;
-            inside && self.is_large_enough(thing) && self.size(thing) <= *SIZES.end() && self.is_round(thing)
+            inside && self.is_large_enough(thing) && self.size(thing) <= *SIZES.end()
         };
         if grows {
             let things = self.things(&occupied).into_iter();
@@ -287,20 +285,6 @@ impl Window {
 
     fn is_large_enough(&self, thing: &Thing) -> bool {
         thing.cells.len() >= MIN_CELLS && self.size(thing) >= *SIZES.start()
-    }
-
-    /// Whether a thing is no piece of a straight surface: across its long axis its cells scatter nearly as along it.
-    fn is_round(&self, thing: &Thing) -> bool {
-        let count = thing.cells.len() as f64;
-        let (mut sum, mut squares) = (Vector2::zeros(), Matrix2::zeros());
-        for (x, y) in &thing.cells {
-            let at = Vector2::new(*x as f64, *y as f64) * self.resolution;
-            sum += at;
-            squares += at * at.transpose();
-        }
-        let mean = sum / count;
-        let spread = (squares / count - mean * mean.transpose()).symmetric_eigenvalues();
-        spread.min().max(0.0).sqrt() >= ROUND * spread.max().max(0.0).sqrt()
     }
 
     /// The longer side of the box around a thing, m.

@@ -87,7 +87,8 @@ fn a_robot_backs_out_of_a_lane_in_which_it_cannot_turn_and_nowhere_else() {
         };
         let around = move |x: f64, y: f64| (x - 4.0).hypot(y - 2.0) < 1.2;
         let grid = room(|x, y| around(x, y) && !in_lane(x, y));
-        let found = driven(&grid, Pose2::new(4.0, 2.0, askew), (1.0, 1.0), false).unwrap();
+        let found = driven(&grid, Pose2::new(4.0, 2.0, askew), (1.0, 1.0), false)
+            .unwrap_or_else(|error| panic!("askew by {askew}: {error:?}"));
         assert_eq!(found.backwards.first(), Some(&0), "{found:?}");
         assert!(found.backwards.len() < found.corners.len() - 1, "{found:?}");
     }
