@@ -6,12 +6,14 @@
 //! | [`motion`] | [`zenav_planning`], [`zenav_smoothing`] | which path can the robot drive, and what is its trajectory? |
 //! | [`mission`] | [`zenav_mission`] | which goal is driven, and how is none lost? |
 //! | [`dispatch`] | | which robot of a group does a goal? |
+//! | [`gateway`] | [`zenav_gateway`] | how do people see and command robots in a browser? |
 //!
 //! | shared | |
 //! |---|---|
 //! | [`map_subscriber`] | how does a service keep up with every robot's map? |
 
 pub mod dispatch;
+pub mod gateway;
 pub mod map_subscriber;
 pub mod mapping;
 pub mod mission;

@@ -6,7 +6,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::exit_code;
 use crate::failure::Outcome;
-use crate::{batch, bench, config, demo, goal, inspect, launch, lockstep, operator, wall_following};
+use crate::{batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, wall_following};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
@@ -33,10 +33,14 @@ enum Command {
     Up(launch::UpArgs),
     /// Run a router
     Router(launch::RouterArgs),
+    /// Pass TCP connections on over a bad link: delay, jitter, rate, stalls, cuts
+    Netem(netem::NetemArgs),
     /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),
     /// Run off-board services: mapping, motion, mission, or all
     Cloud(launch::CloudArgs),
+    /// Serve the mission-control page: live map, goals, stop and teleop in a browser
+    Gateway(gateway::GatewayArgs),
     /// Submit, list, watch and cancel goals
     Goal(goal::GoalArgs),
     /// Stop a robot; the stop latches until `zenav resume`
@@ -109,8 +113,10 @@ fn run(command: Command) -> Outcome {
         Command::Run(args) => lockstep::run(&args),
         Command::Up(args) => launch::up(&args),
         Command::Router(args) => launch::router(&args),
+        Command::Netem(args) => netem::run(&args),
         Command::Edge(args) => launch::edge(&args),
         Command::Cloud(args) => launch::cloud(&args),
+        Command::Gateway(args) => gateway::gateway(&args),
         Command::Goal(args) => goal::run(&args),
         Command::Stop(args) => operator::stop(&args),
         Command::Resume(args) => operator::resume(&args),

@@ -59,7 +59,7 @@ impl Default for Parts {
 
 impl Parts {
     /// Runs a part on a bus of its own until the shutdown.
-    fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
+    pub(crate) fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
     where
         F: FnOnce(Bus, Shutdown) -> R + Send + 'static,
         R: Future<Output = Result<(), Failure>> + Send + 'static,

@@ -11,6 +11,7 @@ use crate::config::{self, Deployment};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::gateway::PageArgs;
 
 /// Arguments of `zenav up`.
 #[derive(Debug, Args)]
@@ -29,6 +30,8 @@ pub struct UpArgs {
     /// Folder for what is kept, instead of the deployment's
     #[arg(long)]
     data: Option<PathBuf>,
+    #[command(flatten)]
+    page: PageArgs,
 }
 
 /// Arguments of `zenav router`.
@@ -109,7 +112,7 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 }
 
 /// Runs parts until Ctrl-C or until one fails.
-async fn until_interrupted(mut parts: Parts) -> Outcome {
+pub(crate) async fn until_interrupted(mut parts: Parts) -> Outcome {
     let result = tokio::select! {
         () = interrupted() => {
             tracing::info!("stopping");
@@ -166,6 +169,7 @@ pub fn up(args: &UpArgs) -> Outcome {
     if let Some(data) = &args.data {
         deployment.data.dir.clone_from(data);
     }
+    args.page.apply(&mut deployment);
     let world = files::world(&deployment.simulation.world)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
@@ -185,7 +189,7 @@ pub fn up(args: &UpArgs) -> Outcome {
             None
         };
         let mut parts = Parts::default();
-        let started = start_all(&mut parts, &deployment, &world);
+        let started = start_all(&mut parts, &deployment, &world).await;
         let result = match started {
             Ok(()) => until_interrupted(parts).await,
             Err(failure) => {
@@ -200,9 +204,10 @@ pub fn up(args: &UpArgs) -> Outcome {
     })
 }
 
-fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
+async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
     parts.edges(deployment, world)?;
-    parts.cloud(deployment, world, CloudPart::All, "worker")
+    parts.cloud(deployment, world, CloudPart::All, "worker")?;
+    parts.told_gateway(deployment, world).await
 }
 
 /// `zenav router`.

@@ -7,6 +7,7 @@
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
 //! | `components` | how the parts start and end that share a process |
 //! | `receivers` | how many threads receive, in a process with a router |
+//! | `gateway` | how people see and command robots in a browser |
 //! | `world_server` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
@@ -30,10 +31,12 @@ pub mod demo;
 pub mod drawing;
 pub mod failure;
 pub mod files;
+pub mod gateway;
 pub mod goal;
 pub mod inspect;
 pub mod launch;
 pub mod lockstep;
+pub mod netem;
 pub mod operator;
 pub mod output;
 pub mod receivers;

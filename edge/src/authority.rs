@@ -114,6 +114,7 @@ impl Authority {
             epoch: granted.epoch,
             ttl_secs: self.arbiter.ttl().as_secs_f64(),
             boot_id: events.boot_id().to_owned(),
+            round_trip_secs: granted.round_trip.map(|round_trip| round_trip.as_secs_f64()),
         });
         if self.first_answers.len() == MEMORY {
             self.first_answers.pop_front();
@@ -128,8 +129,7 @@ impl Authority {
 
     /// Renews the lease by a heartbeat.
     pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
-        self.arbiter
-            .renew(now, &heartbeat.holder, heartbeat.epoch, heartbeat.counter);
+        self.arbiter.renew(now, heartbeat);
     }
 
     /// Whether teleop twists under this epoch may act now.
@@ -308,6 +308,12 @@ impl Authority {
     #[must_use]
     pub fn link(&self) -> Link {
         self.link
+    }
+
+    /// Round trip to the holder of the lease and back, s.
+    #[must_use]
+    pub fn round_trip_secs(&self) -> Option<f64> {
+        self.arbiter.round_trip().map(|round_trip| round_trip.as_secs_f64())
     }
 
     /// The lease as the state shows it.

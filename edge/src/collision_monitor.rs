@@ -5,7 +5,8 @@
 //! field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to
 //! contact is at least a second; motion that does not reduce the clearance is always allowed.
 //! Scans may come late: the robot reacts by so much later, and drives as slowly as that needs. When they stop coming it slows down, and is
-//! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is not finite, and bumper contact stop it at once.
+//! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is
+//! not finite, and bumper contact stop it at once.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};

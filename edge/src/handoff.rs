@@ -260,6 +260,7 @@ mod tests {
                     holder: "m".into(),
                     epoch: 1,
                     counter,
+                    echo: None,
                 },
                 |inbox| &mut inbox.heartbeats,
             );

@@ -105,7 +105,8 @@ impl Telemetry {
     }
 }
 
-/// A scan as a message, with its ranges (m) as far as they are no noise, the runs of beams that met a moving obstacle and the poses at its own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
+/// A scan as a message, with its ranges (m) as far as they are no noise, the runs of beams that met a moving obstacle and the poses at its
+/// own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
 #[must_use]
 pub fn scan(
     sweep: &Sweep,

@@ -1,6 +1,7 @@
 //! Settings. What can be tuned, in which unit, within which bounds, and why is the default what it is?
 //!
-//! [`settings!`](crate::settings!) declares a section of settings in one place: each field with its doc line, type, default, unit and bounds. From that come
+//! [`settings!`](crate::settings!) declares a section of settings in one place: each field with its doc line, type, default, unit and
+//! bounds. From that come
 //! the struct (serde with unknown keys refused, `Default`), the check of its bounds, and the table of rows that `zenav config show` prints.
 //! A field without a default is a section of its own.
 

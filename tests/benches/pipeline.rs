@@ -374,6 +374,7 @@ impl Driven {
                 holder: "m".into(),
                 epoch: self.epoch,
                 counter: self.counter,
+                echo: None,
             }],
             ..Inbox::default()
         };

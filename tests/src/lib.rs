@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`browser`] | a page in headless Chromium, used as a person does |
 //! | [`process`] | real processes, started, paused and killed |
 //! | [`deployment`] | a router, a robot and a cloud, each as a process of its own |
 //! | [`observer`] | what a robot publishes, and how to wait for it |
@@ -9,6 +10,7 @@
 //! | [`usage`] | processor time and memory of a process |
 
 pub mod acceptance;
+pub mod browser;
 pub mod deployment;
 pub mod observer;
 pub mod process;

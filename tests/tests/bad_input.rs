@@ -175,6 +175,7 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         holder: "x".repeat(1000),
         epoch: u64::MAX,
         counter: u64::MAX,
+        echo: None,
     };
     let robot = &[ROBOT];
     vec![

@@ -22,11 +22,12 @@ const READY: Duration = Duration::from_secs(60);
 /// Simulated seconds a second.
 const SPEED: u32 = 6;
 /// What keeps running by itself.
-const PARTS: [&str; 5] = [
+const PARTS: [&str; 6] = [
     "zenav up",
     "zenav router",
     "zenav edge",
     "zenav cloud",
+    "zenav gateway",
     "zenav sim serve",
 ];
 /// What runs already, or has to have run for this test to run.
@@ -205,7 +206,7 @@ case "$1 $2" in
     "demo "*) has --speed || set -- "$@" --speed {SPEED} ;;
     "router "* | "sim serve") has --listen || set -- "$@" --listen {router} ;;
     "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
-    "edge "* | "cloud "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch")
+    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch")
         has --connect || set -- "$@" --connect {router} ;;
 esac
 exec {ZENAV} "$@"

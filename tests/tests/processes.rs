@@ -173,6 +173,7 @@ impl Writer {
                     holder: holder.clone(),
                     epoch,
                     counter,
+                    echo: None,
                 })
                 .unwrap();
                 if beat.raw_put(&key, bytes, "application/json").is_err() {

@@ -38,6 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                         epoch: 1,
                         ttl_secs: 1.0,
                         boot_id: "boot".to_owned(),
+                        round_trip_secs: None,
                     };
                     inputs.answers.push((ticket, Ok(Answer::Lease(reply))));
                 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
 use zenav_protocol::time::Stamp;
 
@@ -222,20 +223,35 @@ impl Context {
         }
     }
 
+    /// Round trip to the robot and back, s, as the robot measures it: the longest of late.
+    #[must_use]
+    pub fn round_trip(&self) -> f64 {
+        let told = self.robot.state().and_then(|state| state.round_trip_secs);
+        told.unwrap_or_else(|| self.lease.round_trip())
+            .clamp(0.0, LONGEST_ROUND_TRIP.as_secs_f64())
+    }
+
+    /// From the robot's newest state to a plan in force that was made from it, s.
+    #[must_use]
+    pub fn latency_budget(&self) -> f64 {
+        self.config.settings.latency_budget + self.round_trip()
+    }
+
+    /// How long a plan is valid from the state that it was made from, s: of that it has lost a round trip when it comes.
+    fn plan_valid(&self) -> f64 {
+        self.config.settings.plan_valid + self.round_trip()
+    }
+
     /// Publishes a new plan for the active goal.
     pub fn drive(&mut self, draft: super::motion::PlanDraft) {
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
             return;
         };
         let replaces = self.motion.was_begun_for_leg;
-        let plan = self.motion.begin(
-            draft,
-            &self.goal.id,
-            epoch,
-            based_on,
-            self.config.settings.plan_valid,
-            self.now,
-        );
+        let valid = self.plan_valid();
+        let plan = self
+            .motion
+            .begin(draft, &self.goal.id, epoch, based_on, valid, self.now);
         self.goal.feedback.plans += 1;
         self.goal.feedback.replans += u64::from(replaces);
         if let Some(leg) = self.goal.legs.last_mut() {
@@ -248,10 +264,9 @@ impl Context {
 
     /// Renews the plan in force.
     pub fn renew(&mut self) {
+        let valid = self.plan_valid();
         if let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on())
-            && let Some(plan) = self
-                .motion
-                .renew(epoch, based_on, self.config.settings.plan_valid, self.now)
+            && let Some(plan) = self.motion.renew(epoch, based_on, valid, self.now)
         {
             self.plans.push(plan);
         }
@@ -259,18 +274,20 @@ impl Context {
 
     /// Shortens the plan in force to the time that braking takes: the robot comes to rest on the path that was checked.
     pub fn hold(&mut self) {
+        self.hold_within(f64::INFINITY);
+    }
+
+    /// The same; if it can, the robot is at rest `secs` after its newest state.
+    pub fn hold_within(&mut self, secs: f64) {
         if let (Some(epoch), Some(based_on), Some(model)) =
             (self.lease.epoch(), self.robot.based_on(), self.robot.model())
         {
             let twist = self.robot.velocity();
             let limits = zenav_smoothing::Limits::of(model);
-            let valid_for = 0.5 + 1.4 * limits.braking_time(twist);
-            if let Some(plan) = self.motion.hold(
-                epoch,
-                based_on,
-                valid_for.min(self.config.settings.plan_valid),
-                self.now,
-            ) {
+            let (braking, late) = (limits.braking_time(twist), self.round_trip());
+            let valid_for = secs.clamp(0.1 + 1.05 * braking + late, 0.5 + 1.4 * braking + late);
+            let valid_for = valid_for.min(self.plan_valid());
+            if let Some(plan) = self.motion.hold(epoch, based_on, valid_for, self.now) {
                 self.plans.push(plan);
             }
         }

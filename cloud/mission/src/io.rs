@@ -1,6 +1,7 @@
 //! Step I/O. What goes into a mission's step, and what comes out? Typed and decoded: no bus in here.
 
 use thiserror::Error;
+use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest, LeaseReply,
     LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
@@ -61,8 +62,8 @@ impl Ask {
     #[must_use]
     pub fn patience_secs(&self) -> f64 {
         match self {
-            Self::Lease(_) => 1.0,
-            Self::EdgeInfo(_) | Self::Behaviour(_) | Self::Remote(..) => 2.0,
+            Self::Lease(_) | Self::EdgeInfo(_) | Self::Behaviour(_) => 2.0 + LONGEST_ROUND_TRIP.as_secs_f64(),
+            Self::Remote(..) => 2.0,
             // Long enough for a second worker when the first one is silent.
             Self::Motion(request) => 2.0 + 2.0 * request.budget().as_secs_f64(),
             Self::Map(_) => 5.0,

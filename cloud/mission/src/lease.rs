@@ -15,6 +15,10 @@ use super::records::Leadership;
 const BEAT: f64 = 0.1;
 /// Time between two requests while another holder commands, s.
 const RETRY: f64 = 0.5;
+/// A new mission asks for the lease once it has heard the robot, or after this long, s: the robot is to know how far away it is.
+const HEARS: f64 = 3.0;
+/// A robot that has not answered in this time, s, may be off: goals are taken nevertheless.
+const OFF: f64 = 1.0;
 /// After a pause longer than the lease's TTL (s) nothing known before is trusted.
 const SLEPT: f64 = 1.0;
 
@@ -23,6 +27,8 @@ const SLEPT: f64 = 1.0;
 struct Grant {
     epoch: u64,
     boot_id: String,
+    /// As the robot told, s.
+    round_trip: f64,
 }
 
 /// Acquires and renews the lease.
@@ -36,6 +42,7 @@ pub struct LeaseClient {
     asked: u64,
     beats: u64,
     next_beat: Stamp,
+    first_step: Option<Stamp>,
     last_step: Option<Stamp>,
     /// Why there is no lease.
     why_not: String,
@@ -74,6 +81,7 @@ impl LeaseClient {
             asked: 0,
             beats: 0,
             next_beat: Stamp::ZERO,
+            first_step: None,
             last_step: None,
             why_not: "the robot has not answered yet".to_owned(),
             other: None,
@@ -84,6 +92,12 @@ impl LeaseClient {
     #[must_use]
     pub fn epoch(&self) -> Option<u64> {
         self.grant.as_ref().map(|grant| grant.epoch)
+    }
+
+    /// Round trip to the robot and back, s, as it told with the grant; zero without the lease.
+    #[must_use]
+    pub fn round_trip(&self) -> f64 {
+        self.grant.as_ref().map_or(0.0, |grant| grant.round_trip)
     }
 
     /// Why there is no lease.
@@ -177,8 +191,8 @@ impl LeaseClient {
         self.next_ask = now;
     }
 
-    /// Requests the lease where there is none; returns the heartbeat that is due, if one is.
-    pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Option<Heartbeat> {
+    /// Requests the lease where there is none; returns the heartbeat that is due, if one is. `echo` is the robot's time, as far as it is known.
+    pub fn step(&mut self, now: Stamp, echo: Option<Stamp>, asks: &mut Asks) -> Option<Heartbeat> {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
         {
@@ -196,11 +210,15 @@ impl LeaseClient {
             self.asking = None;
             self.take(now, answer);
         }
-        if self.grant.is_none() && self.asking.is_none() && now >= self.next_ask {
+        let since = now.secs_since(*self.first_step.get_or_insert(now));
+        self.heard_out |= since > OFF;
+        let may_ask = echo.is_some() || since > HEARS;
+        if self.grant.is_none() && self.asking.is_none() && may_ask && now >= self.next_ask {
             self.asked += 1;
             let request_id = format!("{}-{}", self.incarnation, self.asked);
             let request = LeaseRequest {
                 store: self.store.clone(),
+                echo,
                 ..LeaseRequest::new(&self.holder, LeaseRole::Mission, LeaseAction::Acquire, request_id)
             };
             self.asking = Some(asks.ask(Ask::Lease(request)));
@@ -218,6 +236,7 @@ impl LeaseClient {
             holder: self.holder.clone(),
             epoch,
             counter: newer(self.incarnation, self.beats),
+            echo,
         })
     }
 
@@ -225,8 +244,17 @@ impl LeaseClient {
         self.next_ask = now.plus_secs(RETRY);
         self.heard_out = true;
         match answer {
-            Ok(Answer::Lease(LeaseReply { epoch, boot_id, .. })) => {
-                self.grant = Some(Grant { epoch, boot_id });
+            Ok(Answer::Lease(LeaseReply {
+                epoch,
+                boot_id,
+                round_trip_secs,
+                ..
+            })) => {
+                self.grant = Some(Grant {
+                    epoch,
+                    boot_id,
+                    round_trip: round_trip_secs.unwrap_or_default(),
+                });
                 (self.term, self.confirmed, self.deposed) = (epoch, true, false);
                 self.next_beat = Stamp::ZERO;
                 self.why_not.clear();
@@ -262,12 +290,15 @@ mod tests {
     use super::*;
     use zenav_protocol::messages::Leader;
 
+    /// The robot was heard.
+    const HEARD: Option<Stamp> = Some(Stamp::ZERO);
+
     fn granted(now: f64) -> (LeaseClient, Asks) {
         let (mut client, mut asks) = (
             LeaseClient::new("me", 3, Some("mine".into()), Leadership::default()),
             Asks::new(3),
         );
-        assert_eq!(client.step(Stamp::from_secs(now), &mut asks), None);
+        assert_eq!(client.step(Stamp::from_secs(now), HEARD, &mut asks), None);
         let (ticket, ask) = asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::Lease(LeaseRequest { ref holder, .. }) if holder == "me"));
         asks.answer(
@@ -276,6 +307,7 @@ mod tests {
                 epoch: 7,
                 ttl_secs: 1.0,
                 boot_id: "b".into(),
+                round_trip_secs: None,
             })),
         );
         (client, asks)
@@ -285,7 +317,7 @@ mod tests {
     fn heartbeats_come_ten_times_a_second_and_grow_over_restarts() {
         let (mut client, mut asks) = granted(1.0);
         let beats: Vec<_> = (0..21)
-            .filter_map(|i| client.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), &mut asks))
+            .filter_map(|i| client.step(Stamp::from_secs(1.05 + 0.05 * f64::from(i)), HEARD, &mut asks))
             .collect();
         assert_eq!(beats.len(), 11);
         assert!(beats.windows(2).all(|pair| pair[0].counter < pair[1].counter));
@@ -295,8 +327,8 @@ mod tests {
     #[test]
     fn a_mission_that_has_slept_does_not_command_before_it_has_asked_again() {
         let (mut client, mut asks) = granted(1.0);
-        assert!(client.step(Stamp::from_secs(1.05), &mut asks).is_some());
-        assert_eq!(client.step(Stamp::from_secs(21.0), &mut asks), None);
+        assert!(client.step(Stamp::from_secs(1.05), HEARD, &mut asks).is_some());
+        assert_eq!(client.step(Stamp::from_secs(21.0), HEARD, &mut asks), None);
         assert_eq!(client.epoch(), None);
         assert_eq!(asks.take_new().len(), 1);
     }
@@ -304,9 +336,9 @@ mod tests {
     #[test]
     fn a_mission_that_was_busy_while_heartbeats_went_out_keeps_its_lease() {
         let (mut client, mut asks) = granted(1.0);
-        assert!(client.step(Stamp::from_secs(1.05), &mut asks).is_some());
+        assert!(client.step(Stamp::from_secs(1.05), HEARD, &mut asks).is_some());
         client.was_kept_alive(Stamp::from_secs(9.0));
-        assert!(client.step(Stamp::from_secs(9.05), &mut asks).is_some());
+        assert!(client.step(Stamp::from_secs(9.05), HEARD, &mut asks).is_some());
         assert_eq!((client.epoch(), asks.take_new().len()), (Some(7), 0));
     }
 
@@ -314,10 +346,10 @@ mod tests {
     fn a_leader_that_has_slept_while_others_could_take_over_leads_again_on_the_robot_s_word_alone() {
         for shared in [false, true] {
             let (mut client, mut asks) = granted(1.0);
-            client.step(Stamp::from_secs(1.05), &mut asks);
+            client.step(Stamp::from_secs(1.05), HEARD, &mut asks);
             assert_eq!((client.leads(), client.term()), (true, Some(7)));
             client.share(shared);
-            client.step(Stamp::from_secs(21.0), &mut asks);
+            client.step(Stamp::from_secs(21.0), HEARD, &mut asks);
             assert_eq!(client.leads(), !shared);
             let (ticket, _) = asks.take_new().pop().unwrap();
             let held = |leader: &str| Refusal::Held {
@@ -332,12 +364,12 @@ mod tests {
                 }),
             };
             asks.answer(ticket, Err(NoAnswer::Refused(held("mine"))));
-            client.step(Stamp::from_secs(21.05), &mut asks);
+            client.step(Stamp::from_secs(21.05), HEARD, &mut asks);
             assert!(client.leads(), "it leads while an operator commands");
-            client.step(Stamp::from_secs(21.6), &mut asks);
+            client.step(Stamp::from_secs(21.6), HEARD, &mut asks);
             let (ticket, _) = asks.take_new().pop().unwrap();
             asks.answer(ticket, Err(NoAnswer::Refused(held("another"))));
-            client.step(Stamp::from_secs(21.65), &mut asks);
+            client.step(Stamp::from_secs(21.65), HEARD, &mut asks);
             assert!(client.is_deposed() && !client.leads());
         }
     }
@@ -347,14 +379,14 @@ mod tests {
         let leadership = Leadership { epoch: 5, shared: true };
         let mut client = LeaseClient::new("me", 3, Some("mine".into()), leadership);
         let mut asks = Asks::new(3);
-        client.step(Stamp::from_secs(1.0), &mut asks);
+        client.step(Stamp::from_secs(1.0), HEARD, &mut asks);
         assert!(!client.leads() && !client.is_deposed());
         let (ticket, _) = asks.take_new().pop().unwrap();
         let refusal = Refusal::NotCaughtUp {
             caught_up: vec!["other".into()],
         };
         asks.answer(ticket, Err(NoAnswer::Refused(refusal)));
-        client.step(Stamp::from_secs(1.05), &mut asks);
+        client.step(Stamp::from_secs(1.05), HEARD, &mut asks);
         assert!(client.is_deposed());
     }
 }

@@ -13,7 +13,7 @@ use super::io::{Answer, Ask, Ticket};
 use super::transient::{TransientCell, Transients};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::padding::Extent;
-use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
+use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
@@ -137,7 +137,10 @@ impl RobotMap {
         }
         let mut replica = self.replica.clone();
         replica.reach(extent);
-        Some((self.spaces.get(&replica, footprint, UnknownPolicy::Free), replica))
+        Some((
+            self.spaces.get(&replica, footprint, UnknownPolicy::Free, Fit::Tight),
+            replica,
+        ))
     }
 
     /// Occupancy at a point, `Unknown` outside the map; `None` without a map.
@@ -167,7 +170,10 @@ impl RobotMap {
     /// The configuration space, with unknown cells free; `None` without a map.
     pub fn space(&mut self, footprint: &Footprint) -> Option<Arc<ConfigurationSpace>> {
         let mapped = self.replica.has_map() && !self.replica.grid().spec().is_empty();
-        mapped.then(|| self.spaces.get(&self.replica, footprint, UnknownPolicy::Free))
+        mapped.then(|| {
+            self.spaces
+                .get(&self.replica, footprint, UnknownPolicy::Free, Fit::Tight)
+        })
     }
 }
 

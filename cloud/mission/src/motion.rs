@@ -75,6 +75,8 @@ struct ActivePlan {
     held: bool,
     /// Whether the robot has accepted this trajectory: then a refusal is of a renewal.
     was_taken: bool,
+    /// The newest revision when a refusal came last: over a slow link others were under way then, whose refusals tell nothing new.
+    refused: Option<Revision>,
 }
 
 /// Keeps the plan in force.
@@ -117,6 +119,7 @@ impl MotionKeeper {
             confirmed: long_ago,
             held: false,
             was_taken: true,
+            refused: None,
         });
     }
 
@@ -193,6 +196,7 @@ impl MotionKeeper {
             confirmed: now,
             held: false,
             was_taken: false,
+            refused: None,
         });
         self.changed = true;
         self.was_begun_for_leg = true;
@@ -327,7 +331,8 @@ impl ActivePlan {
                 revision,
                 reason,
                 ..
-            } if *trajectory_id == ours && *revision == self.plan.revision && self.status != PlanStatus::Finished => {
+            } if *trajectory_id == ours && self.refused < Some(*revision) && self.status != PlanStatus::Finished => {
+                self.refused = Some(self.plan.revision);
                 self.status = PlanStatus::Refused(reason.clone());
             }
             EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {

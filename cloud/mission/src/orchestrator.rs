@@ -104,7 +104,7 @@ impl Mission {
             effects.push(Effect::Fatal(why));
         }
         ctx.map.step(now, &mut ctx.asks);
-        let heartbeat = ctx.lease.step(now, &mut ctx.asks);
+        let heartbeat = ctx.lease.step(now, ctx.robot.time(now), &mut ctx.asks);
         if !ctx.lease.leads() {
             return self.stand_by(inputs.requests, effects);
         }

@@ -102,6 +102,13 @@ impl RobotView {
         self.state.as_ref().map(|(_, state)| state)
     }
 
+    /// Its own time, as far as it is known here: the stamp of its newest state, and the time since that came.
+    #[must_use]
+    pub fn time(&self, now: Stamp) -> Option<Stamp> {
+        let (came, state) = self.state.as_ref()?;
+        Some(state.stamp + now.since(*came))
+    }
+
     /// Time since its newest state came, s.
     #[must_use]
     pub fn state_age(&self, now: Stamp) -> f64 {

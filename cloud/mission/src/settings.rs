@@ -18,7 +18,7 @@ zenav_protocol::settings! {
         pub explore: f64 = 20.0, "m", 0.0..=1000.0;
         /// Time that a search may take.
         pub search_budget: f64 = 2.0, "s", 0.01..=60.0;
-        /// How far ahead of the robot a replan starts: the time from a request for a plan to its arrival at the robot.
+        /// How far ahead of the robot a replan starts, beyond the round trip to the robot, which it measures: the time that a plan takes to compute.
         pub latency_budget: f64 = 0.3, "s", 0.0..=10.0;
         /// Validity of a plan: a robot that hears no more drives on for so long.
         pub plan_valid: f64 = 5.0, "s", 0.5..=60.0;

@@ -1,4 +1,5 @@
-//! Circumscribed search. Is there a path on which a robot that is longer than wide may turn anywhere? A* over the cells in which the disc around it fits.
+//! Circumscribed search. Is there a path on which a robot that is longer than wide may turn anywhere? A* over the cells in which the disc
+//! around it fits.
 //!
 //! Most paths that the footprint cannot drive only brush past something. Going round that is found in milliseconds, where the search over
 //! places and headings ([`super::se2_search`]) may take a thousand times as long.

@@ -1,4 +1,5 @@
-//! Jump points on bitmaps. Where does a run over free cells end? At an obstacle, or where one beside it ends: bitmaps of those stops, one for each direction.
+//! Jump points on bitmaps. Where does a run over free cells end? At an obstacle, or where one beside it ends: bitmaps of those stops, one
+//! for each direction.
 //!
 //! A run is a look for the next bit, 64 cells at a time: along rows, along columns on a transposed copy, and along diagonals on copies
 //! whose rows are shifted against one another first. Diagonal runs stop at obstacles too, and wherever a straight run from the cell

@@ -1,4 +1,5 @@
-//! Certificate. May a trajectory be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of the drive, both
+//! Certificate. May a trajectory be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of
+//! the drive, both
 //! from the trajectory itself and not from what any solver said, before it leaves the house.
 
 use zenav_protocol::geometry::Pose2;

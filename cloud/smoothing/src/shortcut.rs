@@ -38,7 +38,8 @@ pub fn has_leg(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, kept:
     fits && space.is_permitted_between(a, b)
 }
 
-/// The path with fewer corners; its ends stay. Once `cancel` is set it stays as it is. `comfort` (m) is what may be asked for beyond the robot's shape; `heading` (rad) is where the
+/// The path with fewer corners; its ends stay. Once `cancel` is set it stays as it is. `comfort` (m) is what may be asked for beyond the
+/// robot's shape; `heading` (rad) is where the
 /// robot stands at first, where that matters.
 #[must_use]
 pub fn shortcut(

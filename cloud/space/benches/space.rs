@@ -307,12 +307,12 @@ fn update(c: &mut Criterion<ThreadTime>) {
             b.iter_batched(
                 || {
                     let (mut cache, mut mirror) = (SpaceCache::default(), mirror.clone());
-                    let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+                    let first = cache.get(&mirror, &footprint, UnknownPolicy::Free, zenav_space::Fit::Tight);
                     assert_eq!(mirror.apply(&patches[0]), PatchResult::Applied);
                     (cache, mirror, held.then(|| Arc::clone(&first)))
                 },
                 |(mut cache, mirror, held)| {
-                    let space = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+                    let space = cache.get(&mirror, &footprint, UnknownPolicy::Free, zenav_space::Fit::Tight);
                     (cache, mirror, held, black_box(space))
                 },
                 BatchSize::LargeInput,

@@ -11,11 +11,20 @@ use zenav_protocol::robot::Footprint;
 use super::{ConfigurationSpace, UnknownPolicy, Zones};
 use zenav_protocol::map_replica::MapReplica;
 
-/// By how much walls of a map are too thick on average, in cells: a surface lies anywhere in the cell that is occupied for it. The footprint is
-/// smaller by as much on all sides …
+/// By how much walls of a map are too thick on average, in cells: a surface lies anywhere in the cell that is occupied for it. In tight places
+/// the footprint is smaller by as much on all sides …
 const THICKENING: f64 = 0.5;
 /// … and by no more than this, m: what the robot's own eyes take for free is left to its collision monitor.
 const MOST_THICKENING: f64 = 0.0125;
+
+/// How closely a robot may pass by what stands on the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fit {
+    /// The footprint as it is, and walls as thick as their cells.
+    Roomy,
+    /// The footprint without what walls are too thick in cells: where it does not fit otherwise.
+    Tight,
+}
 
 /// Spaces that are kept.
 const KEPT: usize = 8;
@@ -38,12 +47,20 @@ impl SpaceCache {
         }
     }
 
-    /// The space of a map's present state, for the footprint without what walls are too thick in it: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
+    /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
     ///
     /// Whoever still holds an older one keeps it as it was; otherwise it is changed in place.
-    pub fn get(&mut self, map: &MapReplica, footprint: &Footprint, unknown: UnknownPolicy) -> Arc<ConfigurationSpace> {
-        let thickening = (THICKENING * map.grid().spec().resolution).min(MOST_THICKENING);
-        let footprint = &footprint.offset(-thickening);
+    pub fn get(
+        &mut self,
+        map: &MapReplica,
+        footprint: &Footprint,
+        unknown: UnknownPolicy,
+        fit: Fit,
+    ) -> Arc<ConfigurationSpace> {
+        let footprint = &match fit {
+            Fit::Roomy => footprint.clone(),
+            Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
+        };
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
             of.id == map.map().id && space.unknown_policy() == unknown && space.footprint() == footprint
         };
@@ -141,11 +158,11 @@ mod tests {
                     continue;
                 }
                 for policy in [UnknownPolicy::Free, UnknownPolicy::Blocked] {
-                    let kept = cache.get(&mirror, &footprint, policy);
+                    let kept = cache.get(&mirror, &footprint, policy, Fit::Tight);
                     let anew = ConfigurationSpace::new(mirror.grid(), kept.footprint(), policy, 0.0);
                     prop_assert_eq!((kept.spec(), kept.free(), kept.field()), (anew.spec(), anew.free(), anew.field()));
                     prop_assert_eq!((kept.obstacles(), kept.forbidden()), (anew.obstacles(), anew.forbidden()));
-                    prop_assert!(Arc::ptr_eq(&kept, &cache.get(&mirror, &footprint, policy)));
+                    prop_assert!(Arc::ptr_eq(&kept, &cache.get(&mirror, &footprint, policy, Fit::Tight)));
                     if hold {
                         held = Some((kept, anew));
                     }
@@ -162,16 +179,16 @@ mod tests {
         let (mut mirror, mut cache) = (MapReplica::new(), SpaceCache::default());
         let footprint = Footprint::Radius(0.3);
         let _ = mirror.apply(&patch(0, 2, &[(0, 0, 5)]));
-        let first = cache.get(&mirror, &footprint, UnknownPolicy::Free);
+        let first = cache.get(&mirror, &footprint, UnknownPolicy::Free, Fit::Tight);
         assert_eq!(mirror.apply(&patch(1, 2, &[(0, 0, 5)])), PatchResult::Applied);
         assert!(Arc::ptr_eq(
             &first,
-            &cache.get(&mirror, &footprint, UnknownPolicy::Free)
+            &cache.get(&mirror, &footprint, UnknownPolicy::Free, Fit::Tight)
         ));
         assert_eq!(mirror.apply(&patch(2, 2, &[(0, 0, 6)])), PatchResult::Applied);
         assert!(!Arc::ptr_eq(
             &first,
-            &cache.get(&mirror, &footprint, UnknownPolicy::Free)
+            &cache.get(&mirror, &footprint, UnknownPolicy::Free, Fit::Tight)
         ));
     }
 }

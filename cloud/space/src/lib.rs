@@ -66,7 +66,7 @@ mod zones;
 
 pub use bits::BitGrid;
 pub use body::{convex_hull, swept_corners};
-pub use cache::SpaceCache;
+pub use cache::{Fit, SpaceCache};
 pub use configuration::{ConfigurationSpace, UnknownPolicy};
 pub use distance::exact::squared_distances;
 pub use distance::{DistanceField, MAX_REACH};

@@ -1,4 +1,5 @@
-//! Incremental update. What of a configuration space changes when tiles of its map change? Only what lies within reach of a cell that means something else
+//! Incremental update. What of a configuration space changes when tiles of its map change? Only what lies within reach of a cell that means
+//! something else
 //! now, and the result equals a space that is built anew.
 
 use std::collections::BTreeMap;

@@ -154,6 +154,8 @@ impl Pulse {
         if let Some(heartbeat) = &mut self.beats {
             self.more += 1;
             heartbeat.counter += 1;
+            // It tells nothing of the link: it waited here.
+            heartbeat.echo = None;
             self.publisher.put(heartbeat);
         }
     }

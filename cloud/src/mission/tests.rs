@@ -144,14 +144,14 @@ async fn arbiter(bus: Bus, shutdown: Shutdown) {
         tokio::select! {
             () = shutdown.wait() => return,
             _ = ticks.tick() => states.put(&EdgeState { stamp: now(), lease: book.state(now()), ..state() }),
-            Some(beat) = beats.next() => { book.renew(now(), &beat.message.holder, beat.message.epoch, beat.message.counter); }
+            Some(beat) = beats.next() => { book.renew(now(), &beat.message); }
             Some(request) = server.next() => {
                 let id = format!("{:?}{}", request.body.store, request.body.request_id);
                 let known = answered.iter().find(|(known, _)| *known == id).map(|(_, answer)| answer.clone());
                 let answer = known.unwrap_or_else(|| book.request(now(), &request.body).map(|granted| LeaseReply {
                     epoch: granted.epoch,
                     ttl_secs: 1.0,
-                    boot_id: "boot".into(),
+                    boot_id: "boot".into(), round_trip_secs: None,
                 }));
                 answered.push((id, answer.clone()));
                 match answer {
@@ -177,6 +177,7 @@ fn state() -> EdgeState {
         behaviour: None,
         wall_follower: None,
         missed_ticks: 0,
+        round_trip_secs: None,
         makes_way: false,
     }
 }

@@ -18,7 +18,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
 use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
-use zenav_space::{ConfigurationSpace, SpaceCache, UnknownPolicy, Zones};
+use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 use super::via::{Piece, pieces, sum};
 
@@ -71,6 +71,7 @@ struct Kept {
     map: String,
     footprint: Footprint,
     policy: UnknownPolicy,
+    fit: Fit,
     replanner: Replanner,
 }
 
@@ -238,9 +239,34 @@ impl MotionWorker {
         Ok(reply)
     }
 
-    /// A path between two poses.
+    /// A path between two poses: a tight one where there is no roomy one.
     fn leg(
         &mut self,
+        map: &MapReplica,
+        model: &RobotModel,
+        policy: UnknownPolicy,
+        ends: (Pose2, Pose2),
+        options: &PlanOptions,
+        cancel: &Cancel,
+    ) -> Result<Planned, Refusal> {
+        let roomy = self.leg_that_fits(Fit::Roomy, map, model, policy, ends, options, cancel)?;
+        if matches!(roomy.outcome, PlanOutcome::Found { .. } | PlanOutcome::TimedOut) {
+            return Ok(roomy);
+        }
+        let tight = self.leg_that_fits(Fit::Tight, map, model, policy, ends, options, cancel)?;
+        Ok(Planned {
+            expansions: roomy.expansions + tight.expansions,
+            ..tight
+        })
+    }
+
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "what a path is searched in, from where to where, and how"
+    )]
+    fn leg_that_fits(
+        &mut self,
+        fit: Fit,
         map: &MapReplica,
         model: &RobotModel,
         policy: UnknownPolicy,
@@ -248,8 +274,10 @@ impl MotionWorker {
         options: &PlanOptions,
         cancel: &Cancel,
     ) -> Result<Planned, Refusal> {
-        let space = self.spaces.get(map, &model.footprint, policy);
-        let same = |kept: &Kept| kept.map == map.map().id && kept.policy == policy && kept.footprint == model.footprint;
+        let space = self.spaces.get(map, &model.footprint, policy, fit);
+        let same = |kept: &Kept| {
+            kept.map == map.map().id && (kept.policy, kept.fit) == (policy, fit) && kept.footprint == model.footprint
+        };
         let at = self.replanners.iter().position(same);
         let mut kept = match at.and_then(|at| self.replanners.remove(at)) {
             Some(kept) => kept,
@@ -257,6 +285,7 @@ impl MotionWorker {
                 map: map.map().id.clone(),
                 footprint: model.footprint.clone(),
                 policy,
+                fit,
                 replanner: Replanner::new(&space).map_err(Refusal::internal)?,
             },
         };
@@ -305,9 +334,23 @@ impl MotionWorker {
                 what: format!("a map of {}", request.robot),
             });
         };
-        let space = self
-            .spaces
-            .get(map, &model.footprint, UnknownPolicy::of(request.unknown_is_free));
+        let roomy = self.smooth_that_fits(Fit::Roomy, map, given, &model, request);
+        if roomy.trajectory.is_empty() {
+            return Ok(self.smooth_that_fits(Fit::Tight, map, given, &model, request));
+        }
+        Ok(roomy)
+    }
+
+    fn smooth_that_fits(
+        &mut self,
+        fit: Fit,
+        map: &MapReplica,
+        given: &mut Given<'_>,
+        model: &RobotModel,
+        request: &SmoothRequest,
+    ) -> SmoothReply {
+        let policy = UnknownPolicy::of(request.unknown_is_free);
+        let space = self.spaces.get(map, &model.footprint, policy, fit);
         let mut reply = SmoothReply {
             map: map.map().clone(),
             trajectory: Trajectory::default(),
@@ -343,7 +386,7 @@ impl MotionWorker {
             let smoothed = smooth(
                 if *backwards { &turned } else { &space },
                 &query,
-                &model,
+                model,
                 settings,
                 Some(&given.cancel.smoothing),
                 &mut *given.clock,
@@ -355,12 +398,12 @@ impl MotionWorker {
             reply.statistics = sum(reply.statistics, smoothed.statistics);
             let Some(last) = trajectory.last() else {
                 reply.trajectory = trajectory;
-                return Ok(reply);
+                return reply;
             };
             (start, start_velocity) = (last.pose(), Twist2::ZERO);
             reply.trajectory = reply.trajectory.then(&trajectory);
         }
-        Ok(reply)
+        reply
     }
 }
 

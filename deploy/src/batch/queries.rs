@@ -1,4 +1,5 @@
-//! Queries of a batch. Which starts and goals are asked for? Lines `sx sy gx gy [optimum]`, or a Moving AI scenario: columns and rows of the map file as it is written,
+//! Queries of a batch. Which starts and goals are asked for? Lines `sx sy gx gy [optimum]`, or a Moving AI scenario: columns and rows of
+//! the map file as it is written,
 //! rows from the top.
 
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! `zenav smooth`: a batch of queries for one robot, from search to time law. Which trajectories result, how long does each phase take, is each collision-free?
+//! `zenav smooth`: a batch of queries for one robot, from search to time law. Which trajectories result, how long does each phase take, is
+//! each collision-free?
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -16,6 +16,7 @@ use std::path::PathBuf;
 
 use zenav_cloud::motion::MotionSettings;
 use zenav_edge::EdgeSettings;
+use zenav_gateway::GatewaySettings;
 use zenav_mapping::MappingSettings;
 use zenav_mission::MissionSettings;
 use zenav_planning::PlanningSettings;
@@ -58,6 +59,8 @@ settings! {
         pub zones: ZonesSection;
         /// The mission orchestrator.
         pub mission: Service<MissionSection, MissionSettings>;
+        /// The mission-control page.
+        pub gateway: Service<GatewaySection, GatewaySettings>;
         /// What is kept on disk.
         pub data: DataSection;
     }
@@ -147,6 +150,14 @@ settings! {
         pub enabled: bool = true;
         /// Its name as a lease holder.
         pub holder: String = "mission".to_owned();
+    }
+}
+
+settings! {
+    /// How the mission-control page is run.
+    pub struct GatewaySection {
+        /// Whether `zenav up` and `zenav demo` serve it.
+        pub enabled: bool = true;
     }
 }
 

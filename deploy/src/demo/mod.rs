@@ -35,6 +35,7 @@ use crate::config::{self, Deployment, RobotSection};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::gateway::{self, PageArgs};
 use crate::launch::runtime;
 use crate::output::{Format, spinner, value};
 use crate::report::{DemoReport, ScenarioOutcome};
@@ -119,6 +120,8 @@ pub struct DemoArgs {
     /// Plain log lines instead of a live display
     #[arg(long)]
     no_ui: bool,
+    #[command(flatten)]
+    page: PageArgs,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
@@ -186,6 +189,11 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
         ..RobotSection::default()
     };
     deployment.robots = [(id.to_owned(), robot)].into();
+    // Several demos may run on one machine.
+    if !args.page.names_address() {
+        gateway::FREE_PORT.clone_into(&mut deployment.gateway.settings.listen);
+    }
+    args.page.apply(&mut deployment);
     if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
         planner.clone_into(&mut deployment.planning.run.planner);
     }
@@ -269,6 +277,7 @@ async fn play(
         .as_deref()
         .map(|file| Film::new(file, script, world, referee.clone()));
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
+    let page = parts.gateway(deployment, world).await?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
     if script.drawn {
@@ -287,6 +296,9 @@ async fn play(
         reply = bus.ask(&topics::GOAL, &robot, &request, START_UP) => reply?,
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
     };
+    if let Some(page) = &page {
+        gateway::tell(page);
+    }
     watch.bar = live_display(args);
     watch.narrate(&format!("goal {} accepted", reply.id));
     let asking = tokio::spawn(refusals::ask(

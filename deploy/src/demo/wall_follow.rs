@@ -23,6 +23,7 @@ use crate::drawing::plane::Mark;
 use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
+use crate::gateway;
 use crate::report::{DemoReport, WallReport};
 use crate::wall_following::score::Errors;
 
@@ -113,6 +114,9 @@ pub(super) async fn play(
         driven: Vec::new(),
         end: Stamp::from_secs(script.time_limit),
     };
+    if let Some(page) = parts.gateway(deployment, world).await? {
+        gateway::tell(&page);
+    }
     tokio::select! {
         ended = parts.first_end() => { ended?; return Err(Failure::failed("the parts ended")); }
         () = interrupted() => return Err(Failure::new(exit_code::INTERRUPTED, "interrupted")),

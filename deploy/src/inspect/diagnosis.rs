@@ -335,6 +335,7 @@ pub(super) mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            round_trip_secs: None,
             makes_way: false,
         }
     }

@@ -1,4 +1,5 @@
-//! `zenav doctor`. Is everything there and healthy? Listens for two seconds, asks every component for its info, and says what to do about what is wrong.
+//! `zenav doctor`. Is everything there and healthy? Listens for two seconds, asks every component for its info, and says what to do about
+//! what is wrong.
 
 use std::io::IsTerminal as _;
 use std::time::Duration;

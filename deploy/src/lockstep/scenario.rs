@@ -25,6 +25,8 @@ use crate::report::per_metre;
 const ROBOT: &str = "robot";
 /// Largest side of a known map, cells.
 const MAX_CELLS: f64 = 16_384.0;
+/// Searches take no time here; this stands for the mission's own steps, s.
+const COMPUTING: f64 = 0.1;
 /// Time for a robot to come to rest when its mission has ended, s.
 const SETTLING: f64 = 5.0;
 
@@ -218,7 +220,7 @@ impl Scenario<'_> {
         let start = start.map_or_else(|| self.world.start(), |start| Pose2::new(start.x, start.y, start.yaw));
         let mut mission = deployment.mission.settings.clone();
         if !layers.sets("mission.latency_budget") {
-            mission.latency_budget = (1e-3 * self.cloud_delay_ms * 2.0).max(0.1);
+            mission.latency_budget = COMPUTING;
         }
         let mut mapping = deployment.mapping.settings.clone();
         let known_map = self
@@ -282,7 +284,7 @@ fn ending(state: &GoalState, error: f64) -> (RunOutcome, Option<String>) {
     });
     let outcome = match state.state {
         GoalPhase::Rejected => RunOutcome::Rejected,
-        _ if reason.contains("no path") || reason.contains("the goal is occupied") => RunOutcome::NoPath,
+        _ if reason.contains("no path") || reason.contains("is occupied") => RunOutcome::NoPath,
         _ => RunOutcome::Aborted,
     };
     (outcome, Some(reason))

@@ -49,6 +49,7 @@ impl LeaseSession {
             holder: holder.to_owned(),
             epoch: grant.epoch,
             counter: u64::try_from(since.as_micros()).unwrap_or_default(),
+            echo: None,
         };
         let heartbeats = tokio::spawn(async move {
             let mut pace = tokio::time::interval(PERIOD);

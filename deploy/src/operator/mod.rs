@@ -1,4 +1,5 @@
-//! Operator commands. How does a person take control of a robot? Stop and resume need no lease and no cloud; driving by hand needs the operator's lease.
+//! Operator commands. How does a person take control of a robot? Stop and resume need no lease and no cloud; driving by hand needs the
+//! operator's lease.
 //!
 //! | file | answers |
 //! |---|---|

@@ -129,6 +129,7 @@ mod tests {
             epoch: 5,
             ttl_secs: 1.0,
             boot_id: "b1".to_owned(),
+            round_trip_secs: None,
         }
     }
 
@@ -151,6 +152,7 @@ mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            round_trip_secs: None,
             makes_way: false,
         }
     }

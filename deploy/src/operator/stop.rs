@@ -1,4 +1,5 @@
-//! `zenav stop` and `zenav resume`. How is a robot stopped and released? By asking the robot itself: no lease, no cloud, and on its own endpoint no router either.
+//! `zenav stop` and `zenav resume`. How is a robot stopped and released? By asking the robot itself: no lease, no cloud, and on its own
+//! endpoint no router either.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -1,4 +1,5 @@
-//! Wall following in lockstep. How does a robot follow walls when nobody commands it? Body and pilot in turn, without a network, repeatable from a seed.
+//! Wall following in lockstep. How does a robot follow walls when nobody commands it? Body and pilot in turn, without a network, repeatable
+//! from a seed.
 
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
 use zenav_protocol::id::Id;

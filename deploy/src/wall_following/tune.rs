@@ -2,7 +2,8 @@
 //! better they are in rooms that the search has not seen.
 //!
 //! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's truth, along all walls and
-//! corners, from the moment on at which the robot first was near its distance; every contact costs another metre, and so does time that is not spent along walls. Every candidate drives in the same rooms
+//! corners, from the moment on at which the robot first was near its distance; every contact costs another metre, and so does time that is
+//! not spent along walls. Every candidate drives in the same rooms
 //! with the same noise, each simulation on one of the threads; the result does not depend on their number.
 
 use std::path::PathBuf;

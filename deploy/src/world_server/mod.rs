@@ -1,4 +1,5 @@
-//! World server (`zenav sim serve`). How do robots on several machines share one world? The server holds it and moves its time on; edges attach over the bus, each
+//! World server (`zenav sim serve`). How do robots on several machines share one world? The server holds it and moves its time on; edges
+//! attach over the bus, each
 //! with a robot of its own, and hear and move it there as they would a real one.
 //!
 //! The world waits for nobody: a robot whose edge is silent for 0.1 s of its time stops its wheels, as hardware would.

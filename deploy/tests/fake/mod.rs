@@ -108,7 +108,7 @@ impl Memory {
                 _ = pace.tick() => {
                     let now = self.clock.now();
                     if let Some(beat) = heartbeats.take() {
-                        self.lease.renew(now, &beat.holder, beat.epoch, beat.counter);
+                        self.lease.renew(now, &beat);
                     }
                     states.put(&self.state(now));
                     poses.put(&PoseEstimate { stamp: now, map_from_base: Pose2::new(0.25, 0.125, 0.0), covariance: [0.0; 9], velocity: Twist2::ZERO });
@@ -116,7 +116,7 @@ impl Memory {
                 }
                 Some(request) = stops.next() => request.reply(&StopReply { stopped: true }),
                 Some(request) = leases.next() => match self.lease.request(self.clock.now(), &request.body) {
-                    Ok(granted) => request.reply(&LeaseReply { epoch: granted.epoch, ttl_secs: 1.0, boot_id: "b".into() }),
+                    Ok(granted) => request.reply(&LeaseReply { epoch: granted.epoch, ttl_secs: 1.0, boot_id: "b".into() , round_trip_secs: None}),
                     Err(refusal) => request.refuse(&refusal),
                 },
                 Some(request) = goals.next() => match self.accept(&request.body) {
@@ -151,6 +151,7 @@ impl Memory {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            round_trip_secs: None,
             makes_way: false,
         }
     }

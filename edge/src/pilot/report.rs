@@ -43,6 +43,7 @@ impl Pilot {
             mode: self.mode,
             link: self.authority.link(),
             lease: self.authority.lease_state(now),
+            round_trip_secs: self.authority.round_trip_secs(),
             plan: self.active_plan.as_ref().map(|active| active.progress(now, &pose)),
             velocity: self.estimator.velocity(),
             guard: self.collision_monitor.zone(),

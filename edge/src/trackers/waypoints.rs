@@ -1,4 +1,5 @@
-//! Waypoint follower. How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only says how to drive at
+//! Waypoint follower. How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only
+//! says how to drive at
 //! the next one.
 
 use nalgebra::Point2;

@@ -5,7 +5,8 @@ use nalgebra::Point2;
 /// Most points used; more are thinned evenly.
 const MOST: usize = 4096;
 
-/// Runs of returns that stand together, neighbours at most `gap` m apart, at least `least` in each; `points` are those of a sweep in the order of its beams.
+/// Runs of returns that stand together, neighbours at most `gap` m apart, at least `least` in each; `points` are those of a sweep in the
+/// order of its beams.
 /// A full circle has no first beam: a run may cross its seam.
 #[must_use]
 pub fn runs(points: impl Iterator<Item = Point2<f64>>, least: usize, gap: f64) -> Vec<Vec<Point2<f64>>> {

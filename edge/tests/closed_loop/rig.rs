@@ -90,6 +90,7 @@ impl Rig {
                 holder: "m".into(),
                 epoch: self.epoch,
                 counter: self.counter,
+                echo: None,
             });
             if let (Some(twist), Some(state)) = (self.teleop, &self.state) {
                 inbox.teleops.push(Teleop {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::time::Stamp;
+
 /// In which role somebody commands a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -66,6 +68,9 @@ pub struct LeaseRequest {
     /// For [`LeaseAction::CaughtUp`]: the epoch under which the mission leads, and the stores that have caught up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leads: Option<Leader>,
+    /// The robot's time as the asker knows it: the stamp of the newest state that came, and the time since then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub echo: Option<Stamp>,
 }
 
 impl LeaseRequest {
@@ -79,6 +84,7 @@ impl LeaseRequest {
             request_id: request_id.into(),
             store: None,
             leads: None,
+            echo: None,
         }
     }
 }
@@ -107,6 +113,9 @@ pub struct LeaseReply {
     pub ttl_secs: f64,
     /// The start of the edge that granted the lease.
     pub boot_id: String,
+    /// Round trip to the robot and back, s, by the request's echo; `None` where it had none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub round_trip_secs: Option<f64>,
 }
 
 /// Renews the lease; sent ten times a second by its holder.
@@ -118,4 +127,8 @@ pub struct Heartbeat {
     pub epoch: u64,
     /// Number of this heartbeat: a replayed or reordered one renews nothing.
     pub counter: u64,
+    /// The robot's time as the holder knows it: the stamp of the newest state that came, and the time since then. So the robot measures
+    /// the round trip on its own clock.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub echo: Option<Stamp>,
 }

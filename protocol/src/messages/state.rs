@@ -122,6 +122,9 @@ pub struct EdgeState {
     pub link: Link,
     /// Who may command the robot.
     pub lease: LeaseState,
+    /// Round trip to the holder of the lease and back, by its heartbeats, s: the longest of late. `None` before its first heartbeat.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub round_trip_secs: Option<f64>,
     /// Progress on the accepted plan, if there is one.
     pub plan: Option<PlanProgress>,
     /// Velocity in the base frame, m/s and rad/s.

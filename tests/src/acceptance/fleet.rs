@@ -218,6 +218,7 @@ impl FakeRobot {
                 behaviour: None,
                 wall_follower: None,
                 missed_ticks: 0,
+                round_trip_secs: None,
                 makes_way: false,
             });
         }
@@ -302,7 +303,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                     biased;
                     Some(heartbeat) = heartbeats.next() => {
                         let Some(fake) = heartbeat.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                        fake.arbiter.renew(now(), &heartbeat.message.holder, heartbeat.message.epoch, heartbeat.message.counter);
+                        fake.arbiter.renew(now(), &heartbeat.message);
                         let last = fake.heartbeat.replace(Instant::now());
                         if let (Some(last), Some(_)) = (last, measured) {
                             findings.jitter.push((last.elapsed().as_secs_f64() - HEARTBEAT_PERIOD).abs());
@@ -348,7 +349,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                             Ok(granted) => request.reply(&LeaseReply {
                                 epoch: granted.epoch,
                                 ttl_secs: LEASE.as_secs_f64(),
-                                boot_id: "boot".to_owned(),
+                                boot_id: "boot".to_owned(), round_trip_secs: None,
                             }),
                             Err(refusal) => request.refuse(&refusal),
                         }

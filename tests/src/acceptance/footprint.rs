@@ -177,6 +177,7 @@ impl Client {
             holder: HOLDER.to_owned(),
             epoch: self.epoch,
             counter: self.beats,
+            echo: None,
         });
         if let Some(state) = self.states.borrow() {
             self.teleop.put(&Teleop {

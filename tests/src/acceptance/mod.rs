@@ -14,6 +14,7 @@
 //! | [`invariants`] | what holds of goals and of the robot meanwhile |
 //! | [`guard`] | the collision monitor under adversarial commands |
 
+mod benign;
 pub mod fleet;
 pub mod footprint;
 pub mod guard;
@@ -21,6 +22,7 @@ pub mod handover;
 pub mod invariants;
 pub mod kills;
 pub mod pose;
+mod sight;
 pub mod sim_rig;
 pub mod tracking;
 pub mod worlds;

@@ -108,6 +108,7 @@ impl SimRig {
                 holder: "holder".to_owned(),
                 epoch: 1,
                 counter: self.counter,
+                echo: None,
             });
         }
         if self.ticks.is_multiple_of(50)

@@ -12,6 +12,7 @@ const ARROWS: &[Arrows] = &[
     ("zenav-sim", &["zenav-protocol"], &["zenav-fixtures"]),
     ("zenav-edge", &["zenav-protocol", "zenav-sim"], &["zenav-fixtures"]),
     ("zenav-behaviour-tree", &[], &[]),
+    ("zenav-gateway", &["zenav-protocol"], &[]),
     ("zenav-mapping", &["zenav-protocol"], &["zenav-fixtures"]),
     ("zenav-space", &["zenav-protocol"], &["zenav-mapping", "zenav-fixtures"]),
     (
@@ -40,6 +41,7 @@ const ARROWS: &[Arrows] = &[
         &[
             "zenav-protocol",
             "zenav-behaviour-tree",
+            "zenav-gateway",
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
@@ -56,6 +58,7 @@ const ARROWS: &[Arrows] = &[
             "zenav-edge",
             "zenav-cloud",
             "zenav-behaviour-tree",
+            "zenav-gateway",
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
@@ -75,6 +78,10 @@ const WALLS: &[(&str, &[&str])] = &[
     (
         "zenav-behaviour-tree",
         &["zenoh", "tokio", "redb", "nalgebra", "clarabel", "zenav-protocol"],
+    ),
+    (
+        "zenav-gateway",
+        &["zenoh", "redb", "clarabel", "roxmltree", "parry2d-f64"],
     ),
     (
         "zenav-mapping",

@@ -10,4 +10,5 @@ mod nav2_trees;
 mod patience;
 mod remote;
 mod rig;
+mod slow_links;
 mod survival;

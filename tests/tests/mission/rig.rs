@@ -39,13 +39,16 @@ const SPEC: GridSpec = GridSpec {
 /// Answers remote actions.
 pub type RemoteServer = Box<dyn FnMut(&RemoteRequest) -> RemoteReply>;
 
-/// A shipped robot that looks behind itself, too: it may back up. Few beams are enough for a room.
-fn model() -> RobotModel {
+/// A shipped robot that looks behind itself, too: it may back up. Few beams are enough for a known room of coarse cells.
+fn model(beams: usize) -> RobotModel {
     let mut model = zenav_fixtures::robot("tiago");
     let lidar = model.lidar.as_mut().unwrap();
-    (lidar.field_of_view, lidar.beams) = (std::f64::consts::TAU, 180);
+    (lidar.field_of_view, lidar.beams) = (std::f64::consts::TAU, beams);
     model
 }
+
+/// Beams in a known room, and where the robot maps.
+const BEAMS: [usize; 2] = [180, 720];
 
 /// A walled room from (-4.9, -4.9) to (7.7, 7.7), where these points are walls besides.
 pub fn room(is_wall: impl Fn(Point2<f64>) -> bool) -> OccupancyGrid {
@@ -135,18 +138,19 @@ impl Rig {
 
     fn of(world: World, known_map: Option<OccupancyGrid>, delay: f64) -> Self {
         let (id, start) = (Id::robot("tiago").unwrap(), world.start());
-        let edge = EdgeConfig::new(id.clone(), model(), start);
+        let model = model(BEAMS[usize::from(known_map.is_none())]);
+        let edge = EdgeConfig::new(id.clone(), model.clone(), start);
         let mut config = MissionConfig::new(id.clone(), "mission-a", "unused".into());
         config.places = places(&world);
-        let (model, resolution) = (model(), known_map.as_ref().map_or(0.1, |map| map.spec().resolution));
+        let mut mapping = MappingSettings::default();
+        if let Some(map) = &known_map {
+            mapping.resolution = map.spec().resolution;
+        }
         let simulation = Simulation::new(&world, vec![RobotSpec { id, model, start }], 1).unwrap();
         let stage = ClosedLoopConfig {
             edge: edge.clone(),
             mission: config.clone(),
-            mapping: MappingSettings {
-                resolution,
-                ..MappingSettings::default()
-            },
+            mapping,
             motion: MotionSettings::default(),
             known_map,
             cloud_delay: delay,
@@ -211,7 +215,7 @@ impl Rig {
 
     /// Puts something round into the room, for good.
     pub fn occupy(&mut self, x: f64, y: f64, radius: f64) {
-        let mut model = model();
+        let mut model = model(BEAMS[0]);
         model.footprint = Footprint::Radius(radius);
         model.lidar.as_mut().unwrap().rate_hz = 0.01;
         let (id, start) = (Id::unique(), Pose2::new(x, y, 0.0));
@@ -394,6 +398,7 @@ impl Rig {
                 holder: holder.clone(),
                 epoch: *epoch,
                 counter: *counter,
+                echo: None,
             });
         }
         let out = self.stage.advance().remove(0);

@@ -388,10 +388,11 @@ impl FollowPath {
     /// Holds the motion in force once what stands on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
         if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
-            let settings = &ctx.config.settings;
             let braking = Limits::of(model).braking_time(ctx.robot.velocity());
-            if at - self.where_it_is(ctx).0 < braking + settings.latency_budget + settings.obstacle.brake_early {
-                ctx.hold();
+            let early = ctx.latency_budget() + ctx.config.settings.obstacle.brake_early;
+            let ahead = at - self.where_it_is(ctx).0;
+            if ahead < braking + early {
+                ctx.hold_within(ahead);
             }
         }
     }

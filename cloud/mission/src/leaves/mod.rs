@@ -253,6 +253,7 @@ fn step(io: &mut LeafIo<'_>, ctx: &mut Context, what: &str) -> Status {
     io.say(what);
     let said = format!("{}: {what}", io.name());
     if ctx.goal.feedback.step != said {
+        tracing::debug!(goal = ctx.goal.id, now = ctx.now.as_secs(), "{said}");
         ctx.goal.feedback.step = said;
     }
     Status::Running

@@ -1,5 +1,6 @@
 //! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a
-//! place, JSON, or as Nav2 writes them; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the blackboard, or a JSON list of points.
+//! place, JSON, or as Nav2 writes them; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the
+//! blackboard, or a JSON list of points.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

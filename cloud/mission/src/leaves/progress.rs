@@ -5,6 +5,9 @@ use zenav_protocol::time::Stamp;
 
 use crate::context::Context;
 
+/// Who makes way for another robot is given so many times as long: after that, both stand.
+const MAKING_WAY: f64 = 2.0;
+
 /// Where and when the robot was seen to get on last.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Progress {
@@ -20,18 +23,15 @@ impl Progress {
     /// Whether the robot has been without progress for too long.
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
-        if ctx.robot.state().is_some_and(|state| state.makes_way) {
-            // Another robot goes first.
-            self.reset();
-            return false;
-        }
         let settings = &ctx.config.settings.progress;
+        let makes_way = ctx.robot.state().is_some_and(|state| state.makes_way);
+        let timeout = if makes_way { MAKING_WAY } else { 1.0 } * settings.timeout;
         match self.anchor {
             Some((since, anchor))
                 if anchor.distance(&pose) < settings.distance
                     && wrap_angle(pose.yaw - anchor.yaw).abs() < settings.angle =>
             {
-                ctx.now.secs_since(since) > settings.timeout
+                ctx.now.secs_since(since) > timeout
             }
             _ => {
                 self.anchor = Some((ctx.now, pose));

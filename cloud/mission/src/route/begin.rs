@@ -45,7 +45,7 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
     // A trajectory that is held runs on to where the new one begins, if slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
-        let time = (time + ctx.config.settings.latency_budget).max(0.0);
+        let time = (time + ctx.latency_budget()).max(0.0);
         if time + SHORT_REST < plan.trajectory.end_time() {
             let point = plan.trajectory.sample(time);
             let splice = Splice {

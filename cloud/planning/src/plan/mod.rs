@@ -70,7 +70,8 @@ impl Planned {
 ///
 /// The path leads from the exact start to the exact goal (m, map frame). The footprint can drive it as it stands: legs straight, turns on
 /// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free); the SE(2) search may
-/// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is
+/// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin
+/// that its footprint asks for leaves by the nearest free cell; it is
 /// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that. A goal where it does not fit is refused,
 /// but for [`PlanOptions::goal_tolerance`].
 ///

@@ -1,4 +1,5 @@
-//! RRT*. How does the path that was found become the shortest one? A tree with costs, new vertices where they can still help, for as long as there is time.
+//! RRT*. How does the path that was found become the shortest one? A tree with costs, new vertices where they can still help, for as long
+//! as there is time.
 //!
 //! Sources: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*, the radius within which vertices are
 //! rewired); Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014 (samples and vertices only where a shorter path can lead). The first path is that

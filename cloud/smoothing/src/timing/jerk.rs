@@ -17,6 +17,7 @@ use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, Nonnegat
 
 use super::law::TimeLaw;
 use super::limits::Limits;
+use super::linear_rows::{Form, Rows, columns};
 use super::path::GeometricPath;
 use super::sweep::ceilings;
 
@@ -100,74 +101,6 @@ pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]
         reference = spline.heights(&squared);
     }
     best.ok_or(JerkError::TooShort)
-}
-
-/// `factors · x[first..] + constant`.
-#[derive(Clone, Copy, Debug, Default)]
-struct Form {
-    first: usize,
-    factors: [f64; 3],
-    constant: f64,
-}
-
-impl Form {
-    /// One unknown.
-    fn unknown(index: usize) -> Self {
-        Self {
-            first: index,
-            factors: [1.0, 0.0, 0.0],
-            constant: 0.0,
-        }
-    }
-
-    fn constant(constant: f64) -> Self {
-        Self {
-            constant,
-            ..Self::default()
-        }
-    }
-
-    fn scaled(self, factor: f64) -> Self {
-        Self {
-            factors: self.factors.map(|f| f * factor),
-            constant: self.constant * factor,
-            ..self
-        }
-    }
-
-    /// The sum; the unknowns of both lie within three.
-    fn plus(self, other: Self) -> Self {
-        let (low, high) = if self.is_constant() {
-            (other, self)
-        } else if other.is_constant() || self.first <= other.first {
-            (self, other)
-        } else {
-            (other, self)
-        };
-        let mut sum = low;
-        sum.constant += high.constant;
-        if !high.is_constant() {
-            let shift = high.first - low.first;
-            for (i, factor) in high
-                .factors
-                .into_iter()
-                .enumerate()
-                .filter(|(_, factor)| *factor != 0.0)
-            {
-                sum.factors[i + shift] += factor;
-            }
-        }
-        sum
-    }
-
-    fn is_constant(&self) -> bool {
-        self.factors == [0.0; 3]
-    }
-
-    fn at(&self, x: &[f64]) -> f64 {
-        let terms = self.factors.iter().zip(x.iter().skip(self.first));
-        terms.map(|(factor, x)| factor * x).sum::<f64>() + self.constant
-    }
 }
 
 /// The squared speed as a quadratic spline, where the jerk is not constant.
@@ -428,21 +361,6 @@ struct Bounds<'a> {
     jerk: f64,
 }
 
-/// Rows, each at most one.
-struct Rows {
-    rows: Vec<Form>,
-}
-
-impl Rows {
-    fn at_most(&mut self, form: Form, bound: f64) {
-        self.rows.push(form.scaled(1.0 / bound));
-    }
-
-    fn within(&mut self, form: Form, bound: f64) {
-        self.rows.extend([form.scaled(1.0 / bound), form.scaled(-1.0 / bound)]);
-    }
-}
-
 struct Answer {
     x: Vec<f64>,
     status: String,
@@ -490,33 +408,4 @@ fn solve_within(cost: &[(f64, f64)], rows: &[Form], precise: bool) -> Result<Ans
         iterations: solver.solution.iterations,
         gap: solver.info.gap_rel,
     })
-}
-
-/// `row <= 1` for all rows.
-fn columns(rows: &[Form], unknowns: usize) -> (CscMatrix<f64>, Vec<f64>) {
-    let entries = |row: &Form| {
-        let first = row.first;
-        let factors = row.factors.into_iter().enumerate();
-        factors
-            .filter(|(_, factor)| *factor != 0.0)
-            .map(move |(i, factor)| (first + i, factor))
-    };
-    let mut starts = vec![0; unknowns + 1];
-    for (unknown, _) in rows.iter().flat_map(entries) {
-        starts[unknown + 1] += 1;
-    }
-    for unknown in 0..unknowns {
-        starts[unknown + 1] += starts[unknown];
-    }
-    let total = starts[unknowns];
-    let (mut indices, mut values) = (vec![0; total], vec![0.0; total]);
-    let mut next = starts.clone();
-    for (index, row) in rows.iter().enumerate() {
-        for (unknown, factor) in entries(row) {
-            (indices[next[unknown]], values[next[unknown]]) = (index, factor);
-            next[unknown] += 1;
-        }
-    }
-    let bounds = rows.iter().map(|row| 1.0 - row.constant).collect();
-    (CscMatrix::new(rows.len(), unknowns, starts, indices, values), bounds)
 }

@@ -6,6 +6,7 @@
 //! | [`path`] | where does the path run, by arc length? |
 //! | [`sweep`] | what is the fastest law along it? |
 //! | [`jerk`] | what is the fastest law whose jerk is limited? |
+//! | `linear_rows` | what are the rows of its programmes? |
 //! | [`economy`] | which law costs the least energy? |
 //! | [`law`] | how do speed and time run between samples? |
 //! | [`profile`] | how does a robot turn, or come to rest? |
@@ -16,6 +17,7 @@ pub mod economy;
 pub mod jerk;
 pub mod law;
 pub mod limits;
+mod linear_rows;
 pub mod path;
 pub mod profile;
 pub mod stop_turn_go;

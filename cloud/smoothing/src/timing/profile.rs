@@ -1,4 +1,5 @@
-//! Velocity profile. How does a robot turn from rest to rest, or come to rest, with limited acceleration and jerk? Up to seven pieces of constant jerk.
+//! Velocity profile. How does a robot turn from rest to rest, or come to rest, with limited acceleration and jerk? Up to seven pieces of
+//! constant jerk.
 //!
 //! Without a limit of the jerk the acceleration jumps: a trapezoid in the speed.
 //!

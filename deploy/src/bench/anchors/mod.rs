@@ -3,10 +3,12 @@
 //! | file | answers |
 //! |---|---|
 //! | `field` | how far is it to the goal among what stands? |
+//! | `orca` | which velocity is clear of everybody, if everybody does half? |
 //! | `window` | which of the twists within reach is best? (dynamic window) |
 //! | `space_time` | which way is free at the time that one gets there? (A* over cells and time) |
 
 mod field;
+mod orca;
 mod space_time;
 mod window;
 
@@ -23,6 +25,7 @@ use super::suites::Case;
 use crate::failure::Failure;
 use crate::lockstep::Referee;
 pub(super) use field::Field;
+use orca::Orca;
 use space_time::SpaceTime;
 use window::Window;
 
@@ -45,14 +48,16 @@ pub(super) enum Anchor {
     Standing,
     /// The same: people go on at their velocities, which are tracked without error within 10 m.
     ConstantVelocity,
+    /// Optimal reciprocal collision avoidance, of people whose velocities are tracked without error within 10 m.
+    Orca,
     /// A* in space and time that is told everybody's future.
     AllKnowing,
 }
 
 impl Anchor {
-    pub(super) const ALL: [Self; 3] = [Self::Standing, Self::ConstantVelocity, Self::AllKnowing];
+    pub(super) const ALL: [Self; 4] = [Self::Standing, Self::ConstantVelocity, Self::Orca, Self::AllKnowing];
     /// Nobody knows the future of people who react to whoever drives.
-    pub(super) const OF_PEOPLE_WHO_REACT: [Self; 2] = [Self::Standing, Self::ConstantVelocity];
+    pub(super) const OF_PEOPLE_WHO_REACT: [Self; 3] = [Self::Standing, Self::ConstantVelocity, Self::Orca];
 }
 
 /// A disc that moves: where it is, how fast it goes, its radius.
@@ -129,6 +134,7 @@ pub(super) fn drive(
         _ => None,
     };
     let window = Window::new(model, field);
+    let orca = Orca::new(model, field);
     let mut before: Vec<Point2<f64>> = simulation.movers().collect();
     let mut tick = 0;
     loop {
@@ -143,10 +149,9 @@ pub(super) fn drive(
                 .zip(&radii)
                 .map(|((at, before), radius)| Walker {
                     at: *at,
-                    velocity: if anchor == Anchor::ConstantVelocity {
-                        (at - before) / secs
-                    } else {
-                        Vector2::zeros()
+                    velocity: match anchor {
+                        Anchor::ConstantVelocity | Anchor::Orca => (at - before) / secs,
+                        Anchor::Standing | Anchor::AllKnowing => Vector2::zeros(),
                     },
                     radius: *radius,
                 })
@@ -161,6 +166,8 @@ pub(super) fn drive(
                 window.choose(&truth, FOLLOWING, predict, |rollout| {
                     window::follow(rollout, |ahead| reference.at(now + ahead))
                 })
+            } else if anchor == Anchor::Orca {
+                orca.choose(&truth, &walkers, secs)
             } else {
                 let predict = |ahead: f64| {
                     let on = |walker: &Walker| (walker.at + walker.velocity * ahead, walker.radius);

@@ -98,6 +98,7 @@ impl Rig {
                 holder: "m".into(),
                 epoch,
                 counter: self.counter,
+                echo: None,
             });
         }
         let readings = self.readings();

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use zenav_fixtures::Row;
-use zenav_tests::acceptance::guard::{GENTLE, Protection, drive, drive_watched};
+use zenav_tests::acceptance::guard::{Command, GENTLE, Outcome, Protection, drive, drive_watched};
+use zenav_tests::acceptance::sim_rig::SimRigError;
 
 use crate::Verdict;
 
@@ -42,8 +43,33 @@ pub fn replay(seed: u64) -> Verdict {
     Ok(outcome.is_good())
 }
 
-/// Drives in random worlds on every core, and prints a table by command.
+/// Worlds of the negative control.
+const CONTROL: u64 = 200;
+
+/// Drives in random worlds on every core, and prints a table by command; then in some of them without the monitor, where it must fail.
 pub fn guard(worlds: u64, first: u64) -> Verdict {
+    let passed = table(all(worlds, first, Protection::Monitored), worlds);
+    let control = all(worlds.min(CONTROL), first, Protection::Unprotected);
+    let teleoperated = control.into_iter().filter_map(|(_, result)| result.ok());
+    let teleoperated: Vec<Outcome> = teleoperated
+        .filter(|outcome| !matches!(outcome.command, Command::Benign | Command::ThroughWalls))
+        .collect();
+    let hit = teleoperated.iter().filter(|outcome| !outcome.is_good()).count();
+    println!(
+        "negative control: without the collision monitor {hit} of {} teleoperated robots drive into something",
+        teleoperated.len()
+    );
+    Row::new(
+        "share that hits something without the monitor",
+        hit as f64 / teleoperated.len().max(1) as f64,
+        "",
+    )
+    .print();
+    Ok(passed && 2 * hit > teleoperated.len())
+}
+
+/// Drives in so many worlds on every core, in the order of their seeds.
+fn all(worlds: u64, first: u64, protection: Protection) -> Vec<(u64, Result<Outcome, SimRigError>)> {
     let next = AtomicU64::new(first);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let work = || {
@@ -53,7 +79,7 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
             if seed >= first + worlds {
                 return done;
             }
-            done.push((seed, drive(seed, Protection::Monitored)));
+            done.push((seed, drive(seed, protection)));
         }
     };
     let mut results: Vec<_> = std::thread::scope(|scope| {
@@ -65,6 +91,11 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
             .collect()
     });
     results.sort_by_key(|(seed, _)| *seed);
+    results
+}
+
+/// Prints what was found; whether every world passed.
+fn table(results: Vec<(u64, Result<Outcome, SimRigError>)>, worlds: u64) -> bool {
     let mut outcomes = Vec::new();
     let mut failed = worlds.abs_diff(results.len() as u64);
     for (seed, result) in results {
@@ -111,5 +142,10 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
     Row::new(format!("worlds that pass, of {worlds}"), passed as f64, "").print();
     let hardest = outcomes.iter().map(|outcome| outcome.hardest).fold(0.0, f64::max);
     Row::new("hardest contact", hardest, "m/s").print();
-    Ok(failed == 0)
+    let unseen = outcomes
+        .iter()
+        .filter(|outcome| outcome.hardest_unseen > GENTLE)
+        .count();
+    Row::new("worlds with a contact with who was never in sight", unseen as f64, "").print();
+    failed == 0
 }

@@ -23,13 +23,28 @@
 //! assert!(operator.epoch > granted.epoch && !arbiter.admits(Stamp::from_secs(0.6), granted.epoch));
 //! ```
 //!
+//! # Slow links
+//!
+//! A grant's first heartbeat comes a whole round trip after it, so the grant lives that much longer until then: as long as the request says
+//! that the link took, [`LONGEST_ROUND_TRIP`] at most. From the first heartbeat on the time to live is what it is on any link, because
+//! heartbeats come as often as they were sent, however late.
+//!
+//! Nobody else can hold the lease meanwhile: there is one arbiter, on the robot, and it grants nothing while a grant lives. What grows is
+//! the time for which a holder that dies right after its request keeps others out. It moves nothing meanwhile: the robot goes no farther
+//! than its plan is valid, which the robot decides by its own clock and the state that the plan was made from.
+//!
 //! Source: Gray and Cheriton, "Leases", SOSP 1989; fencing by epoch as in Burrows, "The Chubby lock service", OSDI 2006; the arbiter
 //! of who has caught up as in Lin et al., "PacificA", Microsoft Research 2008.
 
 use std::time::Duration;
 
-use crate::messages::{Leader, LeaseAction, LeaseRequest, LeaseRole, LeaseState, Refusal};
+use crate::messages::{Heartbeat, Leader, LeaseAction, LeaseRequest, LeaseRole, LeaseState, Refusal};
 use crate::time::Stamp;
+
+/// Longest round trip that a lease is held over.
+pub const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(10);
+/// Share of its excess that the longest round trip of late keeps from one heartbeat to the next: half of it after 3 s.
+const FORGETS: f64 = 0.977;
 
 /// Decides who holds the lease of one robot, and which mission leads.
 #[derive(Clone, Debug)]
@@ -40,6 +55,8 @@ pub struct LeaseArbiter {
     leader: Option<Leader>,
     /// Time at which the leader was last heard.
     leader_heard: Option<Stamp>,
+    /// The longest of late.
+    round_trip: Option<Duration>,
 }
 
 #[derive(Clone, Debug)]
@@ -49,6 +66,8 @@ struct Grant {
     store: Option<String>,
     renewed: Stamp,
     heartbeat: u64,
+    /// Until the first heartbeat it lives so much longer.
+    extra: Duration,
 }
 
 /// Result of a granted request.
@@ -58,6 +77,8 @@ pub struct Granted {
     pub epoch: u64,
     /// Whether the holder changed: commands of the previous one are void.
     pub holder_changed: bool,
+    /// Round trip to the asker and back, by the request's echo.
+    pub round_trip: Option<Duration>,
 }
 
 impl LeaseArbiter {
@@ -70,6 +91,7 @@ impl LeaseArbiter {
             grant: None,
             leader,
             leader_heard: None,
+            round_trip: None,
         }
     }
 
@@ -79,6 +101,14 @@ impl LeaseArbiter {
     /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease; [`Refusal::NotCaughtUp`] for a mission that may not
     /// lead; [`Refusal::NotLeader`] for a report by a mission that does not lead under that epoch.
     pub fn request(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
+        let granted = self.decide(now, request)?;
+        Ok(Granted {
+            round_trip: measured(now, request.echo),
+            ..granted
+        })
+    }
+
+    fn decide(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
         match request.action {
             LeaseAction::Acquire => self.acquire(now, request),
             LeaseAction::Release => {
@@ -111,6 +141,7 @@ impl LeaseArbiter {
 
     fn acquire(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
         let (ours, live) = (self.is_held_by(request), self.is_live(now));
+        let extra = measured(now, request.echo).unwrap_or_default();
         let store = request.store.as_ref().filter(|_| request.role == LeaseRole::Mission);
         if store.is_some() && store == self.leader.as_ref().map(|leader| &leader.store) {
             self.leader_heard = Some(now);
@@ -146,12 +177,14 @@ impl LeaseArbiter {
         // After a lapse even the same holder gets a new epoch: commands sent before the lapse are void. The plan being finished stays,
         // for the holder is the same.
         self.epoch += 1;
+        self.round_trip = None;
         self.grant = Some(Grant {
             holder: request.holder.clone(),
             role: request.role,
             store: request.store.clone(),
             renewed: now,
             heartbeat: 0,
+            extra,
         });
         if let Some(store) = store {
             self.lead(now, store.clone());
@@ -167,7 +200,8 @@ impl LeaseArbiter {
 
     /// Whether the leader was heard lately. A leader without the lease asks for it twice within the time to live.
     fn leader_is_live(&self, now: Stamp) -> bool {
-        self.leader_heard.is_some_and(|heard| now.since(heard) <= 2 * self.ttl)
+        let patience = 2 * self.ttl + self.round_trip.unwrap_or_default();
+        self.leader_heard.is_some_and(|heard| now.since(heard) <= patience)
     }
 
     /// Makes this store's mission the leader. No standby has caught up with it yet; its own reports will name them.
@@ -191,16 +225,27 @@ impl LeaseArbiter {
         Granted {
             epoch: self.epoch,
             holder_changed,
+            round_trip: None,
         }
     }
 
     /// Renews the lease by a heartbeat; `false` for one of another holder or epoch, a replayed one, or one after the lapse.
-    pub fn renew(&mut self, now: Stamp, holder: &str, epoch: u64, counter: u64) -> bool {
+    pub fn renew(&mut self, now: Stamp, heartbeat: &Heartbeat) -> bool {
         let live = self.is_live(now);
         match &mut self.grant {
-            Some(grant) if live && epoch == self.epoch && grant.holder == holder && counter > grant.heartbeat => {
-                grant.heartbeat = counter;
+            Some(grant)
+                if live
+                    && heartbeat.epoch == self.epoch
+                    && grant.holder == heartbeat.holder
+                    && heartbeat.counter > grant.heartbeat =>
+            {
+                grant.heartbeat = heartbeat.counter;
                 grant.renewed = now;
+                grant.extra = Duration::ZERO;
+                if let Some(new) = measured(now, heartbeat.echo) {
+                    let excess = self.round_trip.unwrap_or_default().saturating_sub(new);
+                    self.round_trip = Some(new + excess.mul_f64(FORGETS));
+                }
                 if grant.store.is_some() {
                     self.leader_heard = Some(now);
                 }
@@ -230,7 +275,13 @@ impl LeaseArbiter {
     pub fn is_live(&self, now: Stamp) -> bool {
         self.grant
             .as_ref()
-            .is_some_and(|grant| now.since(grant.renewed) <= self.ttl)
+            .is_some_and(|grant| now.since(grant.renewed) <= self.ttl + grant.extra)
+    }
+
+    /// Round trip to the holder and back, the longest of late; `None` before its first heartbeat that tells.
+    #[must_use]
+    pub const fn round_trip(&self) -> Option<Duration> {
+        self.round_trip
     }
 
     /// Role of the present or last holder.
@@ -277,219 +328,10 @@ impl LeaseArbiter {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn request(holder: &str, role: LeaseRole, action: LeaseAction) -> LeaseRequest {
-        LeaseRequest::new(holder, role, action, "r")
-    }
-
-    fn at(secs: f64) -> Stamp {
-        Stamp::from_secs(secs)
-    }
-
-    const MISSION: LeaseRole = LeaseRole::Mission;
-    const TAKE: LeaseAction = LeaseAction::Acquire;
-
-    #[test]
-    fn two_missions_never_hold_the_lease_at_once() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 41, None);
-        assert_eq!(
-            arbiter.request(at(0.0), &request("a", MISSION, TAKE)),
-            Ok(Granted {
-                epoch: 42,
-                holder_changed: true
-            })
-        );
-        assert!(matches!(
-            arbiter.request(at(0.9), &request("b", MISSION, TAKE)),
-            Err(Refusal::Held { .. })
-        ));
-        assert_eq!(
-            arbiter.request(at(1.5), &request("b", MISSION, TAKE)),
-            Ok(Granted {
-                epoch: 43,
-                holder_changed: true
-            })
-        );
-        assert!(
-            !arbiter.renew(at(1.6), "a", 42, 9),
-            "the old holder's heartbeat renews nothing"
-        );
-        assert!(!arbiter.admits(at(1.6), 42) && arbiter.admits(at(1.6), 43));
-    }
-
-    #[test]
-    fn a_lapsed_holder_must_ask_anew_and_gets_a_new_epoch() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
-        assert!(arbiter.renew(at(0.5), "a", 1, 1));
-        assert!(
-            !arbiter.renew(at(0.6), "a", 1, 1),
-            "a replayed heartbeat renews nothing"
-        );
-        assert!(
-            !arbiter.renew(at(3.0), "a", 1, 2),
-            "a heartbeat after the lapse renews nothing"
-        );
-        assert_eq!(
-            arbiter.request(at(3.0), &request("a", MISSION, TAKE)),
-            Ok(Granted {
-                epoch: 2,
-                holder_changed: false
-            })
-        );
-    }
-
-    #[test]
-    fn a_command_renews_as_a_heartbeat_does_and_heartbeats_count_on() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter
-            .request(at(0.0), &request("a", LeaseRole::Operator, TAKE))
-            .unwrap();
-        arbiter.heard(at(0.8));
-        assert!(arbiter.is_live(at(1.7)));
-        assert!(arbiter.renew(at(1.7), "a", 1, 1));
-        arbiter.heard(at(3.0));
-        assert!(!arbiter.is_live(at(3.0)), "a command after the lapse renews nothing");
-    }
-
-    fn keeper(store: &str, action: LeaseAction) -> LeaseRequest {
-        LeaseRequest {
-            store: Some(store.into()),
-            ..request(store, MISSION, action)
-        }
-    }
-
-    fn caught_up(store: &str, epoch: u64, revision: u64, stores: &[&str]) -> LeaseRequest {
-        LeaseRequest {
-            leads: Some(Leader {
-                store: store.into(),
-                epoch,
-                caught_up: stores.iter().map(|&store| store.into()).collect(),
-                revision,
-            }),
-            ..keeper(store, LeaseAction::CaughtUp)
-        }
-    }
-
-    #[test]
-    fn only_a_mission_that_has_caught_up_leads_next() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
-        let alone = Err(Refusal::NotCaughtUp {
-            caught_up: vec!["a".into()],
-        });
-        assert_eq!(arbiter.request(at(2.0), &keeper("b", TAKE)), alone);
-        arbiter.request(at(2.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
-        assert_eq!(arbiter.request(at(2.0), &keeper("b", TAKE)).unwrap().epoch, 2);
-        // From now on the new leader is alone: the old one has missed what it writes.
-        assert!(matches!(
-            arbiter.request(at(4.0), &keeper("a", TAKE)),
-            Err(Refusal::NotCaughtUp { .. })
-        ));
-        assert_eq!(
-            arbiter.request(at(4.0), &caught_up("a", 1, 2, &["a"])),
-            Err(Refusal::NotLeader),
-            "a deposed leader's word counts no more"
-        );
-        // Not even over a restart of the robot.
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 2, arbiter.leader().cloned());
-        assert!(arbiter.request(at(0.0), &keeper("a", TAKE)).is_err());
-        arbiter
-            .request(at(0.0), &request("me", LeaseRole::Operator, LeaseAction::Forget))
-            .unwrap();
-        assert!(arbiter.request(at(0.0), &keeper("a", TAKE)).is_ok());
-    }
-
-    #[test]
-    fn a_leader_s_word_of_an_earlier_life_counts_no_more() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
-        let again = arbiter.request(at(0.1), &keeper("a", TAKE)).unwrap();
-        assert_eq!((again.epoch, again.holder_changed), (2, false));
-        assert_eq!(
-            arbiter.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
-            Err(Refusal::NotLeader)
-        );
-        assert!(matches!(
-            arbiter.request(at(2.0), &keeper("b", TAKE)),
-            Err(Refusal::NotCaughtUp { .. })
-        ));
-    }
-
-    #[test]
-    fn who_keeps_no_goals_and_an_operator_change_nothing_in_who_leads() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
-        arbiter
-            .request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
-            .unwrap();
-        arbiter.request(at(2.0), &request("simple", MISSION, TAKE)).unwrap();
-        assert_eq!(arbiter.leader().map(|leader| leader.store.as_str()), Some("a"));
-        let refused = arbiter.request(at(2.1), &keeper("b", TAKE));
-        assert!(matches!(refused, Err(Refusal::Held { leader: Some(leader), .. }) if leader.store == "a"));
-    }
-
-    #[test]
-    fn a_leader_s_word_that_comes_late_counts_no_more() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
-        arbiter.request(at(0.1), &caught_up("a", 1, 2, &["a"])).unwrap();
-        assert_eq!(
-            arbiter.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
-            Err(Refusal::NotLeader)
-        );
-        assert_eq!(arbiter.leader().unwrap().caught_up, ["a"]);
-    }
-
-    #[test]
-    fn while_an_operator_commands_a_silent_leader_is_followed_by_one_that_has_caught_up() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
-        arbiter.request(at(0.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
-        arbiter
-            .request(at(0.5), &request("me", LeaseRole::Operator, TAKE))
-            .unwrap();
-        let leader = |answer: Result<Granted, Refusal>| match answer {
-            Err(Refusal::Held { leader, .. }) => leader.unwrap().store,
-            other => panic!("{other:?}"),
-        };
-        for tick in 1..=8_u32 {
-            let now = at(0.5 + 0.5 * f64::from(tick));
-            assert!(arbiter.renew(now, "me", 2, u64::from(tick)));
-            let told = leader(arbiter.request(now, &keeper("b", TAKE)));
-            assert_eq!(told, if tick < 4 { "a" } else { "b" }, "{tick}");
-            assert!(arbiter.admits(now, 2), "the operator goes on");
-        }
-        assert_eq!(
-            leader(arbiter.request(at(4.6), &keeper("a", TAKE))),
-            "b",
-            "the old leader hears of it"
-        );
-    }
-
-    #[test]
-    fn an_operator_outranks_a_mission_but_not_the_other_way_round() {
-        let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
-        arbiter.request(at(0.0), &request("a", MISSION, TAKE)).unwrap();
-        arbiter
-            .request(at(0.1), &request("me", LeaseRole::Operator, TAKE))
-            .unwrap();
-        assert!(matches!(
-            arbiter.request(at(0.2), &request("a", MISSION, TAKE)),
-            Err(Refusal::Held { .. })
-        ));
-        arbiter
-            .request(at(0.3), &request("me", LeaseRole::Operator, LeaseAction::Release))
-            .unwrap();
-        assert_eq!(
-            arbiter.request(at(0.4), &request("a", MISSION, TAKE)),
-            Ok(Granted {
-                epoch: 3,
-                holder_changed: true
-            })
-        );
-    }
+/// The round trip that an echo tells of, as far as it is believed.
+fn measured(now: Stamp, echo: Option<Stamp>) -> Option<Duration> {
+    Some(now.since(echo?).min(LONGEST_ROUND_TRIP))
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,25 +1,20 @@
-//! `zenav bench drive`: how well does it drive? Every run is judged by truth, beside anchors in the same worlds with the same body.
+//! Runs: one case after another, driven by zenav and by the anchors, and what is kept of each.
 
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use clap::ValueEnum as _;
 use serde::Serialize;
 use tracing::subscriber::{NoSubscriber, with_default};
 use zenav_protocol::time::Stamp;
 use zenav_sim::Truth;
 use zenav_sim::manners::Manners;
 
-use super::anchors::{self, Anchor, Field};
-use super::suites::{Case, Suite, score};
-use crate::batch::{median, progress};
+use super::super::anchors::{self, Anchor, Field};
+use super::super::suites::{Case, score};
+use crate::batch::progress;
 use crate::config::Layers;
-use crate::exit_code;
-use crate::failure::{Failure, Outcome};
-use crate::files;
+use crate::failure::Failure;
 use crate::lockstep::{ContactKind, ContactReport, Entrant, RunOutcome, RunReport, Scenario, worst};
-use crate::output::{Format, line, table, value};
 
 /// Mean delay from scan to plan, ms.
 const DELAY_MS: f64 = 100.0;
@@ -28,39 +23,10 @@ const PERSONAL_SPACE: f64 = 0.45;
 /// Slower than this a robot is at rest, m/s and rad/s.
 const AT_REST: f64 = 0.01;
 
-/// Arguments of `zenav bench drive`.
-#[derive(Debug, clap::Args)]
-pub struct DriveArgs {
-    /// Suite; without it, all
-    #[arg(long, value_enum, value_name = "S", ignore_case = true)]
-    suite: Option<Suite>,
-    /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
-    seeds: Option<u64>,
-    /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
-    #[arg(long, value_name = "DIR")]
-    worlds: Option<PathBuf>,
-    /// Standard deviation of the lidar's ranges in S1, cm; its own is the least
-    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds")]
-    noise: f64,
-    /// The run of this name only, as the table names it
-    #[arg(long, value_name = "NAME")]
-    only: Option<String>,
-    /// Write each world here, with the `zenav run` command that drives in it, and drive nothing
-    #[arg(long, value_name = "DIR")]
-    world_out: Option<PathBuf>,
-    /// Runs at once [default: one a core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: Option<u16>,
-    /// Output format
-    #[arg(short, long, value_enum, default_value_t)]
-    output: Format,
-}
-
 /// Who drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-enum Driver {
+pub(super) enum Driver {
     Zenav,
     /// The robot whose way takes longest, with no other robot in the world.
     Alone,
@@ -69,12 +35,13 @@ enum Driver {
 }
 
 impl Driver {
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Zenav => "zenav",
             Self::Alone => "zenav, alone",
             Self::Anchor(Anchor::Standing) => "window, standing",
             Self::Anchor(Anchor::ConstantVelocity) => "window, velocities",
+            Self::Anchor(Anchor::Orca) => "orca",
             Self::Anchor(Anchor::AllKnowing) => "all-knowing A*",
         }
     }
@@ -82,231 +49,53 @@ impl Driver {
 
 /// One run.
 #[derive(Clone, Debug, Serialize)]
-struct Run {
-    scenario: String,
-    name: String,
-    driver: Driver,
-    outcome: RunOutcome,
-    reason: Option<String>,
-    time_s: f64,
+pub(super) struct Run {
+    pub(super) scenario: String,
+    pub(super) name: String,
+    pub(super) driver: Driver,
+    pub(super) outcome: RunOutcome,
+    pub(super) reason: Option<String>,
+    pub(super) time_s: f64,
     /// Length of the shortest way of the inscribed disc over the top speed, s; of several robots, the time of the one with the longest
     /// way when it is alone.
-    ideal_s: f64,
-    length_m: f64,
-    min_clearance_m: f64,
-    contacts: Vec<ContactReport>,
+    pub(super) ideal_s: f64,
+    pub(super) length_m: f64,
+    pub(super) min_clearance_m: f64,
+    pub(super) contacts: Vec<ContactReport>,
     /// Of zenav: the estimate against the truth at the end.
-    pose_error_m: Option<f64>,
-    recoveries: Option<u64>,
+    pub(super) pose_error_m: Option<f64>,
+    pub(super) recoveries: Option<u64>,
     /// Of zenav: processor time of robot, mapper, mission and motion, s.
-    cpu_s: Option<f64>,
+    pub(super) cpu_s: Option<f64>,
     /// Share of the time with somebody nearer to the outline than 0.45 m, where people make way.
-    close_share: Option<f64>,
+    pub(super) close_share: Option<f64>,
     /// Where a sensor is broken: the run without the fault, and how many times longer this one took, if both arrived.
-    faultless: Option<String>,
-    over_faultless: Option<f64>,
+    pub(super) faultless: Option<String>,
+    pub(super) over_faultless: Option<f64>,
     /// Where a lidar dies: time from then until the robot is at rest, s.
-    rest_after_s: Option<f64>,
+    pub(super) rest_after_s: Option<f64>,
     /// Of zenav where it is what counts: processor time for each second driven, s/s.
-    cpu_share: Option<f64>,
+    pub(super) cpu_share: Option<f64>,
     /// As BARN scores, 0 to 0.5.
-    score: Option<f64>,
+    pub(super) score: Option<f64>,
 }
 
 impl Run {
-    fn reached(&self) -> bool {
+    pub(super) fn reached(&self) -> bool {
         self.outcome == RunOutcome::Reached
     }
 
-    fn contacts(&self, kind: ContactKind) -> usize {
+    pub(super) fn contacts(&self, kind: ContactKind) -> usize {
         self.contacts.iter().filter(|contact| contact.kind == kind).count()
     }
 
-    fn ratio(&self) -> f64 {
+    pub(super) fn ratio(&self) -> f64 {
         self.time_s / self.ideal_s
     }
 }
 
-/// A row of the table: all runs of a scenario with one driver.
-#[derive(Clone, Debug, Serialize)]
-struct Row {
-    scenario: String,
-    driver: Driver,
-    runs: usize,
-    /// At rest at the goal, and nothing touched by the robot's own motion.
-    reached: usize,
-    /// The same, and nothing touched the robot.
-    untouched: usize,
-    contacts_own: usize,
-    contacts_after_own_motion: usize,
-    contacts_at_rest: usize,
-    /// Median of the reached runs.
-    time_over_ideal: Option<f64>,
-    /// Mean.
-    close_share: Option<f64>,
-    /// Median of the runs that were reached with the fault and without it.
-    over_faultless: Option<f64>,
-    /// The longest.
-    rest_after_s: Option<f64>,
-    /// Median.
-    cpu_share: Option<f64>,
-    /// Mean.
-    score: Option<f64>,
-    /// Own contacts count most, then goals not reached, then contacts, then time.
-    worst: String,
-}
-
-/// A column that only some suites have.
-type Extra = (&'static str, fn(&Row) -> Option<f64>);
-
-const EXTRAS: [Extra; 5] = [
-    ("< 0.45 M", |row| row.close_share),
-    ("/ NO FAULT", |row| row.over_faultless),
-    ("REST S", |row| row.rest_after_s),
-    ("CPU S/S", |row| row.cpu_share),
-    ("SCORE", |row| row.score),
-];
-
-impl Row {
-    fn of(runs: &[&Run]) -> Option<Self> {
-        let first = runs.first()?;
-        let worst = runs.iter().max_by(|a, b| {
-            let rank = |run: &Run| (run.contacts(ContactKind::Own), !run.reached(), run.contacts.len());
-            rank(a).cmp(&rank(b)).then(a.ratio().total_cmp(&b.ratio()))
-        })?;
-        let contacts = |kind| runs.iter().map(|run| run.contacts(kind)).sum();
-        let some = |value: fn(&Run) -> Option<f64>| {
-            let all: Vec<f64> = runs.iter().filter_map(|run| value(run)).collect();
-            (!all.is_empty()).then_some(all)
-        };
-        let reached: Vec<f64> = runs.iter().filter(|run| run.reached()).map(|run| run.ratio()).collect();
-        Some(Self {
-            scenario: first.scenario.clone(),
-            driver: first.driver,
-            runs: runs.len(),
-            reached: reached.len(),
-            untouched: runs
-                .iter()
-                .filter(|run| run.reached() && run.contacts.is_empty())
-                .count(),
-            contacts_own: contacts(ContactKind::Own),
-            contacts_after_own_motion: contacts(ContactKind::AfterOwnMotion),
-            contacts_at_rest: contacts(ContactKind::AtRest),
-            time_over_ideal: (!reached.is_empty()).then(|| median(reached)),
-            close_share: some(|run| run.close_share).map(mean),
-            over_faultless: some(|run| run.over_faultless).map(median),
-            rest_after_s: some(|run| run.rest_after_s).map(|all| all.into_iter().fold(0.0, f64::max)),
-            cpu_share: some(|run| run.cpu_share).map(median),
-            score: some(|run| run.score).map(mean),
-            worst: worst.name.clone(),
-        })
-    }
-
-    fn cells(&self, extras: &[&Extra]) -> Vec<String> {
-        let ratio = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.2}"));
-        let mut cells = vec![
-            self.scenario.clone(),
-            self.driver.name().to_owned(),
-            self.runs.to_string(),
-            self.reached.to_string(),
-            self.untouched.to_string(),
-            self.contacts_own.to_string(),
-            self.contacts_after_own_motion.to_string(),
-            self.contacts_at_rest.to_string(),
-            ratio(self.time_over_ideal),
-        ];
-        cells.extend(extras.iter().map(|(_, value)| ratio(value(self))));
-        cells.push(self.worst.clone());
-        cells
-    }
-}
-
-/// What `-o json` prints.
-#[derive(Serialize)]
-struct Report {
-    rows: Vec<Row>,
-    runs: Vec<Run>,
-}
-
-/// `zenav bench drive`.
-///
-/// # Errors
-/// A name that no run has; a folder that cannot be written.
-pub(super) fn drive(args: &DriveArgs) -> Outcome {
-    let suites = args
-        .suite
-        .map_or_else(|| Suite::value_variants().to_vec(), |suite| vec![suite]);
-    if !(0.0..=100.0).contains(&args.noise) {
-        return Err(Failure::usage(format!("--noise {}: expected 0 to 100 cm", args.noise)));
-    }
-    if args.suite == Some(Suite::S1) && args.worlds.is_none() {
-        return Err(Failure::usage(
-            "--suite s1: expected --worlds DIR, a folder of BARN's worlds",
-        ));
-    }
-    let barn = args.worlds.as_deref().map(|folder| (folder, 0.01 * args.noise));
-    let mut cases = Vec::new();
-    for suite in suites {
-        cases.extend(suite.cases(args.seeds, barn)?);
-    }
-    if let Some(only) = &args.only {
-        cases.retain(|case| case.name == *only);
-        if cases.is_empty() {
-            return Err(Failure::not_found(format!(
-                "--only {only}: no run of that name; `zenav bench drive --world-out DIR` writes all of them"
-            )));
-        }
-    }
-    if let Some(folder) = &args.world_out {
-        std::fs::create_dir_all(folder).map_err(Failure::failed_at(folder))?;
-        for case in &cases {
-            files::write(&folder.join(format!("{}.toml", case.name)), case.file())?;
-            line(&case.command());
-        }
-        return Ok(exit_code::OK);
-    }
-    let threads = args.threads.map(usize::from);
-    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let mut runs = all(&cases, threads)?;
-    compare(&mut runs);
-    let mut rows: Vec<Row> = Vec::new();
-    for run in &runs {
-        if !rows
-            .iter()
-            .any(|row| row.scenario == run.scenario && row.driver == run.driver)
-        {
-            let alike = |other: &&Run| other.scenario == run.scenario && other.driver == run.driver;
-            rows.extend(Row::of(&runs.iter().filter(alike).collect::<Vec<_>>()));
-        }
-    }
-    value(args.output, &Report { rows, runs }, |report| {
-        let has = |extra: &&Extra| report.rows.iter().any(|row| extra.1(row).is_some());
-        let extras: Vec<&Extra> = EXTRAS.iter().filter(has).collect();
-        let mut header = vec![
-            "SCENARIO",
-            "DRIVER",
-            "RUNS",
-            "REACHED",
-            "UNTOUCHED",
-            "OWN",
-            "AFTER OWN",
-            "AT REST",
-            "TIME/IDEAL",
-        ];
-        header.extend(extras.iter().map(|extra| extra.0));
-        header.push("WORST");
-        let rows: Vec<Vec<String>> = report.rows.iter().map(|row| row.cells(&extras)).collect();
-        table(&header, &rows)
-    })?;
-    Ok(exit_code::OK)
-}
-
-fn mean(values: Vec<f64>) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
 /// Compares each run that has a fault with the one without it.
-fn compare(runs: &mut [Run]) {
+pub(super) fn compare(runs: &mut [Run]) {
     let times: Vec<(String, f64)> = runs
         .iter()
         .filter(|run| run.driver == Driver::Zenav && run.reached())
@@ -343,7 +132,7 @@ impl Watch {
 }
 
 /// Runs all cases, one a thread; in their order, whoever is done first.
-fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
+pub(super) fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
     let layers = Layers::load(None)?;
     let bar = progress(cases.len());
     let next = AtomicUsize::new(0);
@@ -498,6 +287,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::super::super::suites::Suite;
     use super::*;
 
     #[test]

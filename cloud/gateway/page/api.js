@@ -1,0 +1,60 @@
+// API. How does the page ask the gateway? Each request has a deadline, each error a reason.
+
+const TOKEN = "zenav-token";
+
+/** The gateway's token: out of the address (`#token=…`) once, then kept for this tab. */
+export function token() {
+  const found = /[#&]token=([^&]+)/.exec(location.hash);
+  if (found) {
+    sessionStorage.setItem(TOKEN, decodeURIComponent(found[1]));
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem(TOKEN);
+}
+
+export function setToken(value) {
+  sessionStorage.setItem(TOKEN, value);
+}
+
+/** An error reply, or no reply. */
+export class ApiError extends Error {
+  constructor(status, body) {
+    super(body?.reason ?? `the gateway answers ${status}`);
+    this.status = status;
+    this.body = body;
+  }
+}
+
+export async function request(method, path, body, within = 12000) {
+  const headers = {};
+  if (token()) headers.Authorization = `Bearer ${token()}`;
+  if (body !== undefined) headers["Content-Type"] = "application/json";
+  let reply;
+  try {
+    reply = await fetch(`/api/v1${path}`, {
+      method, headers, body: body === undefined ? undefined : JSON.stringify(body), signal: AbortSignal.timeout(within),
+    });
+  } catch (error) {
+    throw new ApiError(0, { reason: error.name === "TimeoutError" ? "the gateway does not answer" : "the gateway cannot be reached" });
+  }
+  const answer = await reply.json().catch(() => null);
+  if (!reply.ok) throw new ApiError(reply.status, answer);
+  return answer;
+}
+
+const robotPath = (robot) => `/robots/${encodeURIComponent(robot)}`;
+
+export const submitGoal = (robot, goal) => request("POST", `${robotPath(robot)}/goals`, goal);
+export const cancelGoal = (robot, id) => request("DELETE", `${robotPath(robot)}/goals/${encodeURIComponent(id)}`);
+export const pauseGoal = (robot, id) => request("POST", `${robotPath(robot)}/goals/${encodeURIComponent(id)}/pause`);
+export const resumeGoal = (robot, id) => request("POST", `${robotPath(robot)}/goals/${encodeURIComponent(id)}/resume`);
+export const listGoals = (robot) => request("GET", `${robotPath(robot)}/goals`);
+export const stopRobot = (robot) => request("POST", `${robotPath(robot)}/stop`, undefined, 4000);
+export const resumeRobot = (robot) => request("POST", `${robotPath(robot)}/resume`);
+export const stopAll = () => request("POST", "/stop", undefined, 6000);
+
+/** An id for a goal, made before it is first sent: the same goal sent twice is one goal. */
+export function freshId() {
+  const bytes = crypto.getRandomValues(new Uint8Array(8));
+  return `goal-${Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
+}

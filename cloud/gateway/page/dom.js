@@ -1,0 +1,86 @@
+// Elements. How does the page make and change them? Text is always text: nothing from a robot is ever read as HTML.
+
+export const $ = (id) => document.getElementById(id);
+
+/** Makes an element: `el("li", { class: "warn", onclick }, "text", child)`. */
+export function el(name, props = {}, ...children) {
+  const node = document.createElement(name);
+  for (const [key, value] of Object.entries(props)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (key === "class") node.className = value;
+    else if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
+    else if (key in node && !key.startsWith("aria")) node[key] = value;
+    else node.setAttribute(key, value === true ? "" : value);
+  }
+  node.append(...children.filter((child) => child !== null && child !== undefined));
+  return node;
+}
+
+/** Sets a text only where it differs, so that a screen reader is not told twice. */
+export function setText(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+/** Shows a note for a while. */
+export function toast(text, kind = "") {
+  const node = el("div", { class: `toast ${kind}` }, text);
+  const all = $("toasts");
+  all.append(node);
+  while (all.children.length > 4) all.firstChild.remove();
+  setTimeout(() => node.remove(), kind === "bad" ? 9000 : 4500);
+}
+
+/** Says at once, to those who listen. */
+export function alarm(text) {
+  setText($("alarm"), text);
+}
+
+/** Asks before something is done; resolves to the text of the field, or `true`, or `null` for no. */
+export function ask({ title, text, yes, field, wanted }) {
+  const dialog = $("dialog");
+  setText($("dialog-title"), title);
+  setText($("dialog-text"), text);
+  setText($("dialog-yes"), yes);
+  const input = $("dialog-input");
+  $("dialog-field").hidden = !field;
+  $("dialog-field").querySelector("span").textContent = field ?? "";
+  input.value = "";
+  const check = () => { $("dialog-yes").disabled = Boolean(wanted) && input.value.trim() !== wanted; };
+  input.oninput = check;
+  check();
+  dialog.returnValue = "no";
+  dialog.showModal();
+  (field ? input : dialog.querySelector("button[value=no]")).focus();
+  return new Promise((resolve) => {
+    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? (field ? input.value.trim() : true) : null);
+    input.onkeydown = (event) => {
+      if (event.key !== "Enter") return;
+      event.preventDefault();
+      if (!$("dialog-yes").disabled) dialog.close("yes");
+    };
+  });
+}
+
+/** Whether a key that was pressed belongs to a field. */
+export function isTyping(event) {
+  const at = event.target;
+  return at instanceof HTMLInputElement || at instanceof HTMLSelectElement || at instanceof HTMLTextAreaElement || at.closest?.("dialog");
+}
+
+export const degrees = (rad) => Math.round((rad * 180) / Math.PI);
+export const radians = (deg) => (deg * Math.PI) / 180;
+
+/** A duration in words: `4.8 s`, `2 min 05 s`. */
+export function duration(secs) {
+  if (!Number.isFinite(secs)) return "–";
+  if (secs < 60) return `${secs.toFixed(secs < 10 ? 1 : 0)} s`;
+  if (secs < 3600) return `${Math.floor(secs / 60)} min ${String(Math.floor(secs % 60)).padStart(2, "0")} s`;
+  return `${Math.floor(secs / 3600)} h ${Math.floor((secs % 3600) / 60)} min`;
+}
+
+/** Nanoseconds of a robot's clock: time of day, or seconds since the start of a simulation. */
+export function clockTime(stamp) {
+  const secs = stamp / 1e9;
+  if (secs < 1e8) return `${secs.toFixed(1)} s`;
+  return new Date(secs * 1000).toLocaleTimeString([], { hour12: false });
+}

@@ -1,0 +1,56 @@
+// Events. What happened on the robot, in words?
+
+import { $, clockTime, el, setText } from "./dom.js";
+import { store } from "./store.js";
+
+const SHOWN = 150;
+
+/** Name, words and kind of an event. */
+function told(event) {
+  const reason = event.reason ? `: ${event.reason}` : "";
+  switch (event.event) {
+    case "started": return ["edge started", "", ""];
+    case "plan_accepted": return ["plan accepted", ` for ${event.goal_id}`, ""];
+    case "plan_rejected": return ["plan refused", reason, "bad"];
+    case "plan_finished": return ["plan finished", ` for ${event.goal_id}`, ""];
+    case "plan_expired": return ["plan expired", "; the robot is at rest", "warn"];
+    case "plan_discarded": return ["plan discarded", reason, "warn"];
+    case "bumped": return ["bumped", "; the contact sensor was pressed", "bad"];
+    case "battery_low": return ["battery low", `: ${Math.round(event.charge * 100)} %`, "warn"];
+    case "inputs_dropped": return ["inputs dropped", `: ${event.too_late} too late, ${event.broken} broken`, "warn"];
+    case "teleop_dropped": return ["teleop dropped", reason, "warn"];
+    case "guard": return [`guard ${event.zone}`, reason, event.zone === "clear" ? "" : event.zone === "stop" ? "bad" : "warn"];
+    case "lease": return ["lease", ` ${event.holder ?? "nobody"}, epoch ${event.epoch}${reason}`, ""];
+    case "link_changed": return [`link ${event.link.toLowerCase()}`, "", event.link === "Connected" ? "" : event.link === "Lost" ? "bad" : "warn"];
+    case "stopped": return ["stopped", ` by ${event.by}`, "bad"];
+    case "resumed": return ["resumed", ` by ${event.by}`, ""];
+    case "behaviour_done": return [`manoeuvre ${event.report?.state ?? "done"}`, event.report?.reason ? `: ${event.report.reason}` : "", event.report?.state === "failed" ? "warn" : ""];
+    case "transition": return [event.behaviour, ` ${event.from} → ${event.to}${reason}`, ""];
+    default: return [event.event, ` ${JSON.stringify(event)}`, ""];
+  }
+}
+
+export function drawEvents() {
+  const bad = store.events.filter((event) => told(event)[2] === "bad").length;
+  setText($("tab-events"), bad ? `Events (${bad} !)` : "Events");
+  if ($("panel-events").hidden) return;
+  const filter = $("event-filter").value.trim().toLowerCase();
+  const words = filter ? filter.split(/\s+/) : [];
+  const rows = [];
+  for (let at = store.events.length - 1; at >= 0 && rows.length < SHOWN; at -= 1) {
+    const event = store.events[at];
+    const [name, text, kind] = told(event);
+    const line = `${name} ${event.event} ${text}`.toLowerCase();
+    if ($("event-warn").checked && !kind) continue;
+    if (!words.every((word) => line.includes(word))) continue;
+    rows.push(el("li", { class: kind }, el("time", {}, clockTime(event.stamp)), el("span", {}, el("b", {}, name), text)));
+  }
+  $("events").replaceChildren(...(rows.length ? rows : [el("li", { class: "empty" }, store.events.length ? "No event matches." : "No event yet.")]));
+}
+
+export function startEvents() {
+  $("event-filter").oninput = drawEvents;
+  $("event-warn").onchange = drawEvents;
+  store.on("events", drawEvents);
+  store.on("watch", drawEvents);
+}

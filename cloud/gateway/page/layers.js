@@ -1,0 +1,354 @@
+// Layers. What is drawn on the map, in which order and colour? Each layer is a function; the list of layers makes the menu.
+
+import { degrees } from "./dom.js";
+import { store } from "./store.js";
+
+const TAU = 2 * Math.PI;
+/** Colours of speed, from rest to the plan's greatest. */
+const RAMP = ["#7c5cff", "#4f7dff", "#2aa5f5", "#17c3c9", "#3ed598", "#a5dc4a", "#f3d13a"];
+export const ramp = RAMP;
+
+/** Name, title, whether it shows at first, colour of its sign. */
+export const layers = {
+  map: { title: "Map", on: true, colour: "map-wall" },
+  clearance: { title: "Clearance", on: false, colour: "bad" },
+  trail: { title: "Trail", on: true, colour: "trail" },
+  scan: { title: "Scan", on: true, colour: "scan" },
+  plan: { title: "Plan by speed", on: true, colour: "good" },
+  tree: { title: "Search tree", on: false, colour: "tree" },
+  obstacles: { title: "Moving obstacles", on: true, colour: "mover" },
+  markers: { title: "Markers", on: true, colour: "warn" },
+  places: { title: "Places", on: true, colour: "place" },
+  goals: { title: "Goals", on: true, colour: "goal" },
+  robots: { title: "Other robots", on: true, colour: "other" },
+  grid: { title: "Grid of 1 m", on: true, colour: "soft" },
+};
+
+function path(context, camera, points, step = 2) {
+  context.beginPath();
+  for (let at = 0; at + 1 < points.length; at += step) context.lineTo(...camera.toScreen(points[at], points[at + 1]));
+}
+
+function label(context, colours, text, x, y, colour) {
+  context.font = "600 12px system-ui, 'DejaVu Sans', sans-serif";
+  context.lineWidth = 3.5;
+  context.lineJoin = "round";
+  context.strokeStyle = colours["map-free"];
+  context.strokeText(text, x, y);
+  context.fillStyle = colour;
+  context.fillText(text, x, y);
+}
+
+function drawPicture(context, camera, picture) {
+  const spec = store.raster.spec;
+  const [x, y] = camera.toScreen(spec.origin[0], spec.origin[1] + spec.height * spec.resolution);
+  context.imageSmoothingEnabled = camera.scale * spec.resolution < 1;
+  context.drawImage(picture, x, y, spec.width * spec.resolution * camera.scale, spec.height * spec.resolution * camera.scale);
+}
+
+function drawGrid(context, camera, colours) {
+  let step = 1;
+  while (step * camera.scale < 24) step *= 5;
+  const [x0, y1] = camera.toWorld(0, 0);
+  const [x1, y0] = camera.toWorld(camera.width, camera.height);
+  context.strokeStyle = colours["map-grid"];
+  context.lineWidth = 1;
+  context.beginPath();
+  for (let x = Math.ceil(x0 / step) * step; x <= x1; x += step) {
+    const [px] = camera.toScreen(x, 0);
+    context.moveTo(Math.round(px) + 0.5, 0);
+    context.lineTo(Math.round(px) + 0.5, camera.height);
+  }
+  for (let y = Math.ceil(y0 / step) * step; y <= y1; y += step) {
+    const [, py] = camera.toScreen(0, y);
+    context.moveTo(0, Math.round(py) + 0.5);
+    context.lineTo(camera.width, Math.round(py) + 0.5);
+  }
+  context.stroke();
+}
+
+function drawTrail(context, camera, colours) {
+  context.strokeStyle = colours.trail;
+  context.lineWidth = 2;
+  context.lineJoin = "round";
+  context.setLineDash([1, 5]);
+  context.lineCap = "round";
+  context.beginPath();
+  let pen = false;
+  for (const place of store.trail) {
+    if (!place) {
+      pen = false;
+      continue;
+    }
+    const at = camera.toScreen(place[0], place[1]);
+    if (pen) context.lineTo(...at);
+    else context.moveTo(...at);
+    pen = true;
+  }
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function drawScan(context, camera, colours, scan) {
+  const { at: [x, y, yaw], first, step, mm } = scan;
+  const size = Math.min(5, Math.max(2, camera.scale * 0.03));
+  context.fillStyle = colours.scan;
+  for (let beam = 0; beam < mm.length; beam += 1) {
+    if (!mm[beam]) continue;
+    const angle = yaw + first + beam * step;
+    const range = mm[beam] / 1000;
+    const [px, py] = camera.toScreen(x + range * Math.cos(angle), y + range * Math.sin(angle));
+    context.fillRect(px - size / 2, py - size / 2, size, size);
+  }
+}
+
+/** Whether the robot drives by the plan that was heard last. */
+function isDriven(plan) {
+  return store.data("state")?.plan?.trajectory_id === plan.trajectory_id;
+}
+
+function drawPlan(context, camera, colours, plan) {
+  const points = plan.points;
+  if (points.length < 6 || !(isDriven(plan) || store.age("plan") < 3)) return;
+  let top = 0.05;
+  for (let at = 2; at < points.length; at += 3) top = Math.max(top, Math.abs(points[at]));
+  context.lineCap = "round";
+  context.lineJoin = "round";
+  context.strokeStyle = colours["map-free"];
+  context.lineWidth = 8;
+  path(context, camera, points, 3);
+  context.stroke();
+  context.lineWidth = 4.5;
+  const colourAt = (v) => Math.min(RAMP.length - 1, Math.floor((Math.abs(v) / top) * RAMP.length));
+  for (let at = 0; at + 5 < points.length;) {
+    const colour = colourAt(points[at + 2]);
+    context.strokeStyle = RAMP[colour];
+    context.beginPath();
+    context.moveTo(...camera.toScreen(points[at], points[at + 1]));
+    do {
+      at += 3;
+      context.lineTo(...camera.toScreen(points[at], points[at + 1]));
+    } while (at + 5 < points.length && colourAt(points[at + 2]) === colour);
+    context.stroke();
+  }
+}
+
+/** Greatest speed of the plan that shows, m/s, or null. */
+export function planTop() {
+  const plan = store.data("plan");
+  if (!layers.plan.on || !plan || plan.points.length < 6 || !(isDriven(plan) || store.age("plan") < 3)) return null;
+  let top = 0.05;
+  for (let at = 2; at < plan.points.length; at += 3) top = Math.max(top, Math.abs(plan.points[at]));
+  return top;
+}
+
+function drawSearch(context, camera, colours, tree) {
+  context.strokeStyle = colours.tree;
+  context.globalAlpha = 0.55;
+  context.lineWidth = 1;
+  context.beginPath();
+  for (let at = 0; at + 3 < tree.edges.length; at += 4) {
+    context.moveTo(...camera.toScreen(tree.edges[at], tree.edges[at + 1]));
+    context.lineTo(...camera.toScreen(tree.edges[at + 2], tree.edges[at + 3]));
+  }
+  context.stroke();
+  context.globalAlpha = 1;
+  context.lineWidth = 2;
+  path(context, camera, tree.path);
+  context.stroke();
+}
+
+function drawMovers(context, camera, colours, movers) {
+  context.strokeStyle = colours.mover;
+  context.fillStyle = colours.mover;
+  context.lineWidth = 2;
+  for (const [x, y, vx, vy, radius] of movers) {
+    const [px, py] = camera.toScreen(x, y);
+    context.globalAlpha = 0.25;
+    context.beginPath();
+    context.arc(px, py, Math.max(4, radius * camera.scale), 0, TAU);
+    context.fill();
+    context.globalAlpha = 1;
+    context.stroke();
+    context.beginPath();
+    context.moveTo(px, py);
+    context.lineTo(...camera.toScreen(x + vx, y + vy));
+    context.stroke();
+  }
+}
+
+function drawMarkers(context, camera, colours) {
+  context.strokeStyle = colours.warn;
+  context.lineWidth = 1.5;
+  for (const [name, { data }] of store.detail) {
+    if (!name.startsWith("marker/") || store.age(name) > 3) continue;
+    if (data.points.length === 1) {
+      const [x, y] = camera.toScreen(...data.points[0]);
+      context.beginPath();
+      context.arc(x, y, 5, 0, TAU);
+      context.stroke();
+    } else if (data.points.length > 1) {
+      path(context, camera, data.points.flat());
+      context.stroke();
+    }
+  }
+}
+
+function drawPlaces(context, camera, colours) {
+  for (const [name, place] of Object.entries(store.places)) {
+    const [x, y] = camera.toScreen(place.x, place.y);
+    context.fillStyle = colours.place;
+    context.beginPath();
+    context.moveTo(x, y - 6);
+    context.lineTo(x + 6, y);
+    context.lineTo(x, y + 6);
+    context.lineTo(x - 6, y);
+    context.fill();
+    label(context, colours, name, x + 10, y + 4, colours.place);
+  }
+}
+
+/** A goal: a ring, and an arrow for its heading. */
+export function drawGoal(context, camera, colour, goal, { dashed = false, text = "" } = {}, colours) {
+  const [x, y] = camera.toScreen(goal.x, goal.y);
+  const radius = Math.max(9, Math.min(18, camera.scale * 0.12));
+  context.strokeStyle = colour;
+  context.fillStyle = colour;
+  context.lineWidth = 3;
+  context.setLineDash(dashed ? [5, 4] : []);
+  context.beginPath();
+  context.arc(x, y, radius, 0, TAU);
+  context.stroke();
+  context.setLineDash([]);
+  context.beginPath();
+  context.arc(x, y, 3, 0, TAU);
+  context.fill();
+  if (goal.yaw !== null && goal.yaw !== undefined) {
+    const [cos, sin] = [Math.cos(goal.yaw), -Math.sin(goal.yaw)];
+    const tip = radius + 26;
+    context.beginPath();
+    context.moveTo(x + cos * radius, y + sin * radius);
+    context.lineTo(x + cos * (tip - 6), y + sin * (tip - 6));
+    context.stroke();
+    context.beginPath();
+    context.moveTo(x + cos * tip, y + sin * tip);
+    context.lineTo(x + cos * (tip - 11) - sin * 6, y + sin * (tip - 11) + cos * 6);
+    context.lineTo(x + cos * (tip - 11) + sin * 6, y + sin * (tip - 11) - cos * 6);
+    context.fill();
+  }
+  if (text) label(context, colours, text, x + radius + 6, y - radius, colour);
+}
+
+/** Where a goal leads: its own place, a named one, or that of the drive under way. */
+export function placeOf(goal) {
+  const { request } = goal;
+  if (Number.isFinite(request.x) && Number.isFinite(request.y)) return request;
+  if (request.place && store.places[request.place]) return store.places[request.place];
+  const leg = [...(goal.legs ?? [])].reverse().find((one) => one.state === "Active" && one.goal);
+  return leg?.goal ?? null;
+}
+
+function drawGoals(context, camera, colours) {
+  let waiting = 0;
+  for (const goal of [...store.goals.values()].sort((a, b) => a.accepted - b.accepted)) {
+    const open = goal.state === "Active" || goal.state === "Paused" || goal.state === "Accepted";
+    const place = open ? placeOf(goal) : null;
+    if (!place) continue;
+    const waits = goal.state === "Accepted";
+    if (waits) waiting += 1;
+    drawGoal(context, camera, colours.goal, place, { dashed: waits, text: waits ? `${waiting}.` : "" }, colours);
+    for (const way of goal.request.waypoints ?? []) drawGoal(context, camera, colours.goal, way, { dashed: true }, colours);
+  }
+}
+
+function drawRobot(context, camera, colours, robot, pose, { colour, name }) {
+  const outline = store.data("model", robot)?.outline;
+  const [x, y] = camera.toScreen(pose.x, pose.y);
+  context.save();
+  context.translate(x, y);
+  context.rotate(-pose.yaw);
+  context.globalAlpha = store.isStale(robot) ? 0.4 : 1;
+  context.fillStyle = colour;
+  context.strokeStyle = colours["map-free"];
+  context.lineWidth = 2;
+  const size = camera.scale;
+  context.beginPath();
+  if (outline) for (const [px, py] of outline) context.lineTo(px * size, -py * size);
+  else context.arc(0, 0, Math.max(8, 0.2 * size), 0, TAU);
+  context.closePath();
+  context.globalAlpha *= 0.85;
+  context.fill();
+  context.stroke();
+  const reach = Math.max(8, (outline ? Math.max(...outline.map(([px]) => px)) : 0.2) * size);
+  context.globalAlpha = store.isStale(robot) ? 0.5 : 1;
+  context.fillStyle = "#fff";
+  context.beginPath();
+  context.moveTo(reach * 0.75, 0);
+  context.lineTo(-reach * 0.35, reach * 0.5);
+  context.lineTo(-reach * 0.12, 0);
+  context.lineTo(-reach * 0.35, -reach * 0.5);
+  context.closePath();
+  context.fill();
+  context.restore();
+  if (name) label(context, colours, robot, x + reach + 4, y - reach, colour);
+}
+
+export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
+  context.fillStyle = colours["map-unknown"];
+  context.fillRect(0, 0, camera.width, camera.height);
+  const on = (name) => layers[name].on;
+  if (store.raster.spec) {
+    if (on("map")) drawPicture(context, camera, store.raster.canvas);
+    if (on("clearance")) drawPicture(context, camera, store.raster.clearancePicture());
+  }
+  if (on("grid")) drawGrid(context, camera, colours);
+  const detail = (name, draw) => {
+    const entry = store.detail.get(name);
+    if (entry) draw(context, camera, colours, entry.data);
+  };
+  if (on("tree") && store.age("tree") < 20) detail("tree", drawSearch);
+  if (on("trail")) drawTrail(context, camera, colours);
+  if (on("plan")) detail("plan", drawPlan);
+  if (on("places")) drawPlaces(context, camera, colours);
+  if (on("goals")) drawGoals(context, camera, colours);
+  if (on("scan")) {
+    for (const name of store.detail.keys()) {
+      if (!name.startsWith("scan")) continue;
+      context.globalAlpha = store.age(name) > 1.5 ? 0.25 : 1;
+      detail(name, drawScan);
+      context.globalAlpha = 1;
+    }
+  }
+  if (on("obstacles") && store.age("obstacles") < 1) detail("obstacles", drawMovers);
+  if (on("markers")) drawMarkers(context, camera, colours);
+  if (on("robots")) {
+    for (const robot of store.fleet) {
+      const other = robot === store.watched ? null : poseOf(robot);
+      if (other) drawRobot(context, camera, colours, robot, other, { colour: colours.other, name: true });
+    }
+  }
+  if (pose) drawRobot(context, camera, colours, store.watched, pose, { colour: colours.robot, name: store.fleet.length > 1 });
+  if (tools.draft) {
+    drawGoal(context, camera, colours.goal, tools.draft, { dashed: true }, colours);
+  }
+  if (tools.measure) drawMeasure(context, camera, colours, tools.measure);
+}
+
+function drawMeasure(context, camera, colours, [from, to]) {
+  const [a, b] = [camera.toScreen(...from), camera.toScreen(...to)];
+  context.strokeStyle = colours.text;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.moveTo(...a);
+  context.lineTo(...b);
+  context.stroke();
+  for (const [x, y] of [a, b]) {
+    context.beginPath();
+    context.arc(x, y, 4, 0, TAU);
+    context.fillStyle = colours.text;
+    context.fill();
+  }
+  const length = Math.hypot(to[0] - from[0], to[1] - from[1]);
+  const angle = degrees(Math.atan2(to[1] - from[1], to[0] - from[0]));
+  label(context, colours, `${length.toFixed(3)} m, ${angle}°`, (a[0] + b[0]) / 2 + 10, (a[1] + b[1]) / 2 - 8, colours.text);
+}

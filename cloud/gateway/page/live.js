@@ -1,0 +1,108 @@
+// Live link. How does the page keep its WebSocket? It connects again by itself, and says so.
+
+import { setToken, token } from "./api.js";
+import { ask } from "./dom.js";
+import { store } from "./store.js";
+
+/** A gateway that says nothing for this long is taken for gone, ms: it speaks every second. */
+const SILENCE = 4000;
+let socket = null;
+let heard = 0;
+let wait = 250;
+
+export function send(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+export function watch(robot) {
+  if (store.watched !== robot) store.clearDetail();
+  store.watched = robot;
+  if (robot) localStorage.setItem("zenav-robot", robot);
+  send({ type: "watch", robot });
+  store.tell("watch");
+}
+
+function setState(state) {
+  if (store.socket === state) return;
+  store.socket = state;
+  store.tell("socket");
+}
+
+async function reasonOfClose() {
+  // A WebSocket does not tell why it was refused; a plain request does.
+  const headers = token() ? { Authorization: `Bearer ${token()}` } : {};
+  const reply = await fetch("/api/v1/health", { headers }).catch(() => null);
+  return reply?.status;
+}
+
+async function retry() {
+  setState("closed");
+  if ((await reasonOfClose()) === 401) {
+    const given = await ask({
+      title: "Token of the gateway", text: "This gateway asks for a token: the first line of its token file.", yes: "Connect", field: "Token",
+    });
+    if (given) setToken(given);
+  }
+  setTimeout(connect, wait);
+  wait = Math.min(wait * 1.6, 3000);
+}
+
+export function connect() {
+  setState(store.socket === "closed" ? "closed" : "connecting");
+  const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/live`;
+  const protocols = ["zenav.v1"];
+  if (token()) protocols.push(`bearer.${token()}`);
+  const mine = new WebSocket(address, protocols);
+  socket = mine;
+  heard = performance.now();
+  mine.binaryType = "arraybuffer";
+  mine.onmessage = (event) => {
+    heard = performance.now();
+    if (typeof event.data !== "string") {
+      if (store.raster.take(event.data, store.watched)) store.tell("map");
+      return;
+    }
+    take(JSON.parse(event.data));
+  };
+  mine.onclose = () => {
+    if (socket === mine) retry();
+  };
+}
+
+function take(message) {
+  switch (message.type) {
+    case "hello":
+      wait = 250;
+      store.hello(message);
+      setState("open");
+      if (store.watched) watch(store.watched);
+      break;
+    case "frame":
+      store.frame(message);
+      chooseRobot();
+      break;
+    case "pong":
+      store.pings.push(performance.now() - message.t);
+      store.pings.splice(0, store.pings.length - 30);
+      break;
+    case "teleop":
+      store.teleop = message;
+      store.tell("teleop");
+      break;
+    default:
+      console.warn("gateway:", message);
+  }
+}
+
+/** Watches the robot that was watched last, or the first. */
+function chooseRobot() {
+  if (store.watched && store.fleet.includes(store.watched)) return;
+  const last = localStorage.getItem("zenav-robot");
+  const robot = store.fleet.includes(last) ? last : store.fleet[0];
+  if (robot) watch(robot);
+}
+
+setInterval(() => {
+  send({ type: "ping", t: performance.now() });
+  if (socket && socket.readyState === WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close();
+}, 1000);

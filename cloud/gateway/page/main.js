@@ -1,0 +1,154 @@
+// Mission control. Joins the parts of the page.
+
+import { $, el, isTyping } from "./dom.js";
+import { drives, startDrive } from "./drive.js";
+import { drawEvents, startEvents } from "./events.js";
+import { startGoals } from "./goals.js";
+import { drawHeader, startHeader, stop } from "./header.js";
+import { layers, planTop, ramp } from "./layers.js";
+import { connect } from "./live.js";
+import { startPlots } from "./plots.js";
+import { store } from "./store.js";
+import { tools } from "./tools.js";
+import { drawTree, startTree } from "./tree.js";
+import { fit, panKeys, readColours, redraw, setFollow, startView, view, zoom } from "./view.js";
+
+const THEME = "zenav-theme";
+const LAYERS = "zenav-layers";
+
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  readColours();
+}
+
+function startTheme() {
+  const wished = window.matchMedia("(prefers-color-scheme: light)");
+  const now = () => localStorage.getItem(THEME) ?? (wished.matches ? "light" : "dark");
+  wished.addEventListener("change", () => setTheme(now()));
+  $("theme").onclick = () => {
+    localStorage.setItem(THEME, now() === "light" ? "dark" : "light");
+    setTheme(now());
+  };
+  document.documentElement.dataset.theme = now();
+}
+
+function startLayers() {
+  const kept = JSON.parse(localStorage.getItem(LAYERS) ?? "{}");
+  for (const [name, layer] of Object.entries(layers)) {
+    layer.on = kept[name] ?? layer.on;
+    const box = el("input", { type: "checkbox", id: `layer-${name}`, checked: layer.on });
+    box.onchange = () => {
+      layer.on = box.checked;
+      localStorage.setItem(LAYERS, JSON.stringify(Object.fromEntries(Object.entries(layers).map(([key, value]) => [key, value.on]))));
+      redraw();
+    };
+    const sign = el("i");
+    sign.style.background = `var(--${layer.colour})`;
+    $("layers").append(el("label", {}, box, sign, layer.title));
+  }
+  $("layers-button").onclick = () => {
+    $("layers").hidden = !$("layers").hidden;
+    $("layers-button").setAttribute("aria-expanded", String(!$("layers").hidden));
+  };
+}
+
+function startTabs() {
+  const tabs = ["tree", "events", "drive", "plots"];
+  const choose = (name, focus) => {
+    for (const tab of tabs) {
+      const chosen = tab === name;
+      $(`tab-${tab}`).setAttribute("aria-selected", String(chosen));
+      $(`tab-${tab}`).tabIndex = chosen ? 0 : -1;
+      $(`panel-${tab}`).hidden = !chosen;
+    }
+    if (focus) $(`tab-${name}`).focus();
+    drawTree();
+    drawEvents();
+  };
+  for (const [at, tab] of tabs.entries()) {
+    $(`tab-${tab}`).onclick = () => choose(tab);
+    $(`tab-${tab}`).onkeydown = (event) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      if (step) choose(tabs[(at + step + tabs.length) % tabs.length], true);
+    };
+  }
+}
+
+function startToolbar() {
+  for (const tool of ["goal", "pan", "measure"]) $(`tool-${tool}`).onclick = () => tools.choose(tool);
+  $("zoom-in").onclick = () => zoom(1.4);
+  $("zoom-out").onclick = () => zoom(1 / 1.4);
+  $("fit").onclick = fit;
+  $("follow").onclick = () => setFollow($("follow").getAttribute("aria-pressed") !== "true");
+  $("draft").onsubmit = (event) => {
+    event.preventDefault();
+    tools.confirm();
+  };
+  $("draft-cancel").onclick = () => tools.drop();
+}
+
+function drawLegend() {
+  const top = planTop();
+  $("legend").hidden = top === null;
+  if (top === null) return;
+  if (!$("legend").firstChild) {
+    const bar = el("b");
+    bar.style.background = `linear-gradient(90deg, ${ramp.join(", ")})`;
+    $("legend").append(el("div", {}, "Speed of the plan"), bar, el("span", {}, el("i", {}, "0"), el("i")));
+  }
+  $("legend").lastChild.lastChild.textContent = `${top.toFixed(2)} m/s`;
+}
+
+function startKeys() {
+  const press = (id) => $(id).click();
+  const keys = {
+    g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), f: () => press("follow"), l: () => press("layers-button"),
+    0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); },
+  };
+  window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || $("dialog").open) return;
+    if (event.key === "Escape") {
+      tools.drop();
+      tools.measure = null;
+      $("layers").hidden = true;
+      redraw();
+      return;
+    }
+    if (isTyping(event)) return;
+    if (event.key === "Enter" && tools.draft && !$("draft").hidden && !(event.target instanceof HTMLButtonElement)) {
+      event.preventDefault();
+      tools.confirm();
+      return;
+    }
+    if (event.target === $("map") && !drives() && panKeys(event)) {
+      event.preventDefault();
+      return;
+    }
+    const act = keys[event.key.toLowerCase()];
+    if (act && !(drives() && "wasdqe".includes(event.key.toLowerCase()))) act();
+  });
+}
+
+startTheme();
+startLayers();
+startTabs();
+startToolbar();
+startKeys();
+startHeader();
+startGoals();
+startTree();
+startEvents();
+startDrive();
+startPlots();
+startView();
+connect();
+// Ages grow also when nothing comes.
+setInterval(() => {
+  drawHeader();
+  drawLegend();
+  redraw();
+}, 250);
+store.on("frame", drawHeader);
+store.on("socket", drawHeader);
+// For tests, and for those who look closely.
+window.zenav = { store, view, tools };

@@ -1,0 +1,118 @@
+// Store. What does the page know? The newest of everything, with when the gateway heard it; the parts of the page look on.
+
+import { Raster } from "./grid.js";
+
+const MAX_EVENTS = 300;
+const MAX_TRAIL = 4000;
+/** A robot that is silent for longer is shown as stale, s. */
+export const STALE = 2;
+
+const now = () => performance.now() / 1000;
+
+class Store extends EventTarget {
+  constructor() {
+    super();
+    /** `connecting`, `open` or `closed`: the link to the gateway. */
+    this.socket = "connecting";
+    /** Whether the gateway reaches the bus. */
+    this.connected = false;
+    this.fleet = [];
+    /** Robot to its channels `state`, `pose`, `parts`: `{ data, heard }`. */
+    this.robots = new Map();
+    this.watched = null;
+    this.raster = new Raster();
+    this.places = {};
+    this.teleop = { state: "released" };
+    this.pings = [];
+    this.clearDetail();
+  }
+
+  clearDetail() {
+    this.detail = new Map();
+    this.goals = new Map();
+    this.events = [];
+    this.trail = [];
+    this.raster.clear();
+  }
+
+  /** Tells whoever listens. */
+  tell(topic) {
+    this.dispatchEvent(new Event(topic));
+  }
+
+  on(topic, listener) {
+    this.addEventListener(topic, listener);
+  }
+
+  /** A channel of a robot, or of the watched robot's details. */
+  channel(name, robot = this.watched) {
+    const summary = this.robots.get(robot)?.[name];
+    return summary ?? (robot === this.watched ? this.detail.get(name) : undefined);
+  }
+
+  data(name, robot = this.watched) {
+    return this.channel(name, robot)?.data;
+  }
+
+  /** Seconds since a channel was heard; infinite if never. */
+  age(name, robot = this.watched) {
+    const entry = this.channel(name, robot);
+    return entry ? now() - entry.heard : Infinity;
+  }
+
+  isStale(robot = this.watched) {
+    return this.socket !== "open" || this.age("state", robot) > STALE;
+  }
+
+  /** Begins anew: the gateway may have been another one before. */
+  hello(message) {
+    this.places = message.places ?? {};
+    this.robots.clear();
+    this.clearDetail();
+    this.tell("hello");
+  }
+
+  frame(message) {
+    const at = now();
+    const heard = (entry) => ({ data: entry.data, heard: at - entry.age });
+    this.connected = message.connected;
+    if (message.fleet) {
+      this.fleet = message.fleet;
+      for (const robot of [...this.robots.keys()]) if (!this.fleet.includes(robot)) this.robots.delete(robot);
+    }
+    for (const [robot, channels] of Object.entries(message.robots)) {
+      const known = this.robots.get(robot) ?? {};
+      for (const [name, entry] of Object.entries(channels)) {
+        if (name === "pose") known.before = known.pose;
+        known[name] = heard(entry);
+      }
+      this.robots.set(robot, known);
+    }
+    if (message.watched && message.watched === this.watched) {
+      if (message.fresh) {
+        this.detail = new Map();
+        this.goals = new Map();
+        this.events = [];
+        this.trail = [];
+      }
+      for (const [name, entry] of Object.entries(message.detail)) this.detail.set(name, heard(entry));
+      for (const goal of message.goals) this.goals.set(goal.id, goal);
+      if (message.events.length) {
+        this.events.push(...message.events);
+        this.events.splice(0, this.events.length - MAX_EVENTS);
+        this.tell("events");
+      }
+      this.trail.push(...message.trail);
+      this.trail.splice(0, this.trail.length - MAX_TRAIL);
+    }
+    if (message.fleet) this.tell("fleet");
+    this.tell("frame");
+  }
+
+  /** The running goal, if there is one. */
+  runningGoal() {
+    return [...this.goals.values()].find((goal) => goal.state === "Active" || goal.state === "Paused");
+  }
+}
+
+export const store = new Store();

@@ -1,0 +1,155 @@
+//! Access. May this request use the gateway?
+//!
+//! - With a token: whoever carries it, in `Authorization: Bearer …` or, for a WebSocket in a browser, as the subprotocol `bearer.…`.
+//! - Without one the gateway listens on loopback only, and the `Host` must be a name of loopback: a page of another site whose name was
+//!   made to point here (DNS rebinding) does not pass.
+//! - A request that a browser makes for a page carries the page's origin: it must be the gateway's own, or one that the settings name.
+
+use std::net::{IpAddr, SocketAddr};
+
+/// Who may use the gateway.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    token: Option<String>,
+    origins: Vec<String>,
+}
+
+/// Why a request is turned away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Denied {
+    /// The token is missing or wrong.
+    Token,
+    /// A page of another origin asks.
+    Origin,
+    /// The gateway is addressed by a name that is not loopback's.
+    Host,
+}
+
+/// Shortest token, bytes.
+const SHORTEST_TOKEN: usize = 16;
+
+impl Access {
+    /// Checks that an address may be listened on with this token.
+    ///
+    /// # Errors
+    /// In words: an address that other machines reach without a token, or a token that is too short.
+    pub fn new(listen: SocketAddr, token: Option<String>, origins: Vec<String>) -> Result<Self, String> {
+        match &token {
+            None if !listen.ip().is_loopback() => Err(format!(
+                "{listen} can be reached by other machines, which could then drive the robots: expected a token (`--token-file FILE`, `[gateway] token_file`)"
+            )),
+            Some(token) if token.len() < SHORTEST_TOKEN || !token.bytes().all(|byte| byte.is_ascii_graphic()) => Err(
+                format!("the token: expected at least {SHORTEST_TOKEN} letters, digits or signs without spaces"),
+            ),
+            _ => Ok(Self { token, origins }),
+        }
+    }
+
+    /// Whether a request for the page itself may pass; it holds no data.
+    pub(crate) fn admit_page(&self, host: Option<&str>) -> Result<(), Denied> {
+        if self.token.is_none() && !host.is_some_and(is_loopback_host) {
+            return Err(Denied::Host);
+        }
+        Ok(())
+    }
+
+    /// Whether a request for data or an act may pass: by its `Host`, its `Origin`, and the token that it carries.
+    pub(crate) fn admit(&self, host: Option<&str>, origin: Option<&str>, token: Option<&str>) -> Result<(), Denied> {
+        self.admit_page(host)?;
+        if let Some(origin) = origin
+            && !self.is_own(origin, host)
+        {
+            return Err(Denied::Origin);
+        }
+        match (&self.token, token) {
+            (None, _) => Ok(()),
+            (Some(wanted), Some(token)) if equal(wanted.as_bytes(), token.as_bytes()) => Ok(()),
+            (Some(_), _) => Err(Denied::Token),
+        }
+    }
+
+    fn is_own(&self, origin: &str, host: Option<&str>) -> bool {
+        let named = self.origins.iter().any(|named| named == origin);
+        let address = origin
+            .strip_prefix("http://")
+            .or_else(|| origin.strip_prefix("https://"));
+        named || (address.is_some() && address == host)
+    }
+}
+
+/// Whether a `Host` header names loopback: an address of it, or `localhost`.
+fn is_loopback_host(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or_default(),
+        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    };
+    name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+/// Compares in a time that does not tell where two texts differ.
+fn equal(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const LOOPBACK: &str = "127.0.0.1:7480";
+    const OPEN: &str = "0.0.0.0:7480";
+    const TOKEN: &str = "0123456789abcdef";
+
+    fn access(listen: &str, token: Option<&str>) -> Result<Access, String> {
+        Access::new(
+            listen.parse().unwrap(),
+            token.map(str::to_owned),
+            vec!["https://fleet.example".to_owned()],
+        )
+    }
+
+    #[test]
+    fn an_address_that_others_reach_needs_a_token_of_some_length() {
+        assert!(access(LOOPBACK, None).is_ok() && access("[::1]:1", None).is_ok());
+        assert!(access(OPEN, None).unwrap_err().contains("token"));
+        assert!(access(OPEN, Some("short")).is_err() && access(OPEN, Some(TOKEN)).is_ok());
+    }
+
+    #[test]
+    fn on_loopback_a_page_of_another_site_and_a_rebound_name_are_turned_away() {
+        let access = access(LOOPBACK, None).unwrap();
+        let host = Some("localhost:7480");
+        assert_eq!(access.admit(host, None, None), Ok(()));
+        assert_eq!(access.admit(host, Some("http://localhost:7480"), None), Ok(()));
+        assert_eq!(access.admit(Some("[::1]:7480"), None, None), Ok(()));
+        assert_eq!(access.admit(host, Some("https://fleet.example"), None), Ok(()));
+        assert_eq!(
+            access.admit(host, Some("http://evil.example"), None),
+            Err(Denied::Origin)
+        );
+        assert_eq!(
+            access.admit(host, Some("http://localhost:9999"), None),
+            Err(Denied::Origin)
+        );
+        assert_eq!(access.admit(host, Some("null"), None), Err(Denied::Origin));
+        assert_eq!(
+            access.admit(Some("evil.example:7480"), Some("http://evil.example:7480"), None),
+            Err(Denied::Host)
+        );
+        assert_eq!(access.admit(None, None, None), Err(Denied::Host));
+    }
+
+    #[test]
+    fn with_a_token_nothing_passes_without_it() {
+        let access = access(OPEN, Some(TOKEN)).unwrap();
+        let host = Some("robots.lan:7480");
+        assert_eq!(access.admit_page(host), Ok(()));
+        assert_eq!(access.admit(host, None, None), Err(Denied::Token));
+        assert_eq!(access.admit(host, None, Some("0123456789abcdeg")), Err(Denied::Token));
+        assert_eq!(access.admit(host, None, Some(TOKEN)), Ok(()));
+        assert_eq!(
+            access.admit(host, Some("http://evil.example"), Some(TOKEN)),
+            Err(Denied::Origin)
+        );
+    }
+}

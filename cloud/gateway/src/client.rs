@@ -1,0 +1,358 @@
+//! One client's view. What does this browser have to be told now?
+//!
+//! A client is three numbers and a list of map tiles: which robot it watches, the change that it was told of last, and what of the map it
+//! lacks. Each frame holds the newest value of everything that changed since, so a client that reads slowly skips values and never falls
+//! behind; there is no queue that could grow.
+
+use std::fmt::Write as _;
+
+use crate::view::{Entry, FleetView, TileCursor};
+
+/// With nothing to tell, a frame says at least this often that the gateway is alive, s.
+const KEEP_ALIVE: f64 = 1.0;
+
+/// What a browser was told.
+#[derive(Debug, Default)]
+pub struct Client {
+    watched: Option<String>,
+    /// Number of the change that it was told of last.
+    seen: u64,
+    /// As `seen`, for the watched robot's details.
+    detail_seen: u64,
+    tiles: TileCursor,
+    last_frame: Option<f64>,
+}
+
+/// What goes to a browser.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Frame {
+    /// Everything but the map, JSON.
+    pub text: Option<String>,
+    /// A piece of the map.
+    pub map: Option<Vec<u8>>,
+}
+
+impl Client {
+    /// A client that knows nothing yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Watches a robot from now on: its details come with the next frame, all of them.
+    pub fn watch(&mut self, robot: Option<String>) {
+        self.watched = robot;
+        self.detail_seen = 0;
+        self.tiles = TileCursor::default();
+        self.last_frame = None;
+    }
+
+    /// The watched robot.
+    #[must_use]
+    pub fn watched(&self) -> Option<&str> {
+        self.watched.as_deref()
+    }
+
+    /// What the client lacks at `now`, in seconds of the gateway's own clock; `connected` says whether the gateway reaches the bus.
+    pub fn frame(&mut self, view: &FleetView, now: f64, connected: bool) -> Frame {
+        let changed = view.version > self.seen.min(self.detail_seen) || self.seen == 0;
+        let due = self.last_frame.is_none_or(|last| now - last >= KEEP_ALIVE);
+        let text = (changed || due).then(|| self.text(view, now, connected));
+        if text.is_some() {
+            self.last_frame = Some(now);
+            self.seen = view.version.max(1);
+            self.detail_seen = view.version.max(1);
+        }
+        let map = self.watched.as_ref().and_then(|robot| {
+            let known = view.robots.get(robot)?;
+            self.tiles.next(robot, known)
+        });
+        Frame { text, map }
+    }
+
+    fn text(&self, view: &FleetView, now: f64, connected: bool) -> String {
+        let mut text = String::with_capacity(4096);
+        let _ = write!(
+            text,
+            "{{\"type\":\"frame\",\"now\":{now:.3},\"connected\":{connected},\"version\":{}",
+            view.version
+        );
+        if view.names_version > self.seen || self.seen == 0 {
+            text.push_str(",\"fleet\":");
+            let names: Vec<&str> = view.robots().collect();
+            text.push_str(&serde_json::to_string(&names).unwrap_or_else(|_| "[]".to_owned()));
+        }
+        text.push_str(",\"robots\":{");
+        let mut first = true;
+        for (name, robot) in &view.robots {
+            let mut fresh = robot
+                .summary
+                .iter()
+                .filter(|(_, entry)| entry.version > self.seen)
+                .peekable();
+            if fresh.peek().is_none() {
+                continue;
+            }
+            comma(&mut text, &mut first);
+            push_string(&mut text, name);
+            text.push_str(":{");
+            let mut inner = true;
+            for (channel, entry) in fresh {
+                comma(&mut text, &mut inner);
+                write_entry(&mut text, channel, entry, now);
+            }
+            text.push('}');
+        }
+        text.push('}');
+        if let Some((name, robot)) = self
+            .watched
+            .as_ref()
+            .and_then(|name| Some((name, view.robots.get(name)?)))
+        {
+            text.push_str(",\"watched\":");
+            push_string(&mut text, name);
+            if self.detail_seen == 0 {
+                text.push_str(",\"fresh\":true");
+            }
+            text.push_str(",\"detail\":{");
+            let mut first = true;
+            for (channel, entry) in robot
+                .detail
+                .iter()
+                .filter(|(_, entry)| entry.version > self.detail_seen)
+            {
+                comma(&mut text, &mut first);
+                write_entry(&mut text, channel, entry, now);
+            }
+            text.push_str("},\"goals\":");
+            push_texts(
+                &mut text,
+                robot.goals.values().filter(|entry| entry.version > self.detail_seen),
+            );
+            text.push_str(",\"events\":");
+            push_texts(
+                &mut text,
+                robot.events.iter().filter(|entry| entry.version > self.detail_seen),
+            );
+            text.push_str(",\"trail\":[");
+            let mut first = true;
+            for (_, [x, y]) in robot.trail.iter().filter(|(version, _)| *version > self.detail_seen) {
+                comma(&mut text, &mut first);
+                let _ = if x.is_finite() {
+                    write!(text, "[{x:.3},{y:.3}]")
+                } else {
+                    write!(text, "null")
+                };
+            }
+            text.push(']');
+        }
+        text.push('}');
+        text
+    }
+}
+
+/// `"name":{"age":…,"data":…}`; the age in s.
+pub(crate) fn write_entry(text: &mut String, name: &str, entry: &Entry, now: f64) {
+    push_string(text, name);
+    let age = (now - entry.heard).max(0.0);
+    let _ = write!(text, ":{{\"age\":{age:.3},\"data\":{}}}", entry.text);
+}
+
+fn push_texts<'a>(text: &mut String, entries: impl Iterator<Item = &'a Entry>) {
+    text.push('[');
+    let mut first = true;
+    for entry in entries {
+        comma(text, &mut first);
+        text.push_str(&entry.text);
+    }
+    text.push(']');
+}
+
+fn comma(text: &mut String, first: &mut bool) {
+    if !std::mem::take(first) {
+        text.push(',');
+    }
+}
+
+/// A JSON string.
+fn push_string(text: &mut String, value: &str) {
+    text.push_str(&serde_json::to_string(value).unwrap_or_else(|_| "\"\"".to_owned()));
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use serde_json::{Value, json};
+    use zenav_protocol::grid::GridSpec;
+    use zenav_protocol::messages::{EdgeState, Event, MapPatch, MapRef, PoseEstimate, TILE, Tile};
+    use zenav_protocol::time::Stamp;
+
+    use super::*;
+    use crate::view::Update;
+
+    fn state(mode: &str) -> Update {
+        let state: EdgeState = serde_json::from_value(json!({
+            "stamp": 1, "boot_id": "b", "mode": mode, "link": "Connected",
+            "lease": { "holder": null, "role": null, "epoch": 1, "live": false },
+            "velocity": { "v": 0.0, "w": 0.0 }, "guard": "clear", "battery": 1.0,
+        }))
+        .unwrap();
+        Update::State(state)
+    }
+
+    fn pose(x: f64) -> Update {
+        let pose: PoseEstimate = serde_json::from_value(json!({
+            "stamp": 1, "map_from_base": { "x": x, "y": 0.0, "yaw": 0.0 }, "covariance": vec![0.0; 9], "velocity": { "v": 0.0, "w": 0.0 },
+        }))
+        .unwrap();
+        Update::Pose(pose)
+    }
+
+    fn event(sequence: u64) -> Update {
+        let event: Event =
+            serde_json::from_value(json!({ "stamp": 1, "boot_id": "b", "sequence": sequence, "event": "bumped" }))
+                .unwrap();
+        Update::Event(event)
+    }
+
+    fn patch(revision: u64, base_revision: u64, tiles: u32, changed: &[u32], value: i8) -> Update {
+        let tile = |x: &u32| Tile {
+            x: *x,
+            y: 0,
+            values: vec![value; (TILE * TILE) as usize],
+        };
+        Update::Patch(MapPatch {
+            stamp: Stamp(revision),
+            map: MapRef {
+                id: "m".into(),
+                revision,
+            },
+            base_revision,
+            spec: GridSpec {
+                origin: Point2::origin(),
+                resolution: 0.05,
+                width: TILE * tiles,
+                height: TILE,
+            },
+            tiles: changed.iter().map(tile).collect(),
+        })
+    }
+
+    fn told(client: &mut Client, view: &FleetView, now: f64) -> Value {
+        serde_json::from_str(&client.frame(view, now, true).text.unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_slow_client_gets_the_newest_and_no_more_than_that() {
+        let (mut view, mut slow) = (FleetView::new(), Client::new());
+        slow.watch(Some("a".into()));
+        view.take("a", state("idle"), 1.0);
+        let first = told(&mut slow, &view, 1.0);
+        assert_eq!(first["fleet"], json!(["a"]));
+        assert_eq!(first["robots"]["a"]["state"]["data"]["mode"], "idle");
+        for step in 0..10_000_u32 {
+            view.take("a", pose(f64::from(step) * 0.001), 1.0 + f64::from(step));
+            view.take("a", event(step.into()), 1.0);
+        }
+        let frame = told(&mut slow, &view, 10_000.5);
+        assert_eq!(frame["robots"]["a"]["pose"]["data"]["x"], 9.999);
+        assert_eq!(frame["robots"]["a"]["pose"]["age"], 0.5);
+        assert!(
+            frame["robots"]["a"]["state"].is_null(),
+            "what has not changed is not told again"
+        );
+        assert!(frame.get("fleet").is_none());
+        assert_eq!(frame["events"].as_array().unwrap().len(), 300, "the newest events");
+        assert!(frame.to_string().len() < 60_000);
+    }
+
+    #[test]
+    fn nothing_new_is_told_once_a_second_that_the_gateway_lives() {
+        let (view, mut client) = (FleetView::new(), Client::new());
+        let times = [0.0, 0.1, 0.5, 1.1, 1.2, 2.2];
+        let told: Vec<bool> = times
+            .iter()
+            .map(|now| client.frame(&view, *now, false).text.is_some())
+            .collect();
+        assert_eq!(told, [true, false, false, true, false, true]);
+    }
+
+    #[test]
+    fn details_are_for_who_watches_and_are_whole_after_every_change_of_robot() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        view.take("a", pose(0.0), 1.0);
+        view.take("a", event(1), 1.0);
+        view.take("a", event(1), 1.0);
+        view.take("b", pose(1.0), 1.0);
+        let frame = told(&mut client, &view, 1.0);
+        assert!(frame["robots"]["b"].is_object() && frame["events"].is_null());
+        client.watch(Some("a".into()));
+        let frame = told(&mut client, &view, 1.1);
+        assert_eq!((&frame["watched"], &frame["fresh"]), (&json!("a"), &json!(true)));
+        assert_eq!(
+            frame["events"].as_array().unwrap().len(),
+            1,
+            "an event that is sent again is one event"
+        );
+        assert_eq!(frame["trail"], json!([[0.0, 0.0]]));
+        view.take("a", pose(0.2), 1.2);
+        assert_eq!(told(&mut client, &view, 1.2)["trail"], json!([[0.2, 0.0]]));
+        client.watch(Some("gone".into()));
+        assert!(told(&mut client, &view, 1.3)["detail"].is_null());
+    }
+
+    #[test]
+    fn a_jump_of_the_pose_breaks_the_trail() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        client.watch(Some("a".into()));
+        view.take("a", pose(0.0), 1.0);
+        view.take("a", pose(5.0), 1.1);
+        assert_eq!(
+            told(&mut client, &view, 1.2)["trail"],
+            json!([[0.0, 0.0], null, [5.0, 0.0]])
+        );
+    }
+
+    /// Header and cells of a piece of the map.
+    fn piece(client: &mut Client, view: &FleetView) -> Option<(Value, Vec<u8>)> {
+        let bytes = client.frame(view, 1.0, true).map?;
+        let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+        Some((
+            serde_json::from_slice(&bytes[4..4 + length]).unwrap(),
+            bytes[4 + length..].to_vec(),
+        ))
+    }
+
+    #[test]
+    fn the_map_goes_out_in_pieces_and_then_only_what_changed() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        client.watch(Some("a".into()));
+        assert!(piece(&mut client, &view).is_none());
+        let all: Vec<u32> = (0..200).collect();
+        view.take("a", patch(1, 0, 200, &all, 0), 1.0);
+        assert!(!view.wants_map("a"));
+        let (header, cells) = piece(&mut client, &view).unwrap();
+        assert_eq!(header["tiles"].as_array().unwrap().len(), 128);
+        assert_eq!((cells.len(), header["left"].as_u64()), (128 * 4096, Some(72)));
+        // Tile 199 changes before it was sent: it goes out once, as it is now.
+        view.take("a", patch(2, 1, 200, &[199, 3], 100), 1.0);
+        let (header, cells) = piece(&mut client, &view).unwrap();
+        assert_eq!(header["tiles"].as_array().unwrap().len(), 73);
+        assert_eq!(cells.last(), Some(&100));
+        assert!(piece(&mut client, &view).is_none());
+        view.take("a", patch(9, 8, 200, &[0], 100), 1.0);
+        assert!(view.wants_map("a"), "a patch is missing");
+    }
+
+    #[test]
+    fn a_robot_that_is_gone_for_long_is_dropped() {
+        let mut view = FleetView::new();
+        view.take("a", state("idle"), 1.0);
+        view.take("b", state("idle"), 50.0);
+        view.forget_silent(62.0, 60.0);
+        assert_eq!(view.robots().collect::<Vec<_>>(), ["b"]);
+        let mut client = Client::new();
+        assert_eq!(told(&mut client, &view, 62.0)["fleet"], json!(["b"]));
+    }
+}

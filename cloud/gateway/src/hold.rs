@@ -1,0 +1,53 @@
+//! Dead man's switch of a browser. Does the person still hold the key?
+//!
+//! A browser repeats its command while the key is held. A command acts for [`HOLD_SECS`] after it came; the robot has a switch of its own, by
+//! the echo of its newest stamp.
+
+use zenav_protocol::geometry::Twist2;
+
+/// For how long a command acts, s.
+pub const HOLD_SECS: f64 = 0.3;
+
+/// A command, and until when it acts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hold {
+    twist: Twist2,
+    until: f64,
+}
+
+impl Hold {
+    /// A command that came at `now`, in seconds of the gateway's own clock; one that is not finite is a stop.
+    #[must_use]
+    pub fn new(twist: Twist2, now: f64) -> Self {
+        let twist = if twist.is_finite() { twist } else { Twist2::ZERO };
+        Self {
+            twist,
+            until: now + HOLD_SECS,
+        }
+    }
+
+    /// The command at `now`: rest, once it was not repeated in time.
+    #[must_use]
+    pub fn twist(&self, now: f64) -> Twist2 {
+        if now <= self.until { self.twist } else { Twist2::ZERO }
+    }
+
+    /// Since when it does not act any more, s; negative while it does.
+    #[must_use]
+    pub fn released_for(&self, now: f64) -> f64 {
+        now - self.until
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_that_is_not_held_any_more_is_rest() {
+        let hold = Hold::new(Twist2::new(0.5, 0.1), 10.0);
+        assert_eq!(hold.twist(10.2).v, 0.5);
+        assert_eq!(hold.twist(10.31), Twist2::ZERO);
+        assert_eq!(Hold::new(Twist2::new(f64::NAN, 0.0), 10.0).twist(10.0), Twist2::ZERO);
+    }
+}

@@ -1,0 +1,126 @@
+//! Extractors. How does a request become typed values? With a reason in words for what does not.
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::{FromRequest, FromRequestParts, Path, Request};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use serde::de::DeserializeOwned;
+use zenav_protocol::id::Id;
+
+use super::Shared;
+use super::error::ApiError;
+
+/// A header as text.
+fn text<'h>(headers: &'h HeaderMap, name: &header::HeaderName) -> Option<&'h str> {
+    headers.get(name)?.to_str().ok()
+}
+
+/// The token that a request carries, as a header or as the subprotocol of a WebSocket.
+fn token(headers: &HeaderMap) -> Option<&str> {
+    let bearer = text(headers, &header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+    let protocols = text(headers, &header::SEC_WEBSOCKET_PROTOCOL);
+    let offered = || {
+        protocols?
+            .split(',')
+            .find_map(|protocol| protocol.trim().strip_prefix("bearer."))
+    };
+    bearer.or_else(offered).map(str::trim)
+}
+
+/// Turns away requests for data that may not pass, before anything is read of them.
+pub(super) async fn guard(
+    axum::extract::State(shared): axum::extract::State<Arc<Shared>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let headers = request.headers();
+    let host = text(headers, &header::HOST);
+    // An origin that is no text is nobody's.
+    let origin = headers
+        .get(header::ORIGIN)
+        .map(|origin| origin.to_str().unwrap_or("null"));
+    if let Err(denied) = shared.access.admit(host, origin, token(headers)) {
+        return ApiError::from(denied).into_response();
+    }
+    // A stop is never one too many.
+    let is_stop = request.method() == Method::POST && request.uri().path().ends_with("/stop");
+    if !is_stop && !shared.hub.admits() {
+        return ApiError::too_many().into_response();
+    }
+    next.run(request).await
+}
+
+/// Turns away requests for the page under a name that is not the gateway's.
+pub(super) async fn guard_page(
+    axum::extract::State(shared): axum::extract::State<Arc<Shared>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    match shared.access.admit_page(text(request.headers(), &header::HOST)) {
+        Ok(()) => next.run(request).await,
+        Err(denied) => ApiError::from(denied).into_response(),
+    }
+}
+
+/// Names in the path, checked: `{robot}`, and `{goal}` where there is one.
+#[derive(Debug)]
+pub(super) struct Named<const N: usize>(pub(super) [String; N]);
+
+impl<const N: usize, S: Send + Sync> FromRequestParts<S> for Named<N> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let Path(chunks) = Path::<Vec<(String, String)>>::from_request_parts(parts, state)
+            .await
+            .map_err(|error| ApiError::not_found(error.body_text()))?;
+        let names: Result<Vec<String>, _> = chunks
+            .into_iter()
+            .map(|(_, value)| Id::new(value))
+            .map(|id| id.map(String::from))
+            .collect();
+        let names = names.map_err(|error| ApiError::not_found(error.to_string()))?;
+        names
+            .try_into()
+            .map(Self)
+            .map_err(|_| ApiError::not_found("this path has other names"))
+    }
+}
+
+/// A body in JSON.
+#[derive(Debug)]
+pub(super) struct JsonBody<T>(pub(super) T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for JsonBody<T> {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+        let kind = text(request.headers(), &header::CONTENT_TYPE).unwrap_or_default();
+        let is_json = kind
+            .split(';')
+            .next()
+            .is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
+        if !is_json {
+            return Err(ApiError::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                "UnsupportedMediaType",
+                "expected `Content-Type: application/json`",
+            ));
+        }
+        let bytes = Bytes::from_request(request, state).await.map_err(|error| {
+            let status = error.status();
+            let name = if status == StatusCode::PAYLOAD_TOO_LARGE {
+                "TooLarge"
+            } else {
+                "BadRequest"
+            };
+            ApiError::new(status, name, error.body_text())
+        })?;
+        serde_json::from_slice(&bytes)
+            .map(Self)
+            .map_err(|error| ApiError::bad_request(error.to_string()))
+    }
+}

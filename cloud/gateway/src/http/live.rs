@@ -1,0 +1,250 @@
+//! Live feed. What goes over a browser's WebSocket?
+//!
+//! Out: `hello` once, then a frame whenever something changed, at most `live_hz` times a second, each with the newest of everything that the
+//! browser lacks ([`crate::client`]). The next frame is made when the one before is sent: a browser that does not read holds one frame.
+//! In: `{"type": "watch", "robot": …}`, `{"type": "ping", "t": …}`, and hand control: `arm`, `drive`, `disarm`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::watch;
+use tokio::time::{MissedTickBehavior, interval, timeout};
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::id::Id;
+
+use super::error::ApiError;
+use super::robots::BY;
+use super::{App, Shared};
+use crate::client::Client;
+use crate::hold::Hold;
+use crate::hub::Joined;
+use crate::operator::Drive;
+use crate::rate::TokenBucket;
+
+/// The subprotocol that a browser asks for; it may offer its token beside it.
+const PROTOCOL: &str = "zenav.v1";
+/// Largest message from a browser, bytes.
+const MAX_MESSAGE: usize = 4096;
+/// Most messages a second from a browser; a held key sends 20.
+const MESSAGES_HZ: f64 = 100.0;
+/// A browser that has not taken a frame after this time is gone.
+const SEND_WITHIN: Duration = Duration::from_secs(20);
+/// Hand control is given back when no key was held for this long, s.
+const IDLE_DRIVE: f64 = 30.0;
+
+/// A message from a browser.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+enum Incoming {
+    Watch { robot: Option<String> },
+    Ping { t: f64 },
+    Arm { robot: String },
+    Drive { v: f64, w: f64 },
+    Disarm {},
+}
+
+pub(super) async fn upgrade(
+    State(shared): App,
+    upgrade: Result<WebSocketUpgrade, axum::extract::ws::rejection::WebSocketUpgradeRejection>,
+) -> Response {
+    let upgrade = match upgrade {
+        Ok(upgrade) => upgrade,
+        Err(error) => return ApiError::new(error.status(), "BadRequest", error.body_text()).into_response(),
+    };
+    let Some(joined) = shared.hub.join() else {
+        return ApiError::busy("too many browsers: `[gateway] max_clients` is the limit").into_response();
+    };
+    upgrade
+        .protocols([PROTOCOL])
+        .max_message_size(MAX_MESSAGE)
+        .max_frame_size(MAX_MESSAGE)
+        .read_buffer_size(MAX_MESSAGE)
+        .write_buffer_size(0)
+        .on_upgrade(move |socket| async move {
+            let mut session = Session {
+                client: Client::new(),
+                joined,
+                drive: None,
+                rate: TokenBucket::new(MESSAGES_HZ),
+                shared,
+            };
+            session.run(socket).await;
+            session.leave();
+        })
+}
+
+/// A robot that this browser drives by hand.
+struct Driving {
+    robot: String,
+    drive: Drive,
+    /// When a key was held last, s.
+    held: f64,
+}
+
+struct Session {
+    shared: Arc<Shared>,
+    client: Client,
+    joined: Joined,
+    drive: Option<Driving>,
+    rate: TokenBucket,
+}
+
+/// The other side is gone.
+struct Gone;
+
+impl Session {
+    async fn run(&mut self, mut socket: WebSocket) {
+        let hub = Arc::clone(&self.shared.hub);
+        let hello = json!({
+            "type": "hello", "version": env!("CARGO_PKG_VERSION"), "live_hz": hub.settings().live_hz, "places": hub.places(),
+        });
+        if send_json(&mut socket, &hello).await.is_err() {
+            return;
+        }
+        let mut pace = interval(Duration::from_secs_f64(1.0 / hub.settings().live_hz));
+        pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut ended = hub.ended();
+        loop {
+            let done = tokio::select! {
+                message = socket.recv() => match message {
+                    Some(Ok(Message::Text(text))) => self.hear(&mut socket, &text).await,
+                    Some(Ok(Message::Binary(_) | Message::Close(_)) | Err(_)) | None => return,
+                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(()),
+                },
+                _ = pace.tick() => self.tell(&mut socket).await,
+                () = over(&mut ended) => return,
+            };
+            if done.is_err() {
+                return;
+            }
+        }
+    }
+
+    async fn tell(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        self.look_after_drive(socket).await?;
+        let hub = &self.shared.hub;
+        let frame = self.client.frame(&hub.view(), hub.now(), hub.is_connected());
+        if let Some(text) = frame.text {
+            send(socket, Message::Text(text.into())).await?;
+        }
+        if let Some(map) = frame.map {
+            send(socket, Message::Binary(Bytes::from(map))).await?;
+        }
+        Ok(())
+    }
+
+    async fn hear(&mut self, socket: &mut WebSocket, text: &str) -> Result<(), Gone> {
+        let now = self.shared.hub.now();
+        if !self.rate.take(now) {
+            return Err(Gone);
+        }
+        let message: Incoming = match serde_json::from_str(text) {
+            Ok(message) => message,
+            Err(error) => {
+                let reason = error.to_string();
+                return send_json(socket, &json!({ "type": "error", "reason": reason })).await;
+            }
+        };
+        match message {
+            Incoming::Watch { robot } => {
+                let robot =
+                    robot.filter(|robot| Id::robot(robot.clone()).is_ok() && self.shared.hub.view().knows(robot));
+                self.joined.watch(robot.as_deref());
+                self.client.watch(robot);
+                Ok(())
+            }
+            Incoming::Ping { t } => send_json(socket, &json!({ "type": "pong", "t": t })).await,
+            Incoming::Arm { robot } => self.arm(socket, robot).await,
+            Incoming::Drive { v, w } => {
+                if let Some(driving) = &mut self.drive {
+                    driving.held = now;
+                    driving
+                        .drive
+                        .commands
+                        .send_replace(Some(Hold::new(Twist2::new(v, w), now)));
+                }
+                Ok(())
+            }
+            Incoming::Disarm {} => {
+                self.drive = None;
+                send_json(socket, &teleop("released", None, "")).await
+            }
+        }
+    }
+
+    async fn arm(&mut self, socket: &mut WebSocket, robot: String) -> Result<(), Gone> {
+        self.drive = None;
+        if !self.shared.hub.view().knows(&robot) {
+            return send_json(socket, &teleop("refused", Some(&robot), "there is no such robot")).await;
+        }
+        match self.shared.operator.drive(&robot, BY).await {
+            Ok(drive) => {
+                let armed = teleop("armed", Some(&robot), "");
+                self.drive = Some(Driving {
+                    robot,
+                    drive,
+                    held: self.shared.hub.now(),
+                });
+                send_json(socket, &armed).await
+            }
+            Err(error) => send_json(socket, &teleop("refused", Some(&robot), &error.to_string())).await,
+        }
+    }
+
+    /// Ends a drive that the robot ended, or that nobody uses.
+    async fn look_after_drive(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let Some(driving) = &self.drive else { return Ok(()) };
+        let ended = driving.drive.ended.borrow().clone();
+        let idle = self.shared.hub.now() - driving.held > IDLE_DRIVE;
+        let why = match ended {
+            Some(why) => why,
+            None if idle => format!("no key was held for {IDLE_DRIVE:.0} s"),
+            None => return Ok(()),
+        };
+        let told = teleop("released", Some(&driving.robot), &why);
+        self.drive = None;
+        send_json(socket, &told).await
+    }
+
+    /// A browser that is lost while it drives leaves the robot stopped: nobody would be looking.
+    fn leave(self) {
+        if let Some(driving) = self.drive {
+            let stopping = self
+                .shared
+                .operator
+                .stop(&driving.robot, "gateway: the browser that drove was lost");
+            tokio::spawn(async move {
+                if let Err(error) = stopping.await {
+                    tracing::error!(robot = driving.robot, %error, "the robot did not confirm its stop");
+                }
+            });
+        }
+    }
+}
+
+/// Waits until the gateway ends.
+async fn over(ended: &mut watch::Receiver<bool>) {
+    // What it returns holds a lock: it must not live on.
+    let _ = ended.wait_for(|ended| *ended).await.is_ok();
+}
+
+fn teleop(state: &str, robot: Option<&str>, reason: &str) -> Value {
+    json!({ "type": "teleop", "state": state, "robot": robot, "reason": reason })
+}
+
+async fn send_json(socket: &mut WebSocket, value: &Value) -> Result<(), Gone> {
+    send(socket, Message::Text(value.to_string().into())).await
+}
+
+async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+    match timeout(SEND_WITHIN, socket.send(message)).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(_)) | Err(_) => Err(Gone),
+    }
+}

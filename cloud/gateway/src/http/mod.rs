@@ -1,0 +1,182 @@
+//! HTTP face. How do browsers and programs reach the gateway?
+//!
+//! | file | answers |
+//! |---|---|
+//! | `robots` | robots, their events and maps; stop and resume |
+//! | `goals` | goals: submit, list, cancel, pause |
+//! | `live` | the WebSocket: frames out; which robot is watched, and hand control, in |
+//! | `extract` | how does a request become typed values, and may it pass? |
+//! | `error` | which status and which words? |
+//! | `openapi` | what does the API look like? |
+
+mod error;
+mod extract;
+mod goals;
+mod live;
+mod openapi;
+mod robots;
+#[cfg(test)]
+mod tests;
+
+use std::future::Future;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, State};
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware::{from_fn_with_state, map_response};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use serde::Serialize;
+use tokio::net::TcpListener;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::set_header::SetResponseHeaderLayer;
+
+use crate::access::Access;
+use crate::hub::Hub;
+use crate::operator::Operator;
+use crate::page;
+use error::ApiError;
+
+/// Largest body of a request, bytes: a goal may hold a behaviour tree.
+const MAX_BODY: usize = 512 * 1024;
+/// The page runs its own scripts and styles, talks to where it came from, and is framed by nobody.
+const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
+                              base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// What every handler shares.
+pub(crate) struct Shared {
+    pub(crate) hub: Arc<Hub>,
+    pub(crate) operator: Arc<dyn Operator>,
+    pub(crate) access: Access,
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Shared").field("hub", &self.hub).finish_non_exhaustive()
+    }
+}
+
+type App = State<Arc<Shared>>;
+
+/// The page and the API.
+pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Router {
+    let shared = Arc::new(Shared { hub, operator, access });
+    let api = Router::new()
+        .route("/health", get(robots::health))
+        .route("/openapi.json", get(openapi::document))
+        .route("/places", get(robots::places))
+        .route("/stop", post(robots::stop_all))
+        .route("/robots", get(robots::list))
+        .route("/robots/{robot}", get(robots::one))
+        .route("/robots/{robot}/events", get(robots::events))
+        .route("/robots/{robot}/map", get(robots::map))
+        .route("/robots/{robot}/stop", post(robots::stop))
+        .route("/robots/{robot}/resume", post(robots::resume))
+        .route("/robots/{robot}/goals", get(goals::list).post(goals::submit))
+        .route("/robots/{robot}/goals/{goal}", get(goals::one).delete(goals::cancel))
+        .route("/robots/{robot}/goals/{goal}/pause", post(goals::pause))
+        .route("/robots/{robot}/goals/{goal}/resume", post(goals::resume))
+        .route("/live", get(live::upgrade))
+        .fallback(nothing_here)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(from_fn_with_state(Arc::clone(&shared), extract::guard));
+    let site = Router::new()
+        .route("/", get(page::index))
+        .route("/page/{file}", get(page::file))
+        .fallback(nothing_here)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(from_fn_with_state(Arc::clone(&shared), extract::guard_page));
+    let set = |name: HeaderName, value: &'static str| {
+        SetResponseHeaderLayer::overriding(name, HeaderValue::from_static(value))
+    };
+    Router::new()
+        .nest("/api/v1", api)
+        .merge(site)
+        .layer(DefaultBodyLimit::max(MAX_BODY))
+        .layer(set(header::CONTENT_SECURITY_POLICY, CONTENT_POLICY))
+        .layer(set(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+        .layer(set(header::REFERRER_POLICY, "no-referrer"))
+        .layer(set(header::CACHE_CONTROL, "no-store"))
+        .layer(map_response(in_json))
+        .layer(CatchPanicLayer::new())
+        .with_state(shared)
+}
+
+/// Serves connections until `ended`; then those that are open are closed.
+///
+/// # Errors
+/// When the listener fails.
+pub async fn serve(
+    listener: TcpListener,
+    router: Router,
+    ended: impl Future<Output = ()> + Send + 'static,
+) -> std::io::Result<()> {
+    axum::serve(listener, router).with_graceful_shutdown(ended).await
+}
+
+/// Listens at an address; port 0 takes a free one.
+///
+/// # Errors
+/// When it is no address, or taken.
+pub async fn listen(address: &str) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let listener = TcpListener::bind(address).await?;
+    let address = listener.local_addr()?;
+    Ok((listener, address))
+}
+
+async fn nothing_here(uri: axum::http::Uri) -> ApiError {
+    let path: String = uri.path().chars().take(200).collect();
+    ApiError::not_found(format!("nothing at {path}: /api/v1/openapi.json lists what there is"))
+}
+
+async fn wrong_method() -> ApiError {
+    ApiError::new(
+        StatusCode::METHOD_NOT_ALLOWED,
+        "MethodNotAllowed",
+        "this path takes other methods: see `Allow`",
+    )
+}
+
+/// Whatever a layer answers in words of its own becomes JSON too.
+async fn in_json(response: Response) -> Response {
+    let status = response.status();
+    let is_text = response
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .is_none_or(|kind| kind.as_bytes().starts_with(b"text/plain"));
+    if (status.is_client_error() || status.is_server_error()) && is_text {
+        let reason = status.canonical_reason().unwrap_or("error");
+        let mut answer = ApiError::new(status, "Error", reason).into_response();
+        for (name, value) in response.headers() {
+            if *name != header::CONTENT_TYPE && *name != header::CONTENT_LENGTH {
+                answer.headers_mut().insert(name, value.clone());
+            }
+        }
+        return answer;
+    }
+    response
+}
+
+/// A reply in JSON.
+fn json(status: StatusCode, value: &impl Serialize) -> Response {
+    match serde_json::to_string(value) {
+        Ok(text) => json_text(status, text),
+        Err(error) => {
+            tracing::error!(%error, "a reply cannot be written as JSON");
+            StatusCode::INTERNAL_SERVER_ERROR.into_response()
+        }
+    }
+}
+
+/// A reply that is JSON already.
+fn json_text(status: StatusCode, text: String) -> Response {
+    (status, [(header::CONTENT_TYPE, "application/json")], text).into_response()
+}
+
+/// A file of the page that is not there.
+pub(crate) fn no_such_file(name: &str) -> Response {
+    let name: String = name.chars().take(100).collect();
+    ApiError::not_found(format!("the page has no file `{name}`")).into_response()
+}

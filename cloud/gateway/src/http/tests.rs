@@ -1,0 +1,423 @@
+//! What does the HTTP face promise? Asked without a network.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use axum::body::{Body, to_bytes};
+use axum::http::{Method, Request};
+use serde_json::{Value, json};
+use tokio::sync::watch;
+use tower::ServiceExt as _;
+use zenav_protocol::messages::{
+    CancelRequest, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, MapReply, PauseRequest,
+    Refusal, StopReply,
+};
+
+use super::*;
+use crate::operator::{Answer, AskFailure, Drive};
+use crate::settings::GatewaySettings;
+use crate::view::Update;
+
+/// Writes down what it is asked; refuses goals with x above 100, and never answers for the robot `mute`.
+#[derive(Debug, Default)]
+struct Scribe {
+    asked: Mutex<Vec<String>>,
+}
+
+impl Scribe {
+    fn note<T: Send + 'static>(&self, what: String, answer: Result<T, AskFailure>) -> Answer<T> {
+        self.asked.lock().unwrap().push(what);
+        Box::pin(std::future::ready(answer))
+    }
+
+    fn reply(id: &str, state: GoalPhase) -> GoalReply {
+        GoalReply {
+            id: id.to_owned(),
+            state,
+            reason: None,
+            robot: None,
+        }
+    }
+}
+
+impl Operator for Scribe {
+    fn submit(&self, robot: &str, goal: GoalRequest) -> Answer<GoalReply> {
+        let id = goal.id.clone().unwrap();
+        let answer = if goal.x.is_some_and(|x| x > 100.0) {
+            Err(AskFailure::Refused(Refusal::Rejected {
+                reason: "occupied".into(),
+                nearest_free: Some(GoalPoint {
+                    x: 1.0,
+                    y: 2.0,
+                    yaw: None,
+                }),
+            }))
+        } else {
+            Ok(Self::reply(&id, GoalPhase::Accepted))
+        };
+        self.note(
+            format!("submit {robot} {:?} {:?} {:?}", goal.x, goal.y, goal.yaw),
+            answer,
+        )
+    }
+
+    fn cancel(&self, robot: &str, request: CancelRequest) -> Answer<GoalReply> {
+        let id = request.id.unwrap();
+        self.note(
+            format!("cancel {robot} {id}"),
+            Ok(Self::reply(&id, GoalPhase::Canceled)),
+        )
+    }
+
+    fn pause(&self, robot: &str, request: PauseRequest) -> Answer<GoalReply> {
+        let id = request.id.unwrap();
+        self.note(
+            format!("pause {robot} {id} {}", request.resume),
+            Ok(Self::reply(&id, GoalPhase::Paused)),
+        )
+    }
+
+    fn goals(&self, robot: &str, _: GoalsRequest) -> Answer<GoalsReply> {
+        self.note(format!("goals {robot}"), Ok(GoalsReply::default()))
+    }
+
+    fn stop(&self, robot: &str, by: &str) -> Answer<StopReply> {
+        let answer = match robot {
+            "mute" => Err(AskFailure::Timeout { key: "stop".into() }),
+            _ => Ok(StopReply { stopped: true }),
+        };
+        self.note(format!("stop {robot} {by}"), answer)
+    }
+
+    fn resume(&self, robot: &str, _: &str) -> Answer<StopReply> {
+        self.note(format!("resume {robot}"), Ok(StopReply { stopped: false }))
+    }
+
+    fn map(&self, _: &str) -> Answer<MapReply> {
+        self.note(
+            "map".into(),
+            Err(AskFailure::Refused(Refusal::Busy {
+                reason: "4 maps".into(),
+            })),
+        )
+    }
+
+    fn drive(&self, _: &str, _: &str) -> Answer<Drive> {
+        let drive = Drive {
+            commands: watch::channel(None).0,
+            ended: watch::channel(None).1,
+        };
+        self.note("drive".into(), Ok(drive))
+    }
+}
+
+const HOST: &str = "127.0.0.1:7480";
+const TOKEN: &str = "0123456789abcdef";
+
+struct Site {
+    router: Router,
+    scribe: Arc<Scribe>,
+}
+
+fn site(token: Option<&str>, settings: GatewaySettings) -> Site {
+    let places = BTreeMap::from([(
+        "sink".to_owned(),
+        GoalPoint {
+            x: 0.9,
+            y: 0.1,
+            yaw: None,
+        },
+    )]);
+    let hub = Hub::new(settings, places);
+    for robot in ["tiago", "mute"] {
+        let (component, alive) = ("edge".to_owned(), true);
+        hub.take(robot, Update::Part { component, alive });
+    }
+    let scribe = Arc::new(Scribe::default());
+    let access = Access::new(HOST.parse().unwrap(), token.map(str::to_owned), Vec::new()).unwrap();
+    Site {
+        router: router(hub, Arc::clone(&scribe) as Arc<dyn Operator>, access),
+        scribe,
+    }
+}
+
+impl Site {
+    async fn send(&self, request: Request<Body>) -> (StatusCode, Value) {
+        let reply = self.router.clone().oneshot(request).await.unwrap();
+        let status = reply.status();
+        assert_eq!(reply.headers()["x-content-type-options"], "nosniff");
+        let bytes = to_bytes(reply.into_body(), 1 << 20).await.unwrap();
+        (status, serde_json::from_slice(&bytes).unwrap_or(Value::Null))
+    }
+
+    async fn ask(&self, method: Method, path: &str, body: Option<&str>) -> (StatusCode, Value) {
+        let mut request = Request::builder().method(method).uri(path).header("host", HOST);
+        if body.is_some() {
+            request = request.header("content-type", "application/json");
+        }
+        let body = body.map_or_else(Body::empty, |text| Body::from(text.to_owned()));
+        self.send(request.body(body).unwrap()).await
+    }
+
+    fn asked(&self) -> Vec<String> {
+        std::mem::take(&mut self.scribe.asked.lock().unwrap())
+    }
+}
+
+const GOALS: &str = "/api/v1/robots/tiago/goals";
+
+#[tokio::test]
+async fn goals_stop_and_resume_reach_the_robot() {
+    let site = site(None, GatewaySettings::default());
+    let (status, reply) = site
+        .ask(
+            Method::POST,
+            GOALS,
+            Some(r#"{"x": 1.0, "y": -2.0, "yaw": 0.5, "id": "g1"}"#),
+        )
+        .await;
+    assert_eq!(
+        (status, &reply["id"], &reply["state"]),
+        (StatusCode::ACCEPTED, &json!("g1"), &json!("Accepted"))
+    );
+    let (status, reply) = site.ask(Method::POST, GOALS, Some(r#"{"place": "sink"}"#)).await;
+    assert_eq!(status, StatusCode::ACCEPTED);
+    assert!(
+        reply["id"].as_str().unwrap().starts_with("goal-"),
+        "an id is made before the goal is sent"
+    );
+    for (method, path, wanted) in [
+        (Method::DELETE, "/goals/g1", "cancel tiago g1"),
+        (Method::POST, "/goals/g1/pause", "pause tiago g1 false"),
+        (Method::POST, "/goals/g1/resume", "pause tiago g1 true"),
+        (Method::POST, "/stop", "stop tiago gateway"),
+        (Method::POST, "/resume", "resume tiago"),
+    ] {
+        site.asked();
+        let (status, _) = site.ask(method, &format!("/api/v1/robots/tiago{path}"), None).await;
+        assert_eq!((status, site.asked()), (StatusCode::OK, vec![wanted.to_owned()]));
+    }
+    let (status, reply) = site.ask(Method::POST, "/api/v1/stop", None).await;
+    assert_eq!(status, StatusCode::GATEWAY_TIMEOUT, "one robot does not answer");
+    assert_eq!(reply["robots"][1], json!({ "robot": "tiago", "stopped": true }));
+}
+
+#[tokio::test]
+async fn every_error_is_json_with_a_reason_and_its_status() {
+    let site = site(None, GatewaySettings::default());
+    let large = format!(r#"{{"tree": "{}"}}"#, "x".repeat(MAX_BODY));
+    for (method, path, body, status, words) in [
+        (Method::GET, "/api/v1/nothing", None, 404, "nothing at"),
+        (Method::GET, "/nothing", None, 404, "nothing at"),
+        (Method::GET, "/page/nothing.js", None, 404, "nothing.js"),
+        (Method::GET, "/api/v1/robots/other", None, 404, "there is mute, tiago"),
+        (Method::GET, "/api/v1/robots/a%2Fb", None, 404, "not a valid name"),
+        (Method::GET, "/api/v1/robots/%FF", None, 404, "UTF-8"),
+        (Method::PUT, GOALS, None, 405, "other methods"),
+        (Method::POST, GOALS, Some("{"), 400, "EOF"),
+        (
+            Method::POST,
+            GOALS,
+            Some(r#"{"x": 1, "tolerence": 2}"#),
+            400,
+            "tolerence",
+        ),
+        (
+            Method::POST,
+            GOALS,
+            Some(r#"{"x": 1, "y": 1, "yaw": 90}"#),
+            400,
+            "radians",
+        ),
+        (
+            Method::POST,
+            GOALS,
+            Some(r#"{"x": 1, "y": 1, "id": "a/b"}"#),
+            400,
+            "not a valid name",
+        ),
+        (Method::POST, GOALS, Some(large.as_str()), 413, "limit"),
+        (Method::POST, GOALS, None, 415, "application/json"),
+        (Method::POST, GOALS, Some(r#"{"x": 200, "y": 1}"#), 422, "occupied"),
+        (Method::GET, "/api/v1/robots/tiago/map", None, 503, "4 maps"),
+        (Method::POST, "/api/v1/robots/mute/stop", None, 504, "no answer"),
+        (Method::GET, "/api/v1/live", None, 400, ""),
+    ] {
+        let (got, reply) = site.ask(method.clone(), path, body).await;
+        assert_eq!(got.as_u16(), status, "{method} {path}: {reply}");
+        let reason = reply["reason"]
+            .as_str()
+            .unwrap_or_else(|| panic!("{method} {path}: {reply}"));
+        assert!(
+            reason.contains(words) && reply["error"].is_string(),
+            "{method} {path}: {reply}"
+        );
+    }
+    let (_, reply) = site.ask(Method::POST, GOALS, Some(r#"{"x": 200, "y": 1}"#)).await;
+    assert_eq!(reply["nearest_free"], json!({ "x": 1.0, "y": 2.0 }));
+}
+
+#[tokio::test]
+async fn other_origins_other_hosts_and_wrong_tokens_get_nothing() {
+    let (open, closed) = (
+        site(None, GatewaySettings::default()),
+        site(Some(TOKEN), GatewaySettings::default()),
+    );
+    let request = |headers: &[(&str, &str)]| {
+        let mut request = Request::builder().uri("/api/v1/robots");
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        request.body(Body::empty()).unwrap()
+    };
+    let bearer = format!("Bearer {TOKEN}");
+    let offered = format!("zenav.v1, bearer.{TOKEN}");
+    for (site, headers, status) in [
+        (&open, vec![("host", HOST)], 200),
+        (&open, vec![("host", HOST), ("origin", "http://127.0.0.1:7480")], 200),
+        (&open, vec![("host", HOST), ("origin", "http://evil.example")], 403),
+        (
+            &open,
+            vec![("host", "evil.example"), ("origin", "http://evil.example")],
+            403,
+        ),
+        (&open, vec![], 403),
+        (&closed, vec![("host", HOST)], 401),
+        (&closed, vec![("host", HOST), ("authorization", "Bearer wrong")], 401),
+        (
+            &closed,
+            vec![("host", "robots.lan"), ("authorization", bearer.as_str())],
+            200,
+        ),
+        (
+            &closed,
+            vec![("host", "robots.lan"), ("sec-websocket-protocol", offered.as_str())],
+            200,
+        ),
+    ] {
+        let (got, reply) = site.send(request(&headers)).await;
+        assert_eq!(got.as_u16(), status, "{headers:?}: {reply}");
+    }
+    let page = Request::builder()
+        .uri("/")
+        .header("host", "robots.lan")
+        .body(Body::empty())
+        .unwrap();
+    assert_eq!(closed.send(page).await.0, StatusCode::OK, "the page holds no data");
+}
+
+#[tokio::test]
+async fn too_many_requests_are_told_so_and_a_stop_is_never_one_of_them() {
+    let settings = GatewaySettings {
+        requests_hz: 3.0,
+        ..GatewaySettings::default()
+    };
+    let site = site(None, settings);
+    let mut statuses = Vec::new();
+    for _ in 0..6 {
+        statuses.push(site.ask(Method::GET, "/api/v1/health", None).await.0.as_u16());
+    }
+    assert_eq!(statuses[..3], [200; 3]);
+    assert!(statuses.contains(&429), "{statuses:?}");
+    assert_eq!(
+        site.ask(Method::POST, "/api/v1/robots/tiago/stop", None).await.0,
+        StatusCode::OK
+    );
+}
+
+#[tokio::test]
+async fn the_openapi_document_lists_what_there_is_and_nothing_else() {
+    let settings = GatewaySettings {
+        requests_hz: 1000.0,
+        ..GatewaySettings::default()
+    };
+    let site = site(None, settings);
+    let (status, document) = site.ask(Method::GET, "/api/v1/openapi.json", None).await;
+    assert_eq!(status, StatusCode::OK);
+    let mut routes = 0;
+    for (path, item) in document["paths"].as_object().unwrap() {
+        let concrete = path.replace("{robot}", "tiago").replace("{goal}", "g1");
+        for (method, operation) in item
+            .as_object()
+            .unwrap()
+            .iter()
+            .filter(|(name, _)| *name != "parameters")
+        {
+            let method: Method = method.to_uppercase().parse().unwrap();
+            let (got, _) = site.ask(method.clone(), &concrete, Some("{}")).await;
+            let told = &operation["responses"][got.as_str()];
+            assert!(
+                told.is_object(),
+                "{method} {path} answers {got}, which the document does not tell"
+            );
+            assert_ne!(got, StatusCode::METHOD_NOT_ALLOWED);
+            routes += 1;
+        }
+    }
+    let written = include_str!("mod.rs").split("    let site = ").next().unwrap();
+    let declared: usize = ["get(", "post(", ".post(", ".delete("]
+        .iter()
+        .map(|verb| match *verb {
+            "get(" => written.matches(", get(").count(),
+            "post(" => written.matches(", post(").count(),
+            verb => written.matches(&format!("){verb}")).count(),
+        })
+        .sum();
+    assert_eq!(routes, declared, "every route stands in the document");
+    let text = document.to_string();
+    for (at, _) in text.match_indices("#/components/schemas/") {
+        let name = text[at + 21..].split('"').next().unwrap();
+        assert!(document["components"]["schemas"][name].is_object(), "{name}");
+    }
+}
+
+#[tokio::test]
+async fn every_file_that_the_page_names_is_served() {
+    let site = site(None, GatewaySettings::default());
+    let get = async |path: &str| {
+        let request = Request::builder()
+            .uri(path)
+            .header("host", HOST)
+            .body(Body::empty())
+            .unwrap();
+        let reply = site.router.clone().oneshot(request).await.unwrap();
+        assert_eq!(reply.status(), StatusCode::OK, "{path}");
+        assert!(
+            reply.headers()["content-security-policy"]
+                .to_str()
+                .unwrap()
+                .contains("default-src 'none'")
+        );
+        String::from_utf8(to_bytes(reply.into_body(), 1 << 20).await.unwrap().to_vec()).unwrap()
+    };
+    let index = get("/").await;
+    let mut named: Vec<String> = index
+        .split('"')
+        .filter(|text| text.starts_with("/page/"))
+        .map(str::to_owned)
+        .collect();
+    let mut at = 0;
+    while let Some(path) = named.get(at).cloned() {
+        let text = get(&path).await;
+        if path.ends_with(".js") {
+            let imports = text
+                .lines()
+                .filter(|line| line.starts_with("import ") || line.starts_with("} from"));
+            for line in imports {
+                let file = line
+                    .split("\"./")
+                    .nth(1)
+                    .and_then(|rest| rest.split('"').next())
+                    .unwrap();
+                let path = format!("/page/{file}");
+                if !named.contains(&path) {
+                    named.push(path);
+                }
+            }
+        }
+        at += 1;
+    }
+    assert!(named.len() > 15, "{named:?}");
+}

@@ -1,0 +1,178 @@
+//! Hub. Where do the messages of the robots and the clients meet? One view behind a lock that is held for microseconds, and a signal.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::watch;
+use tokio::time::Instant;
+use zenav_protocol::messages::GoalPoint;
+
+use crate::rate::TokenBucket;
+use crate::settings::GatewaySettings;
+use crate::view::{FleetView, Update};
+
+/// Shared by whoever feeds the view and whoever serves it.
+#[derive(Debug)]
+pub struct Hub {
+    start: Instant,
+    view: Mutex<FleetView>,
+    rate: Mutex<TokenBucket>,
+    /// Counts the rounds of news.
+    rounds: watch::Sender<u64>,
+    /// Robots that somebody watches, with the number of watchers.
+    watchers: Mutex<BTreeMap<String, usize>>,
+    watched: watch::Sender<BTreeSet<String>>,
+    ended: watch::Sender<bool>,
+    connected: AtomicBool,
+    clients: AtomicUsize,
+    places: BTreeMap<String, GoalPoint>,
+    settings: GatewaySettings,
+}
+
+impl Hub {
+    /// A hub of no robot yet, with named places for everybody.
+    #[must_use]
+    pub fn new(settings: GatewaySettings, places: BTreeMap<String, GoalPoint>) -> Arc<Self> {
+        Arc::new(Self {
+            start: Instant::now(),
+            view: Mutex::new(FleetView::new()),
+            rate: Mutex::new(TokenBucket::new(settings.requests_hz)),
+            rounds: watch::Sender::new(0),
+            watchers: Mutex::default(),
+            watched: watch::Sender::new(BTreeSet::new()),
+            ended: watch::Sender::new(false),
+            connected: AtomicBool::new(false),
+            clients: AtomicUsize::new(0),
+            places,
+            settings,
+        })
+    }
+
+    /// Seconds of the gateway's own clock, since its start.
+    #[must_use]
+    pub fn now(&self) -> f64 {
+        self.start.elapsed().as_secs_f64()
+    }
+
+    /// The view, for a moment.
+    pub fn view(&self) -> MutexGuard<'_, FleetView> {
+        self.view.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes in a message about a robot.
+    pub fn take(&self, robot: &str, update: Update) {
+        let now = self.now();
+        self.view().take(robot, update, now);
+    }
+
+    /// There was a round of news. `connected` says whether the gateway reaches the bus.
+    pub fn announce(&self, connected: bool) {
+        self.connected.store(connected, Ordering::Relaxed);
+        self.rounds.send_modify(|round| *round += 1);
+    }
+
+    /// Robots that somebody watches now.
+    #[must_use]
+    pub fn watched(&self) -> watch::Receiver<BTreeSet<String>> {
+        self.watched.subscribe()
+    }
+
+    /// Settings.
+    #[must_use]
+    pub fn settings(&self) -> &GatewaySettings {
+        &self.settings
+    }
+
+    /// Waits until a robot was heard.
+    pub async fn first_robot(&self) {
+        let mut rounds = self.rounds.subscribe();
+        while self.view().robots().next().is_none() {
+            if rounds.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Closes every browser's connection.
+    pub fn end(&self) {
+        self.ended.send_replace(true);
+    }
+
+    pub(crate) fn ended(&self) -> watch::Receiver<bool> {
+        self.ended.subscribe()
+    }
+
+    pub(crate) fn is_connected(&self) -> bool {
+        self.connected.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn places(&self) -> &BTreeMap<String, GoalPoint> {
+        &self.places
+    }
+
+    /// Whether one more request may be carried out now.
+    pub(crate) fn admits(&self) -> bool {
+        let now = self.now();
+        self.rate.lock().unwrap_or_else(PoisonError::into_inner).take(now)
+    }
+
+    /// Number of connected browsers.
+    pub(crate) fn clients(&self) -> usize {
+        self.clients.load(Ordering::Relaxed)
+    }
+
+    /// Counts one more client until the guard is dropped; `None` when there are too many.
+    pub(crate) fn join(self: &Arc<Self>) -> Option<Joined> {
+        let joined = self.clients.fetch_add(1, Ordering::Relaxed);
+        let guard = Joined {
+            hub: Arc::clone(self),
+            watching: None,
+        };
+        (joined < self.settings.max_clients).then_some(guard)
+    }
+
+    fn count(&self, robot: &str, comes: bool) {
+        let mut watchers = self.watchers.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = watchers.entry(robot.to_owned()).or_default();
+        *count = if comes { *count + 1 } else { count.saturating_sub(1) };
+        if *count == 0 {
+            watchers.remove(robot);
+        }
+        let now: BTreeSet<String> = watchers.keys().cloned().collect();
+        self.watched.send_if_modified(|watched| {
+            let differs = *watched != now;
+            *watched = now;
+            differs
+        });
+    }
+}
+
+/// A connected client; dropped when it leaves.
+#[derive(Debug)]
+pub(crate) struct Joined {
+    hub: Arc<Hub>,
+    watching: Option<String>,
+}
+
+impl Joined {
+    /// The client watches this robot from now on.
+    pub(crate) fn watch(&mut self, robot: Option<&str>) {
+        if let Some(robot) = robot {
+            self.hub.count(robot, true);
+        }
+        if let Some(before) = self.watching.take() {
+            self.hub.count(&before, false);
+        }
+        self.watching = robot.map(str::to_owned);
+    }
+}
+
+impl Drop for Joined {
+    fn drop(&mut self) {
+        if let Some(robot) = self.watching.take() {
+            self.hub.count(&robot, false);
+        }
+        self.hub.clients.fetch_sub(1, Ordering::Relaxed);
+    }
+}

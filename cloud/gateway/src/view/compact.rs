@@ -1,0 +1,182 @@
+//! Compact messages. What of a robot's messages does the page draw?
+//!
+//! Positions in metres of the map frame with millimetres, angles in radians; a long trajectory thinned out. What a person reads (state,
+//! events, goals, the behaviour tree) goes through as it is.
+
+use nalgebra::Point2;
+use serde::Serialize;
+use zenav_protocol::messages::{InfoReply, Obstacles, Plan, PoseEstimate, Scan, SearchTree};
+use zenav_protocol::robot::Footprint;
+
+/// Most points of a plan that are drawn.
+const MAX_PLAN_POINTS: usize = 400;
+/// Most edges of a search tree that are drawn.
+const MAX_EDGES: usize = 4000;
+/// Most beams of a scan that are drawn.
+const MAX_BEAMS: usize = 1440;
+/// Sides of the polygon that stands for a round footprint.
+const ROUND: u32 = 32;
+
+/// A number with three digits after the point; what is not finite is zero.
+fn milli(value: f64) -> f64 {
+    if value.is_finite() {
+        (value * 1e3).round() / 1e3
+    } else {
+        0.0
+    }
+}
+
+/// Every how many of `count` things one is kept, so that at most `most` are.
+fn stride(count: usize, most: usize) -> usize {
+    count.div_ceil(most).max(1)
+}
+
+/// Where a robot is: `x`, `y` (m), `yaw` (rad), `v` (m/s), `w` (rad/s), and the standard deviation of the position, m.
+#[derive(Debug, Serialize)]
+pub(super) struct CompactPose {
+    x: f64,
+    y: f64,
+    yaw: f64,
+    v: f64,
+    w: f64,
+    sd: f64,
+}
+
+impl From<&PoseEstimate> for CompactPose {
+    fn from(pose: &PoseEstimate) -> Self {
+        let at = pose.map_from_base;
+        Self {
+            x: milli(at.x),
+            y: milli(at.y),
+            yaw: milli(at.yaw),
+            v: milli(pose.velocity.v),
+            w: milli(pose.velocity.w),
+            sd: milli((pose.covariance[0].max(0.0) + pose.covariance[4].max(0.0)).sqrt()),
+        }
+    }
+}
+
+/// A sweep: the laser's pose in the map, the first beam's direction and the step (rad), and ranges in mm; 0 is no return.
+#[derive(Debug, Serialize)]
+pub(super) struct CompactScan {
+    at: [f64; 3],
+    first: f64,
+    step: f64,
+    mm: Vec<u32>,
+}
+
+impl From<&Scan> for CompactScan {
+    fn from(scan: &Scan) -> Self {
+        let at = scan.map_from_laser();
+        let every = stride(scan.ranges.len(), MAX_BEAMS);
+        // A float to integer cast saturates, and NaN becomes zero.
+        let mm = |range: &f32| {
+            if scan.is_return(*range) {
+                (range * 1e3).round() as u32
+            } else {
+                0
+            }
+        };
+        Self {
+            at: [milli(at.x), milli(at.y), (at.yaw * 1e5).round() / 1e5],
+            first: scan.angle_min,
+            step: scan.angle_increment * every as f64,
+            mm: scan.ranges.iter().step_by(every).map(mm).collect(),
+        }
+    }
+}
+
+/// A plan: its path as `x`, `y`, `v` after one another, and what a person asks of it.
+#[derive(Debug, Serialize)]
+pub(super) struct CompactPlan<'a> {
+    goal_id: &'a str,
+    trajectory_id: u64,
+    planner: &'a str,
+    status: &'a str,
+    length: f64,
+    duration: f64,
+    min_clearance: Option<f64>,
+    /// x, y (m), speed (m/s) of each point.
+    points: Vec<f64>,
+}
+
+impl<'a> From<&'a Plan> for CompactPlan<'a> {
+    fn from(plan: &'a Plan) -> Self {
+        let driven = plan.trajectory.rest(f64::NEG_INFINITY);
+        let mut points = Vec::new();
+        if driven.is_empty() {
+            points.extend(plan.waypoints.iter().flat_map(|p| [milli(p.x), milli(p.y), 0.0]));
+        } else {
+            let every = stride(driven.len(), MAX_PLAN_POINTS);
+            let kept = driven.iter().step_by(every).chain(driven.last());
+            points.extend(kept.flat_map(|p| [milli(p.x), milli(p.y), milli(p.v)]));
+        }
+        let statistics = &plan.statistics;
+        Self {
+            goal_id: &plan.goal_id,
+            trajectory_id: plan.trajectory_id,
+            planner: &statistics.planner,
+            status: &statistics.status,
+            length: milli(statistics.length),
+            duration: milli(statistics.duration),
+            min_clearance: statistics.min_clearance.map(milli),
+            points,
+        }
+    }
+}
+
+/// Moving obstacles: `x`, `y`, `vx`, `vy`, `radius` each.
+pub(super) fn obstacles(obstacles: &Obstacles) -> Vec<[f64; 5]> {
+    let each = obstacles.obstacles.iter();
+    each.map(|o| [o.x, o.y, o.vx, o.vy, o.radius].map(milli)).collect()
+}
+
+/// A search tree: edges as `x0, y0, x1, y1` after one another, and the best path as `x, y`.
+#[derive(Debug, Serialize)]
+pub(super) struct CompactTree {
+    edges: Vec<f64>,
+    path: Vec<f64>,
+}
+
+impl From<&SearchTree> for CompactTree {
+    fn from(tree: &SearchTree) -> Self {
+        let every = stride(tree.edges.len(), MAX_EDGES);
+        let flat = |p: &Point2<f64>| [milli(p.x), milli(p.y)];
+        let edges = tree.edges.iter().step_by(every);
+        Self {
+            edges: edges.flat_map(|[a, b]| [flat(a), flat(b)].concat()).collect(),
+            path: tree.path.iter().flat_map(flat).collect(),
+        }
+    }
+}
+
+/// What a robot is: its outline in the base frame, m, and its top speeds, m/s and rad/s.
+#[derive(Debug, Serialize)]
+pub(super) struct CompactModel {
+    name: String,
+    outline: Vec<[f64; 2]>,
+    max_v: f64,
+    max_w: f64,
+}
+
+impl CompactModel {
+    /// From an edge's word about itself; `None` where it tells no model.
+    pub(super) fn of(info: &InfoReply) -> Option<Self> {
+        let model = info.model.as_ref()?;
+        let outline = match &model.footprint {
+            Footprint::Radius(radius) => (0..ROUND)
+                .map(|side| {
+                    let angle = f64::from(side) / f64::from(ROUND) * std::f64::consts::TAU;
+                    [milli(radius * angle.cos()), milli(radius * angle.sin())]
+                })
+                .collect(),
+            Footprint::Polygon(corners) => corners.iter().map(|p| [milli(p.x), milli(p.y)]).collect(),
+        };
+        Some(Self {
+            name: model.name.clone(),
+            outline,
+            max_v: milli(model.drive.top_speed()),
+            max_w: milli(model.drive.top_yaw_rate()),
+        })
+    }
+}

@@ -1,0 +1,305 @@
+//! Fleet view. What is the latest state of every robot?
+//!
+//! A pure core: messages in with the time at which they were heard, the newest of each kind kept as JSON text with the number of the change
+//! that brought it. A client is then told what changed after the change that it saw last ([`crate::client`]): nothing is queued for anybody,
+//! and a slow client costs no memory.
+
+mod compact;
+mod map_tiles;
+mod robot;
+
+use std::collections::BTreeMap;
+
+use zenav_protocol::map_replica::PatchResult;
+use zenav_protocol::messages::{
+    EdgeState, Event, GoalState, InfoReply, MapPatch, MapReply, Marker, MissionStatus, Obstacles, Plan, PoseEstimate,
+    Scan, SearchTree,
+};
+
+use compact::{CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
+pub(crate) use map_tiles::TileCursor;
+pub(crate) use robot::{Entry, RobotView};
+
+/// Most robots that are kept; beyond that the one that has been silent longest goes.
+const MAX_ROBOTS: usize = 1024;
+
+/// A message about one robot.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "a few at a time, moved once")]
+pub enum Update {
+    /// Mode, link, lease, progress.
+    State(EdgeState),
+    /// Where it is.
+    Pose(PoseEstimate),
+    /// What a lidar sees; the name is empty for the main one.
+    Scan(String, Scan),
+    /// What it is to drive.
+    Plan(Plan),
+    /// What its behaviour tree does.
+    Mission(MissionStatus),
+    /// A goal and its progress.
+    Goal(GoalState),
+    /// What happened on it.
+    Event(Event),
+    /// A shape to draw.
+    Marker(Marker),
+    /// What moves around it.
+    Obstacles(Obstacles),
+    /// A planner's search.
+    Tree(SearchTree),
+    /// Its whole map.
+    Map(MapReply),
+    /// What changed in its map.
+    Patch(MapPatch),
+    /// What it is.
+    Info(InfoReply),
+    /// A component of it came or went.
+    Part {
+        /// `edge`, `mapping`, `mission`.
+        component: String,
+        /// Whether it is alive.
+        alive: bool,
+    },
+    /// Round trip of a request to the robot and back, s; `None` for one that was not answered.
+    RoundTrip(Option<f64>),
+}
+
+/// The latest state of every robot.
+#[derive(Debug, Default)]
+pub struct FleetView {
+    pub(crate) robots: BTreeMap<String, RobotView>,
+    /// Number of the latest change.
+    pub(crate) version: u64,
+    /// Number of the change that brought or took a robot.
+    pub(crate) names_version: u64,
+    /// Round trips of the last minute, by robot.
+    round_trips: BTreeMap<String, Vec<Option<f64>>>,
+}
+
+/// Round trips that are kept for a robot.
+const ROUND_TRIPS: usize = 60;
+
+impl FleetView {
+    /// A view of no robot.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes in a message about a robot that was heard at `now`, in seconds of the gateway's own clock.
+    pub fn take(&mut self, robot: &str, update: Update, now: f64) {
+        self.version += 1;
+        let version = self.version;
+        if !self.robots.contains_key(robot) {
+            self.add(robot);
+        }
+        let Some(view) = self.robots.get_mut(robot) else {
+            return;
+        };
+        let is_a_sign_of_life = matches!(update, Update::State(_) | Update::Pose(_) | Update::Event(_));
+        if is_a_sign_of_life || view.heard == 0.0 {
+            view.heard = now;
+        }
+        match update {
+            Update::State(state) => put(&mut view.summary, "state", Entry::new(version, now, &state)),
+            Update::Pose(pose) => {
+                let at = pose.map_from_base;
+                if at.is_finite() {
+                    view.follow(version, [at.x, at.y]);
+                }
+                put(
+                    &mut view.summary,
+                    "pose",
+                    Entry::new(version, now, &CompactPose::from(&pose)),
+                );
+            }
+            Update::Part { component, alive } => {
+                view.parts.retain(|part| *part != component);
+                if alive && view.parts.len() < 32 {
+                    view.parts.push(component);
+                    view.parts.sort_unstable();
+                }
+                let entry = Entry::new(version, now, &view.parts);
+                put(&mut view.summary, "parts", entry);
+            }
+            Update::Goal(goal) => {
+                if let Some(entry) = Entry::new(version, now, &goal) {
+                    view.set_goal(&goal.id, entry);
+                }
+            }
+            Update::Event(event) => {
+                let this = (event.boot_id.clone(), event.sequence);
+                // An event that is sent again, to a subscriber that came late, is not a second event.
+                let known = view
+                    .last_event
+                    .as_ref()
+                    .is_some_and(|(boot, sequence)| *boot == this.0 && *sequence >= this.1);
+                if !known && let Some(entry) = Entry::new(version, now, &event) {
+                    view.last_event = Some(this);
+                    view.add_event(entry);
+                }
+            }
+            Update::Patch(patch) => match view.map.apply(&patch) {
+                PatchResult::Applied => view.map_gap = false,
+                PatchResult::Old => {}
+                PatchResult::Gap => view.map_gap = true,
+            },
+            Update::Map(reply) => view.map_gap &= !view.map.replace(&reply),
+            Update::RoundTrip(took) => {
+                let trips = self.round_trips.entry(robot.to_owned()).or_default();
+                trips.push(took);
+                if trips.len() > ROUND_TRIPS {
+                    trips.remove(0);
+                }
+                if let Some(entry) = Entry::new(version, now, &trip_summary(trips)) {
+                    view.set_detail("round_trip", entry);
+                }
+            }
+            other => {
+                if let Some((name, entry)) = detail(other, version, now) {
+                    view.set_detail(&name, entry);
+                }
+            }
+        }
+    }
+
+    fn add(&mut self, robot: &str) {
+        if self.robots.len() >= MAX_ROBOTS {
+            let silent = self.robots.iter().min_by(|a, b| a.1.heard.total_cmp(&b.1.heard));
+            if let Some(silent) = silent.map(|(name, _)| name.clone()) {
+                self.forget(&silent);
+            }
+        }
+        self.robots.insert(robot.to_owned(), RobotView::default());
+        self.names_version = self.version;
+    }
+
+    /// Drops a robot.
+    pub fn forget(&mut self, robot: &str) {
+        self.version += 1;
+        self.robots.remove(robot);
+        self.round_trips.remove(robot);
+        self.names_version = self.version;
+    }
+
+    /// Drops robots that have been silent for `secs` and have no living component.
+    pub fn forget_silent(&mut self, now: f64, secs: f64) {
+        let gone = |view: &RobotView| view.parts.is_empty() && now - view.heard > secs;
+        let gone: Vec<String> = self
+            .robots
+            .iter()
+            .filter(|(_, view)| gone(view))
+            .map(|(name, _)| name.clone())
+            .collect();
+        for robot in gone {
+            self.forget(&robot);
+        }
+    }
+
+    /// Names of the robots, in order.
+    pub fn robots(&self) -> impl Iterator<Item = &str> {
+        self.robots.keys().map(String::as_str)
+    }
+
+    /// Whether there is such a robot.
+    #[must_use]
+    pub fn knows(&self, robot: &str) -> bool {
+        self.robots.contains_key(robot)
+    }
+
+    /// Whether the whole map of this robot has to be asked for.
+    #[must_use]
+    pub fn wants_map(&self, robot: &str) -> bool {
+        self.robots
+            .get(robot)
+            .is_some_and(|view| view.map_gap || !view.map.has_map())
+    }
+
+    /// Drops what only those need who watch the robot.
+    pub fn forget_details(&mut self, robot: &str) {
+        if let Some(view) = self.robots.get_mut(robot) {
+            view.map = zenav_protocol::map_replica::MapReplica::new();
+            view.map_gap = false;
+            view.detail.retain(|name, _| name == "model");
+            view.goals.clear();
+        }
+    }
+
+    /// What is known of a robot, as JSON: every channel with its age.
+    #[must_use]
+    pub fn robot_json(&self, robot: &str, now: f64) -> Option<String> {
+        let view = self.robots.get(robot)?;
+        let mut text = String::from("{");
+        let channels = view.summary.iter().chain(&view.detail);
+        for (at, (name, entry)) in channels.enumerate() {
+            if at > 0 {
+                text.push(',');
+            }
+            crate::client::write_entry(&mut text, name, entry, now);
+        }
+        text.push('}');
+        Some(text)
+    }
+
+    /// The text of one of a robot's channels, such as `state`, and its age in s.
+    #[must_use]
+    pub fn channel(&self, robot: &str, name: &str, now: f64) -> Option<(&str, f64)> {
+        let view = self.robots.get(robot)?;
+        let entry = view.summary.get(name).or_else(|| view.detail.get(name))?;
+        Some((&entry.text, now - entry.heard))
+    }
+
+    /// A robot's events, oldest first, as JSON texts.
+    pub fn events(&self, robot: &str) -> impl Iterator<Item = &str> {
+        let view = self.robots.get(robot);
+        view.into_iter()
+            .flat_map(|view| view.events.iter().map(|entry| &*entry.text))
+    }
+}
+
+fn put(channels: &mut BTreeMap<String, Entry>, name: &str, entry: Option<Entry>) {
+    if let Some(entry) = entry {
+        channels.insert(name.to_owned(), entry);
+    }
+}
+
+/// The channel that a detail goes to, and its entry.
+fn detail(update: Update, version: u64, now: f64) -> Option<(String, Entry)> {
+    let fixed = |name: &str, entry: Option<Entry>| Some((name.to_owned(), entry?));
+    match update {
+        Update::Scan(lidar, scan) => {
+            let name = if lidar.is_empty() {
+                "scan".to_owned()
+            } else {
+                format!("scan/{lidar}")
+            };
+            Some((name, Entry::new(version, now, &CompactScan::from(&scan))?))
+        }
+        Update::Plan(plan) => fixed("plan", Entry::new(version, now, &CompactPlan::from(&plan))),
+        Update::Mission(mission) => fixed("mission", Entry::new(version, now, &mission)),
+        Update::Marker(marker) => {
+            let name: String = marker.name.chars().take(40).collect();
+            Some((format!("marker/{name}"), Entry::new(version, now, &marker)?))
+        }
+        Update::Obstacles(all) => fixed("obstacles", Entry::new(version, now, &compact::obstacles(&all))),
+        Update::Tree(tree) => fixed("tree", Entry::new(version, now, &CompactTree::from(&tree))),
+        Update::Info(info) => fixed("model", Entry::new(version, now, &CompactModel::of(&info)?)),
+        _ => None,
+    }
+}
+
+/// Median and 95th percentile of the answered round trips in ms, and the share that was not answered.
+fn trip_summary(trips: &[Option<f64>]) -> serde_json::Value {
+    let mut answered: Vec<f64> = trips.iter().copied().flatten().collect();
+    answered.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let last = answered.len().checked_sub(1)?;
+        let ms = answered.get((share * last as f64).round() as usize)? * 1e3;
+        Some((ms * 10.0).round() / 10.0)
+    };
+    let lost = trips.iter().filter(|trip| trip.is_none()).count();
+    serde_json::json!({
+        "p50_ms": quantile(0.5), "p95_ms": quantile(0.95),
+        "loss": (lost as f64 / trips.len().max(1) as f64 * 1e3).round() / 1e3,
+    })
+}

@@ -1,0 +1,112 @@
+//! One robot's latest state. What was heard of it last, and when? Bounded, whatever it publishes.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use serde::Serialize;
+use zenav_protocol::map_replica::MapReplica;
+
+/// Most goals that are kept; beyond that the one that was heard of longest ago goes.
+const MAX_GOALS: usize = 100;
+/// Most events that are kept; beyond that the oldest goes.
+const MAX_EVENTS: usize = 300;
+/// Most places of the trail that are kept.
+const MAX_TRAIL: usize = 4000;
+/// Most channels besides the fixed ones: markers by name, lidars by name.
+const MAX_CHANNELS: usize = 64;
+/// Least distance between two places of the trail, m.
+const TRAIL_STEP: f64 = 0.05;
+/// A jump of the pose by more than this is no drive, m: the trail is broken there.
+const TRAIL_JUMP: f64 = 1.0;
+
+/// A message as JSON text, the number of the change that brought it, and when it was heard.
+#[derive(Clone, Debug)]
+pub(crate) struct Entry {
+    pub(crate) version: u64,
+    /// Seconds of the gateway's own clock.
+    pub(crate) heard: f64,
+    pub(crate) text: Arc<str>,
+}
+
+impl Entry {
+    /// `None` for what cannot be written as JSON.
+    pub(super) fn new(version: u64, heard: f64, message: &impl Serialize) -> Option<Self> {
+        let text = serde_json::to_string(message).ok()?;
+        Some(Self {
+            version,
+            heard,
+            text: text.into(),
+        })
+    }
+}
+
+/// What is known of a robot.
+#[derive(Debug, Default)]
+pub(crate) struct RobotView {
+    /// What every client gets of every robot: `state`, `pose`, `parts`.
+    pub(crate) summary: BTreeMap<String, Entry>,
+    /// What the clients get that watch this robot: `plan`, `mission`, `scan`, …
+    pub(crate) detail: BTreeMap<String, Entry>,
+    /// Goals by id.
+    pub(crate) goals: BTreeMap<String, Entry>,
+    /// Events, oldest first.
+    pub(crate) events: VecDeque<Entry>,
+    /// Where it drove: number of the change, x, y in m of the map frame; a NaN breaks the line.
+    pub(crate) trail: VecDeque<(u64, [f64; 2])>,
+    /// Copy of its map, while somebody watches.
+    pub(crate) map: MapReplica,
+    /// Whether a patch of the map is missing.
+    pub(crate) map_gap: bool,
+    /// Components that are alive: `edge`, `mapping`, `mission`.
+    pub(crate) parts: Vec<String>,
+    /// When anything was heard of it, s.
+    pub(crate) heard: f64,
+    /// Sequence of the newest event and its boot, so that a repeated event is not shown twice.
+    pub(crate) last_event: Option<(String, u64)>,
+}
+
+impl RobotView {
+    pub(super) fn set_detail(&mut self, name: &str, entry: Entry) {
+        if self.detail.len() >= MAX_CHANNELS && !self.detail.contains_key(name) {
+            let oldest = self.detail.iter().min_by_key(|(_, entry)| entry.version);
+            if let Some(oldest) = oldest.map(|(name, _)| name.clone()) {
+                self.detail.remove(&oldest);
+            }
+        }
+        self.detail.insert(name.to_owned(), entry);
+    }
+
+    pub(super) fn set_goal(&mut self, id: &str, entry: Entry) {
+        self.goals.insert(id.to_owned(), entry);
+        if self.goals.len() > MAX_GOALS {
+            let oldest = self.goals.iter().min_by_key(|(_, entry)| entry.version);
+            if let Some(oldest) = oldest.map(|(id, _)| id.clone()) {
+                self.goals.remove(&oldest);
+            }
+        }
+    }
+
+    pub(super) fn add_event(&mut self, entry: Entry) {
+        self.events.push_back(entry);
+        while self.events.len() > MAX_EVENTS {
+            self.events.pop_front();
+        }
+    }
+
+    pub(super) fn follow(&mut self, version: u64, place: [f64; 2]) {
+        let step = self.trail.back().map(|(_, last)| {
+            let (dx, dy) = (place[0] - last[0], place[1] - last[1]);
+            dx.hypot(dy)
+        });
+        if step.is_some_and(|step| step < TRAIL_STEP) {
+            return;
+        }
+        if step.is_some_and(|step| step > TRAIL_JUMP) {
+            self.trail.push_back((version, [f64::NAN; 2]));
+        }
+        self.trail.push_back((version, place));
+        while self.trail.len() > MAX_TRAIL {
+            self.trail.pop_front();
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Rows of a programme: linear forms of up to three unknowns in a row, each at most one.
+
+use clarabel::algebra::CscMatrix;
+
+/// `factors · x[first..] + constant`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Form {
+    pub(super) first: usize,
+    pub(super) factors: [f64; 3],
+    pub(super) constant: f64,
+}
+
+impl Form {
+    /// One unknown.
+    pub(super) fn unknown(index: usize) -> Self {
+        Self {
+            first: index,
+            factors: [1.0, 0.0, 0.0],
+            constant: 0.0,
+        }
+    }
+
+    pub(super) fn constant(constant: f64) -> Self {
+        Self {
+            constant,
+            ..Self::default()
+        }
+    }
+
+    pub(super) fn scaled(self, factor: f64) -> Self {
+        Self {
+            factors: self.factors.map(|f| f * factor),
+            constant: self.constant * factor,
+            ..self
+        }
+    }
+
+    /// The sum; the unknowns of both lie within three.
+    pub(super) fn plus(self, other: Self) -> Self {
+        let (low, high) = if self.is_constant() {
+            (other, self)
+        } else if other.is_constant() || self.first <= other.first {
+            (self, other)
+        } else {
+            (other, self)
+        };
+        let mut sum = low;
+        sum.constant += high.constant;
+        if !high.is_constant() {
+            let shift = high.first - low.first;
+            for (i, factor) in high
+                .factors
+                .into_iter()
+                .enumerate()
+                .filter(|(_, factor)| *factor != 0.0)
+            {
+                sum.factors[i + shift] += factor;
+            }
+        }
+        sum
+    }
+
+    pub(super) fn is_constant(&self) -> bool {
+        self.factors == [0.0; 3]
+    }
+
+    pub(super) fn at(&self, x: &[f64]) -> f64 {
+        let terms = self.factors.iter().zip(x.iter().skip(self.first));
+        terms.map(|(factor, x)| factor * x).sum::<f64>() + self.constant
+    }
+}
+
+/// Rows, each at most one.
+pub(super) struct Rows {
+    pub(super) rows: Vec<Form>,
+}
+
+impl Rows {
+    pub(super) fn at_most(&mut self, form: Form, bound: f64) {
+        self.rows.push(form.scaled(1.0 / bound));
+    }
+
+    pub(super) fn within(&mut self, form: Form, bound: f64) {
+        self.rows.extend([form.scaled(1.0 / bound), form.scaled(-1.0 / bound)]);
+    }
+}
+
+/// `row <= 1` for all rows.
+pub(super) fn columns(rows: &[Form], unknowns: usize) -> (CscMatrix<f64>, Vec<f64>) {
+    let entries = |row: &Form| {
+        let first = row.first;
+        let factors = row.factors.into_iter().enumerate();
+        factors
+            .filter(|(_, factor)| *factor != 0.0)
+            .map(move |(i, factor)| (first + i, factor))
+    };
+    let mut starts = vec![0; unknowns + 1];
+    for (unknown, _) in rows.iter().flat_map(entries) {
+        starts[unknown + 1] += 1;
+    }
+    for unknown in 0..unknowns {
+        starts[unknown + 1] += starts[unknown];
+    }
+    let total = starts[unknowns];
+    let (mut indices, mut values) = (vec![0; total], vec![0.0; total]);
+    let mut next = starts.clone();
+    for (index, row) in rows.iter().enumerate() {
+        for (unknown, factor) in entries(row) {
+            (indices[next[unknown]], values[next[unknown]]) = (index, factor);
+            next[unknown] += 1;
+        }
+    }
+    let bounds = rows.iter().map(|row| 1.0 - row.constant).collect();
+    (CscMatrix::new(rows.len(), unknowns, starts, indices, values), bounds)
+}

@@ -1,0 +1,126 @@
+//! `zenav bench drive`: how well does it drive? Every run is judged by truth, beside anchors in the same worlds with the same body.
+
+mod runs;
+mod table;
+
+use std::path::PathBuf;
+
+use clap::ValueEnum as _;
+use serde::Serialize;
+
+use self::runs::{Run, all, compare};
+use self::table::{EXTRAS, Extra, Row};
+use super::suites::Suite;
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{Format, line, table, value};
+
+/// Arguments of `zenav bench drive`.
+#[derive(Debug, clap::Args)]
+pub struct DriveArgs {
+    /// Suite; without it, all
+    #[arg(long, value_enum, value_name = "S", ignore_case = true)]
+    suite: Option<Suite>,
+    /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    seeds: Option<u64>,
+    /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
+    #[arg(long, value_name = "DIR")]
+    worlds: Option<PathBuf>,
+    /// Standard deviation of the lidar's ranges in S1, cm; its own is the least
+    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds")]
+    noise: f64,
+    /// The run of this name only, as the table names it
+    #[arg(long, value_name = "NAME")]
+    only: Option<String>,
+    /// Write each world here, with the `zenav run` command that drives in it, and drive nothing
+    #[arg(long, value_name = "DIR")]
+    world_out: Option<PathBuf>,
+    /// Runs at once [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Output format
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// What `-o json` prints.
+#[derive(Serialize)]
+struct Report {
+    rows: Vec<Row>,
+    runs: Vec<Run>,
+}
+
+/// `zenav bench drive`.
+///
+/// # Errors
+/// A name that no run has; a folder that cannot be written.
+pub(super) fn drive(args: &DriveArgs) -> Outcome {
+    let suites = args
+        .suite
+        .map_or_else(|| Suite::value_variants().to_vec(), |suite| vec![suite]);
+    if !(0.0..=100.0).contains(&args.noise) {
+        return Err(Failure::usage(format!("--noise {}: expected 0 to 100 cm", args.noise)));
+    }
+    if args.suite == Some(Suite::S1) && args.worlds.is_none() {
+        return Err(Failure::usage(
+            "--suite s1: expected --worlds DIR, a folder of BARN's worlds",
+        ));
+    }
+    let barn = args.worlds.as_deref().map(|folder| (folder, 0.01 * args.noise));
+    let mut cases = Vec::new();
+    for suite in suites {
+        cases.extend(suite.cases(args.seeds, barn)?);
+    }
+    if let Some(only) = &args.only {
+        cases.retain(|case| case.name == *only);
+        if cases.is_empty() {
+            return Err(Failure::not_found(format!(
+                "--only {only}: no run of that name; `zenav bench drive --world-out DIR` writes all of them"
+            )));
+        }
+    }
+    if let Some(folder) = &args.world_out {
+        std::fs::create_dir_all(folder).map_err(Failure::failed_at(folder))?;
+        for case in &cases {
+            files::write(&folder.join(format!("{}.toml", case.name)), case.file())?;
+            line(&case.command());
+        }
+        return Ok(exit_code::OK);
+    }
+    let threads = args.threads.map(usize::from);
+    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let mut runs = all(&cases, threads)?;
+    compare(&mut runs);
+    let mut rows: Vec<Row> = Vec::new();
+    for run in &runs {
+        if !rows
+            .iter()
+            .any(|row| row.scenario == run.scenario && row.driver == run.driver)
+        {
+            let alike = |other: &&Run| other.scenario == run.scenario && other.driver == run.driver;
+            rows.extend(Row::of(&runs.iter().filter(alike).collect::<Vec<_>>()));
+        }
+    }
+    value(args.output, &Report { rows, runs }, |report| {
+        let has = |extra: &&Extra| report.rows.iter().any(|row| extra.1(row).is_some());
+        let extras: Vec<&Extra> = EXTRAS.iter().filter(has).collect();
+        let mut header = vec![
+            "SCENARIO",
+            "DRIVER",
+            "RUNS",
+            "REACHED",
+            "UNTOUCHED",
+            "OWN",
+            "AFTER OWN",
+            "AT REST",
+            "TIME/IDEAL",
+        ];
+        header.extend(extras.iter().map(|extra| extra.0));
+        header.push("WORST");
+        let rows: Vec<Vec<String>> = report.rows.iter().map(|row| row.cells(&extras)).collect();
+        table(&header, &rows)
+    })?;
+    Ok(exit_code::OK)
+}

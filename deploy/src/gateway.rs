@@ -1,0 +1,176 @@
+//! `zenav gateway`. How do people see and command robots in a browser? A page and an API beside the parts of a deployment.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
+use zenav_gateway::DEFAULT_LISTEN;
+use zenav_protocol::bus::BusConfig;
+use zenav_sim::World;
+
+use crate::components::{Parts, places};
+use crate::config::{self, Deployment};
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::launch::{runtime, until_interrupted};
+
+/// Longest wait for a first robot before the address is told.
+const FIRST_ROBOT: Duration = Duration::from_secs(5);
+/// A free port of loopback.
+pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
+
+/// Arguments of `zenav gateway`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Without a token the page is served on loopback only. For other machines:\n  zenav gateway --listen 0.0.0.0:7480 --token-file token.txt\nthen open http://HOST:7480/#token=TOKEN; behind a proxy that speaks HTTPS the token is not readable on the way."
+)]
+pub struct GatewayArgs {
+    /// Address of the page and of the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<String>,
+    /// The router's endpoint, instead of the deployment's
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Option<String>,
+    /// File whose first line is the token that requests must carry; needed where other machines reach the address
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Deployment file; without it, the shipped one
+    #[arg(long, value_name = "FILE")]
+    deployment: Option<PathBuf>,
+    /// World whose places are named goals, instead of the deployment's
+    #[arg(long)]
+    world: Option<String>,
+}
+
+/// The page beside `zenav up` and `zenav demo`.
+#[derive(Debug, Default, Args)]
+pub struct PageArgs {
+    /// Address of the mission-control page; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    gateway: Option<String>,
+    /// Without the mission-control page
+    #[arg(long, conflicts_with = "gateway")]
+    no_gateway: bool,
+}
+
+impl PageArgs {
+    /// Lays the arguments over a deployment.
+    pub(crate) fn apply(&self, deployment: &mut Deployment) {
+        deployment.gateway.run.enabled &= !self.no_gateway;
+        if let Some(listen) = &self.gateway {
+            deployment.gateway.run.enabled = true;
+            deployment.gateway.settings.listen.clone_from(listen);
+        }
+    }
+
+    /// Whether an address was named.
+    pub(crate) fn names_address(&self) -> bool {
+        self.gateway.is_some()
+    }
+}
+
+/// Tells where the page is: the last line before the mission's own output.
+pub(crate) fn tell(address: &str) {
+    eprintln!("mission control: {address}");
+}
+
+impl Parts {
+    /// Starts the gateway of a deployment, if it runs one; returns the page's address. A default port that is taken gives way to a free one.
+    ///
+    /// # Errors
+    /// An address that is taken or that needs a token, a token file that cannot be read.
+    pub(crate) async fn gateway(&mut self, deployment: &Deployment, world: &World) -> Result<Option<String>, Failure> {
+        let (gateway, address) = match bind(deployment, world).await? {
+            Some(gateway) => {
+                let address = gateway.address().to_owned();
+                (gateway, address)
+            }
+            None => return Ok(None),
+        };
+        let bus = BusConfig::service("gateway", &deployment.bus.connect);
+        self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
+            gateway.run(bus, shutdown).await.map_err(Failure::failed)
+        });
+        Ok(Some(address))
+    }
+
+    /// As [`Self::gateway`]; tells the address once a robot shows.
+    ///
+    /// # Errors
+    /// As [`Self::gateway`].
+    pub(crate) async fn told_gateway(&mut self, deployment: &Deployment, world: &World) -> Result<(), Failure> {
+        let Some(gateway) = bind(deployment, world).await? else {
+            return Ok(());
+        };
+        let (address, first_robot) = (gateway.address().to_owned(), gateway.first_robot());
+        tokio::spawn(async move {
+            let _ = tokio::time::timeout(FIRST_ROBOT, first_robot).await;
+            tell(&address);
+        });
+        let bus = BusConfig::service("gateway", &deployment.bus.connect);
+        self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
+            gateway.run(bus, shutdown).await.map_err(Failure::failed)
+        });
+        Ok(())
+    }
+}
+
+async fn bind(deployment: &Deployment, world: &World) -> Result<Option<Gateway>, Failure> {
+    if !deployment.gateway.run.enabled {
+        return Ok(None);
+    }
+    let mut config = GatewayConfig {
+        settings: deployment.gateway.settings.clone(),
+        places: places(world),
+    };
+    let bound = match Gateway::bind(config.clone()).await {
+        Err(GatewayError::Listen { error, .. })
+            if error.kind() == std::io::ErrorKind::AddrInUse && config.settings.listen == DEFAULT_LISTEN =>
+        {
+            tracing::info!("{DEFAULT_LISTEN} is in use: the page takes a free port");
+            FREE_PORT.clone_into(&mut config.settings.listen);
+            Gateway::bind(config).await
+        }
+        bound => bound,
+    };
+    bound.map(Some).map_err(failure)
+}
+
+fn failure(error: GatewayError) -> Failure {
+    let code = match &error {
+        GatewayError::Listen { .. } => exit_code::CANNOT_CONNECT,
+        GatewayError::Settings(_) | GatewayError::Access(_) => exit_code::USAGE,
+        GatewayError::Bus(_) | GatewayError::Serve(_) => exit_code::FAILED,
+    };
+    Failure::new(code, error)
+}
+
+/// `zenav gateway`.
+///
+/// # Errors
+/// A taken address, one that needs a token, bad files.
+pub fn gateway(args: &GatewayArgs) -> Outcome {
+    let mut deployment = config::load(args.deployment.as_deref())?;
+    if let Some(connect) = &args.connect {
+        deployment.bus.connect.clone_from(connect);
+    }
+    if let Some(world) = &args.world {
+        deployment.simulation.world.clone_from(world);
+    }
+    deployment.gateway.run.enabled = true;
+    let settings = &mut deployment.gateway.settings;
+    if let Some(listen) = &args.listen {
+        settings.listen.clone_from(listen);
+    }
+    if let Some(file) = &args.token_file {
+        settings.token_file = Some(file.clone());
+    }
+    let world = files::world(&deployment.simulation.world)?;
+    runtime()?.block_on(async {
+        let mut parts = Parts::default();
+        parts.told_gateway(&deployment, &world).await?;
+        until_interrupted(parts).await
+    })
+}

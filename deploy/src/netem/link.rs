@@ -1,0 +1,204 @@
+//! Impaired link. When does what is sent now arrive?
+//!
+//! One direction of a link: every byte arrives in order, `delay` and some jitter after it was sent, no faster than the rate lets it through,
+//! and not while the link stalls or is cut. Deterministic from a seed and the times that it is asked for.
+
+use std::time::Duration;
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+
+/// What a link does to what is sent over it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Impairment {
+    /// Each way.
+    pub delay: Duration,
+    /// Up to so much more, each piece its own, all equally likely.
+    pub jitter: Duration,
+    /// Bytes a second; `None` for as fast as it goes.
+    pub rate: Option<f64>,
+    /// Nothing passes for this long...
+    pub stall: Duration,
+    /// ...after this long, on average: the times between are exponential. `None` for no stalls.
+    pub every: Option<Duration>,
+}
+
+/// A time from which nothing passes, and for how long.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cut {
+    pub at: Duration,
+    pub lasts: Duration,
+}
+
+/// From a time on the link is another one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Change {
+    pub at: Duration,
+    pub to: Impairment,
+}
+
+/// One direction of a link. All times count from the start of the program.
+#[derive(Clone, Debug)]
+pub(super) struct Link {
+    /// In the order of their times, the first at zero.
+    changes: Vec<Change>,
+    cuts: Vec<Cut>,
+    rng: Pcg64Mcg,
+    /// When the last byte has left the link's entry, and when it arrives.
+    entered: Duration,
+    arrived: Duration,
+    /// The next stall begins.
+    next_stall: Option<Duration>,
+}
+
+impl Link {
+    pub(super) fn new(changes: Vec<Change>, cuts: Vec<Cut>, seed: u64) -> Self {
+        Self {
+            changes,
+            cuts,
+            rng: Pcg64Mcg::seed_from_u64(seed),
+            entered: Duration::ZERO,
+            arrived: Duration::ZERO,
+            next_stall: None,
+        }
+    }
+
+    /// When so many bytes arrive that are sent now.
+    pub(super) fn arrival(&mut self, now: Duration, bytes: usize) -> Duration {
+        let impairment = self.impairment(now);
+        let takes = impairment.rate.map_or(0.0, |rate| bytes as f64 / rate.max(1.0));
+        self.entered = self.entered.max(now) + Duration::from_secs_f64(takes);
+        let jitter = impairment.jitter.mul_f64(self.rng.random::<f64>());
+        let arrival = (self.entered + impairment.delay + jitter).max(self.arrived);
+        self.arrived = self.passes(arrival, &impairment);
+        self.arrived
+    }
+
+    fn impairment(&self, now: Duration) -> Impairment {
+        let last = self.changes.iter().rev().find(|change| change.at <= now);
+        last.map(|change| change.to).unwrap_or_default()
+    }
+
+    /// The first time from then on at which the link passes anything.
+    fn passes(&mut self, from: Duration, impairment: &Impairment) -> Duration {
+        let mut at = self.after_stalls(from, impairment);
+        // A cut may end in another one.
+        for _ in 0..=self.cuts.len() {
+            let cut = self.cuts.iter().find(|cut| at >= cut.at && at - cut.at < cut.lasts);
+            let Some(cut) = cut else { break };
+            at = cut.at.saturating_add(cut.lasts);
+        }
+        at
+    }
+
+    fn after_stalls(&mut self, from: Duration, impairment: &Impairment) -> Duration {
+        let Some(every) = impairment.every.filter(|every| !every.is_zero()) else {
+            self.next_stall = None;
+            return from;
+        };
+        loop {
+            let begins = match self.next_stall {
+                Some(begins) => begins,
+                None => from + self.pause(every),
+            };
+            self.next_stall = Some(begins);
+            if from < begins {
+                return from;
+            }
+            let ends = begins + impairment.stall;
+            if from < ends {
+                return ends;
+            }
+            self.next_stall = Some(ends + self.pause(every));
+        }
+    }
+
+    fn pause(&mut self, mean: Duration) -> Duration {
+        let uniform: f64 = self.rng.random();
+        mean.mul_f64(-(1.0 - uniform).max(1e-12_f64).ln())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn ms(millis: u64) -> Duration {
+        Duration::from_millis(millis)
+    }
+
+    fn link(to: Impairment, cuts: &[Cut]) -> Link {
+        let begins = Change { at: Duration::ZERO, to };
+        Link::new(vec![begins], cuts.to_vec(), 7)
+    }
+
+    #[test]
+    fn everything_arrives_in_order_after_the_delay_and_at_most_the_jitter_more() {
+        let slow = Impairment {
+            delay: ms(80),
+            jitter: ms(20),
+            ..Impairment::default()
+        };
+        let (mut link, mut twin) = (link(slow, &[]), link(slow, &[]));
+        let mut last = Duration::ZERO;
+        for nth in 0..1000 {
+            let now = ms(nth);
+            let arrival = link.arrival(now, 100);
+            assert!(arrival >= now + ms(80) && arrival <= now + ms(100) && arrival >= last);
+            assert_eq!(arrival, twin.arrival(now, 100), "the same from the same seed");
+            last = arrival;
+        }
+    }
+
+    #[test]
+    fn a_rate_lets_so_many_bytes_a_second_through() {
+        let narrow = Impairment {
+            rate: Some(32_000.0),
+            ..Impairment::default()
+        };
+        let mut link = link(narrow, &[]);
+        let arrivals: Vec<Duration> = (0..10).map(|_| link.arrival(Duration::ZERO, 3200)).collect();
+        assert_eq!((arrivals[0], arrivals[9]), (ms(100), ms(1000)));
+        assert_eq!(link.arrival(ms(5000), 3200), ms(5100), "what was not used is not kept");
+    }
+
+    #[test]
+    fn nothing_passes_during_a_cut_and_everything_after_it() {
+        let cuts = [(1000, 500), (1500, 100)].map(|(at, lasts)| Cut {
+            at: ms(at),
+            lasts: ms(lasts),
+        });
+        let mut link = link(Impairment::default(), &cuts);
+        let arrivals = [999, 1000, 1400, 1599, 1600].map(|now| link.arrival(ms(now), 1));
+        assert_eq!(arrivals, [999, 1600, 1600, 1600, 1600].map(ms));
+    }
+
+    #[test]
+    fn stalls_last_as_long_as_they_should_and_come_as_often() {
+        let stalling = Impairment {
+            stall: ms(200),
+            every: Some(ms(2000)),
+            ..Impairment::default()
+        };
+        let mut link = link(stalling, &[]);
+        let late = (0..1_000_000_u64)
+            .filter(|now| link.arrival(ms(*now), 1) > ms(*now))
+            .count();
+        // 200 ms of every 2.2 s: 91,000, with a standard deviation of 4,200.
+        assert!((78_000..104_000).contains(&late), "{late}");
+    }
+
+    #[test]
+    fn a_script_changes_the_link_at_its_time() {
+        let changes = [(0, 10), (1000, 500)].map(|(at, delay)| Change {
+            at: ms(at),
+            to: Impairment {
+                delay: ms(delay),
+                ..Impairment::default()
+            },
+        });
+        let mut link = Link::new(changes.to_vec(), Vec::new(), 1);
+        assert_eq!(link.arrival(ms(999), 1), ms(1009));
+        assert_eq!(link.arrival(ms(1000), 1), ms(1500));
+    }
+}

@@ -1,0 +1,217 @@
+//! `zenav netem`: how does a deployment do over a bad link? A TCP proxy that delays, slows, stalls and cuts what passes; without root.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `link` | when does what is sent now arrive? |
+//! | `script` | how is it written down what a link does, and when? |
+
+mod link;
+mod script;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, sleep_until};
+use zenav_protocol::bus::interrupted;
+
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::launch::runtime;
+use link::{Impairment, Link};
+use script::Script;
+
+/// Largest piece that is passed on as one, bytes.
+const PIECE: usize = 16 * 1024;
+/// Pieces under way in one direction of a connection; beyond that the sender waits, as on a full link.
+const UNDER_WAY: usize = 4096;
+
+/// Arguments of `zenav netem`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: a robot whose link to the router has a round trip of 160 ms, and is cut for 10 s after half a minute:\n  \
+                  zenav router &\n  \
+                  zenav netem --listen 127.0.0.1:7450 --to 127.0.0.1:7447 --delay 80ms --jitter 20ms --cut-at 30s --cut-for 10s &\n  \
+                  zenav edge --connect tcp/127.0.0.1:7450"
+)]
+pub struct NetemArgs {
+    /// Address to listen on, `HOST:PORT` or `tcp/HOST:PORT`; port 0 takes a free one, which is printed
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
+    listen: String,
+    /// Address to pass everything on to
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
+    to: String,
+    /// Delay each way
+    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
+    delay: Duration,
+    /// Up to so much more delay, each piece its own
+    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
+    jitter: Duration,
+    /// Bits a second each way, such as 256kbit [default: as fast as it goes]
+    #[arg(long, value_name = "RATE")]
+    rate: Option<String>,
+    /// Nothing passes for so long, so often on average, such as 500ms/10s
+    #[arg(long, value_name = "TIME/TIME")]
+    stall: Option<String>,
+    /// Nothing passes from this time on, counted from the start; may be repeated
+    #[arg(long, value_name = "TIME", value_parser = script::duration)]
+    cut_at: Vec<Duration>,
+    /// How long each cut lasts [default: for ever]
+    #[arg(long, value_name = "TIME", requires = "cut_at", value_parser = script::duration)]
+    cut_for: Option<Duration>,
+    /// Every connection is closed at this time; may be repeated
+    #[arg(long, value_name = "TIME", value_parser = script::duration)]
+    reset_at: Vec<Duration>,
+    /// File of further changes, a line each: `10s delay 500ms`, `20s rate 256kbit`, `30s cut 5s`, `40s reset`
+    #[arg(long, value_name = "FILE")]
+    script: Option<PathBuf>,
+    /// Seed of jitter and stalls
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+}
+
+/// `zenav netem`.
+///
+/// # Errors
+/// A taken port, a bad address, a bad line of the script.
+pub fn run(args: &NetemArgs) -> Outcome {
+    let script = timeline(args)?;
+    runtime()?.block_on(async {
+        let listener = TcpListener::bind(&args.listen)
+            .await
+            .map_err(|error| Failure::failed(format!("--listen {}: {error}", args.listen)))?;
+        let address = listener.local_addr().map_err(Failure::failed)?;
+        crate::output::line(&format!("tcp/{address}"));
+        tracing::info!(listen = %address, to = args.to, "netem up");
+        tokio::select! {
+            () = interrupted() => Ok(exit_code::OK),
+            error = serve(&listener, &args.to, &script, args.seed) => Err(Failure::failed(error)),
+        }
+    })
+}
+
+fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
+    let rate = args.rate.as_deref().map(script::rate).transpose();
+    let stall = args.stall.as_deref().map(script::stall).transpose();
+    let named = |name: &'static str| move |error: String| Failure::usage(format!("{name} {error}"));
+    let (stall, every) = stall.map_err(named("--stall"))?.unwrap_or_default();
+    let mut script = Script::from_start(Impairment {
+        delay: args.delay,
+        jitter: args.jitter,
+        rate: rate.map_err(named("--rate"))?.flatten(),
+        stall,
+        every,
+    });
+    let lasts = args.cut_for.unwrap_or(Duration::MAX);
+    script
+        .cuts
+        .extend(args.cut_at.iter().map(|at| link::Cut { at: *at, lasts }));
+    script.resets.extend(&args.reset_at);
+    if let Some(path) = &args.script {
+        let text = std::fs::read_to_string(path).map_err(Failure::failed_at(path))?;
+        script
+            .read(&text)
+            .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
+    }
+    Ok(script)
+}
+
+/// Passes every connection on until accepting fails.
+async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> std::io::Error {
+    let start = Instant::now();
+    let (reset, resets) = watch::channel(0_u32);
+    let times = script.resets.clone();
+    let closing = tokio::spawn(async move {
+        let mut times = times;
+        times.sort_unstable();
+        for at in times {
+            sleep_until(start + at).await;
+            reset.send_modify(|count| *count += 1);
+        }
+        // Nobody is told more; the channel stays open.
+        reset.closed().await;
+    });
+    let mut connections = 0_u64;
+    let error = loop {
+        let (client, peer) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => break error,
+        };
+        connections += 1;
+        // Both directions, each with numbers of its own.
+        let link = |way: u64| {
+            let seed = seed.wrapping_mul(1_000_003).wrapping_add(2 * connections + way);
+            Link::new(script.changes.clone(), script.cuts.clone(), seed)
+        };
+        let (up, down, to, mut resets) = (link(0), link(1), to.to_owned(), resets.clone());
+        resets.mark_unchanged();
+        tokio::spawn(async move {
+            tracing::info!(%peer, "connected");
+            tokio::select! {
+                _ = resets.changed() => tracing::info!(%peer, "reset"),
+                ended = connect(client, &to, up, down, start) => match ended {
+                    Ok(()) => tracing::info!(%peer, "closed"),
+                    Err(error) => tracing::warn!(%peer, to, %error, "closed"),
+                },
+            }
+        });
+    };
+    closing.abort();
+    error
+}
+
+/// Passes one connection on, until both sides have closed it.
+async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Instant) -> std::io::Result<()> {
+    let server = TcpStream::connect(to).await?;
+    client.set_nodelay(true)?;
+    server.set_nodelay(true)?;
+    let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
+    tokio::try_join!(
+        pass(from_client, to_server, up, start),
+        pass(from_server, to_client, down, start)
+    )?;
+    Ok(())
+}
+
+/// One direction of a connection.
+async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, start: Instant) -> std::io::Result<()> {
+    let (sender, mut under_way) = mpsc::channel::<(Duration, Vec<u8>)>(UNDER_WAY);
+    let reading = async move {
+        let mut buffer = vec![0; PIECE];
+        loop {
+            let bytes = from.read(&mut buffer).await?;
+            let Some(piece) = buffer.get(..bytes).filter(|piece| !piece.is_empty()) else {
+                return std::io::Result::Ok(());
+            };
+            let arrival = link.arrival(start.elapsed(), bytes);
+            if sender.send((arrival, piece.to_vec())).await.is_err() {
+                return Ok(());
+            }
+        }
+    };
+    let writing = async move {
+        while let Some((arrival, piece)) = under_way.recv().await {
+            match start.checked_add(arrival) {
+                Some(at) => sleep_until(at).await,
+                // Cut for ever.
+                None => std::future::pending().await,
+            }
+            to.write_all(&piece).await?;
+        }
+        to.shutdown().await
+    };
+    tokio::try_join!(reading, writing)?;
+    Ok(())
+}
+
+/// `HOST:PORT`, with or without `tcp/` before it.
+fn address(text: &str) -> Result<String, String> {
+    let address = text.strip_prefix("tcp/").unwrap_or(text);
+    match address.rsplit_once(':') {
+        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(address.to_owned()),
+        _ => Err("expected HOST:PORT, such as 127.0.0.1:7450".to_owned()),
+    }
+}

@@ -1,0 +1,198 @@
+//! Script. How is it written down what a link does, and when it changes?
+//!
+//! One change a line: a time, a name, a value. `#` begins a comment.
+//!
+//! ```text
+//! 0s   delay  80ms
+//! 10s  rate   256kbit
+//! 20s  stall  500ms/10s     # for half a second, every ten on average
+//! 30s  cut    5s
+//! 45s  reset                # every connection is closed
+//! 60s  delay  0ms
+//! ```
+
+use std::time::Duration;
+
+use super::link::{Change, Cut, Impairment};
+
+/// What a link does in the course of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Script {
+    pub changes: Vec<Change>,
+    pub cuts: Vec<Cut>,
+    /// When every connection is closed.
+    pub resets: Vec<Duration>,
+}
+
+impl Script {
+    /// A link that begins like this.
+    pub(super) fn from_start(to: Impairment) -> Self {
+        Self {
+            changes: vec![Change { at: Duration::ZERO, to }],
+            ..Self::default()
+        }
+    }
+
+    /// Adds the changes of a script's text.
+    ///
+    /// # Errors
+    /// The line, and what was expected there.
+    pub(super) fn read(&mut self, text: &str) -> Result<(), String> {
+        for (number, line) in (1_usize..).zip(text.lines()) {
+            let line = line.split('#').next().unwrap_or_default();
+            let words: Vec<&str> = line.split_whitespace().collect();
+            if !words.is_empty() {
+                self.add(&words).map_err(|error| format!("line {number}: {error}"))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, words: &[&str]) -> Result<(), String> {
+        let (at, name, value) = match words {
+            [at, name] => (duration(at)?, *name, None),
+            [at, name, value] => (duration(at)?, *name, Some(*value)),
+            _ => return Err("expected a time, a name and a value, such as `10s delay 80ms`".to_owned()),
+        };
+        let value = |what: &str| value.ok_or_else(|| format!("`{name}`: expected {what} behind it"));
+        let last = self.changes.last().copied().unwrap_or(Change {
+            at: Duration::ZERO,
+            to: Impairment::default(),
+        });
+        let mut to = last.to;
+        match name {
+            "delay" => to.delay = duration(value("a time, such as 80ms")?)?,
+            "jitter" => to.jitter = duration(value("a time, such as 20ms")?)?,
+            "rate" => to.rate = rate(value("a rate, such as 256kbit, or `none`")?)?,
+            "stall" => (to.stall, to.every) = stall(value("two times, such as 500ms/10s, or `none`")?)?,
+            "cut" => {
+                let lasts = duration(value("a time, such as 5s")?)?;
+                self.cuts.push(Cut { at, lasts });
+                return Ok(());
+            }
+            "reset" => {
+                self.resets.push(at);
+                return Ok(());
+            }
+            _ => {
+                return Err(format!("`{name}`: expected delay, jitter, rate, stall, cut or reset"));
+            }
+        }
+        if at < last.at {
+            return Err(format!(
+                "`{name}`: expected a time that is no earlier than the one before"
+            ));
+        }
+        self.changes.push(Change { at, to });
+        Ok(())
+    }
+}
+
+/// A time: a number and its unit.
+///
+/// # Errors
+/// What was expected.
+pub(super) fn duration(text: &str) -> Result<Duration, String> {
+    let expected = || format!("`{text}`: expected a time with its unit, such as 80ms, 1.5s or 2min");
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(expected)?;
+    let (number, unit) = text.split_at(split);
+    let secs = match unit {
+        "us" => 1e-6,
+        "ms" => 1e-3,
+        "s" => 1.0,
+        "min" => 60.0,
+        _ => return Err(expected()),
+    };
+    let number: f64 = number.parse().map_err(|_| expected())?;
+    let longest = 1e7;
+    if (0.0..=longest).contains(&(number * secs)) {
+        Ok(Duration::from_secs_f64(number * secs))
+    } else {
+        Err(expected())
+    }
+}
+
+/// A rate in bytes a second; `none` is as fast as it goes.
+///
+/// # Errors
+/// What was expected.
+pub(super) fn rate(text: &str) -> Result<Option<f64>, String> {
+    if text == "none" {
+        return Ok(None);
+    }
+    let expected = || format!("`{text}`: expected bits a second, such as 256kbit or 10mbit, or `none`");
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(expected)?;
+    let (number, unit) = text.split_at(split);
+    let bits = match unit {
+        "bit" => 1.0,
+        "kbit" => 1e3,
+        "mbit" => 1e6,
+        "gbit" => 1e9,
+        _ => return Err(expected()),
+    };
+    let number: f64 = number.parse().map_err(|_| expected())?;
+    let bytes = number * bits / 8.0;
+    if bytes.is_finite() && bytes >= 1.0 {
+        Ok(Some(bytes))
+    } else {
+        Err(expected())
+    }
+}
+
+/// How long a stall lasts, and the mean time between two; `none` for no stalls.
+///
+/// # Errors
+/// What was expected.
+pub(super) fn stall(text: &str) -> Result<(Duration, Option<Duration>), String> {
+    if text == "none" {
+        return Ok((Duration::ZERO, None));
+    }
+    let expected = || format!("`{text}`: expected how long and how often, such as 500ms/10s, or `none`");
+    let (lasts, every) = text.split_once('/').ok_or_else(expected)?;
+    let every = duration(every)?;
+    if every.is_zero() {
+        return Err(expected());
+    }
+    Ok((duration(lasts)?, Some(every)))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_script_is_read_line_by_line() {
+        let mut script = Script::from_start(Impairment::default());
+        let text = "# a link\n0s delay 80ms\n10s rate 256kbit\n20s stall 500ms/10s # now and then\n30s cut 5s\n45s reset\n1min delay 0ms\n";
+        script.read(text).unwrap();
+        let last = script.changes.last().unwrap();
+        assert_eq!((script.changes.len(), last.at), (5, Duration::from_secs(60)));
+        assert_eq!((last.to.delay, last.to.rate), (Duration::ZERO, Some(32_000.0)));
+        assert_eq!(last.to.every, Some(Duration::from_secs(10)));
+        assert_eq!(script.cuts.len() + script.resets.len(), 2);
+    }
+
+    #[test]
+    fn a_mistake_is_told_with_its_line_and_what_was_expected() {
+        for (text, told) in [
+            ("\n10 delay 80ms", "line 2: `10`: expected a time with its unit"),
+            ("10s delay", "line 1: `delay`: expected a time, such as 80ms behind it"),
+            ("10s rate 5", "`5`: expected bits a second"),
+            (
+                "10s loss 5%",
+                "`loss`: expected delay, jitter, rate, stall, cut or reset",
+            ),
+            (
+                "10s delay 1ms\n5s delay 2ms",
+                "line 2: `delay`: expected a time that is no earlier",
+            ),
+            ("1s stall 5s/0s", "expected how long and how often"),
+            ("nans delay 1s", "expected a time"),
+            ("1s delay -5ms", "expected a time"),
+        ] {
+            let error = Script::default().read(text).unwrap_err();
+            assert!(error.contains(told), "{text:?}: {error}");
+        }
+    }
+}

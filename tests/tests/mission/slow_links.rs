@@ -1,0 +1,41 @@
+//! The link to the cloud is slow: the robot drives nevertheless, and what it refuses is heard however late.
+
+use super::rig::{Rig, room, to};
+
+/// Simulated time to a goal 4 m away over a round trip, s.
+fn time_over(round_trip: f64) -> f64 {
+    let mut rig = Rig::with(room(|_| false), room(|_| false), round_trip);
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    let begun = rig.stage.now().as_secs();
+    rig.success_of("a", 30.0 + 4.0 * round_trip);
+    rig.stage.now().as_secs() - begun
+}
+
+#[test]
+fn a_round_trip_of_seconds_delays_a_mission_and_does_not_stop_it() {
+    let near = time_over(0.1);
+    for (round_trip, times) in [(1.0, 1.4), (2.0, 2.0), (5.0, 3.5)] {
+        let far = time_over(round_trip);
+        assert!(far < times * near, "{far} s over {round_trip} s, {near} s over 0.1 s");
+    }
+}
+
+#[test]
+fn the_robot_tells_the_round_trip_that_it_measures() {
+    let mut rig = Rig::with(room(|_| false), room(|_| false), 1.5);
+    assert!(rig.run_until(10.0, |rig| {
+        let told = rig.state.as_ref().and_then(|state| state.round_trip_secs);
+        told.is_some_and(|secs| (1.5..1.7).contains(&secs))
+    }));
+}
+
+#[test]
+fn a_refusal_is_heard_although_the_plan_was_renewed_meanwhile() {
+    let mut rig = Rig::with(room(|_| false), room(|_| false), 1.5);
+    rig.run(6.0);
+    rig.plans_are_spoiled = true;
+    rig.submit(to(4.0, 0.0, "a")).unwrap();
+    rig.run(3.0);
+    rig.plans_are_spoiled = false;
+    rig.success_of("a", 30.0);
+}
