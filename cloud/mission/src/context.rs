@@ -237,9 +237,11 @@ impl Context {
         self.config.settings.latency_budget + self.round_trip()
     }
 
-    /// How long a plan is valid from the state that it was made from, s: of that it has lost a round trip when it comes.
+    /// How long a plan is valid from the state that it was made from, s. A plan has lost a round trip of that when it arrives; what an ordinary link
+    /// takes is in the setting, the rest is added.
     fn plan_valid(&self) -> f64 {
-        self.config.settings.plan_valid + self.round_trip()
+        let settings = &self.config.settings;
+        settings.plan_valid + (self.round_trip() - settings.latency_budget).max(0.0)
     }
 
     /// Publishes a new plan for the active goal.
