@@ -1,7 +1,7 @@
 //! Writes `BENCHMARKS.md`. What does every bench and acceptance run print, on which machine, at which commit?
 //!
-//! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page from what was found last. Each
-//! run's own output is kept in `target/benchmarks/NAME.txt`; a figure is a line `row: NAME | VALUE | UNIT [| PEER | PEER'S VALUE]`
+//! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page; what was not run here stays on
+//! it as it was. Each run's own output is kept in `target/benchmarks/NAME.txt`; a figure is a line `row: NAME | VALUE | UNIT [| PEER | PEER'S VALUE]`
 //! ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`, and every one becomes a row of the page.
 
 #![expect(clippy::print_stdout, reason = "a command that says what it runs")]
@@ -176,7 +176,9 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
         let wanted: Vec<&Run> = RUNS.iter().filter(is_wanted).collect();
         if wanted.iter().any(|run| run.arguments.first() == Some(&"acceptance")) {
             good &= cargo(&["build", "--release", "-p", "zenav-tests", "--bins"])?.1;
-            good &= cargo(&["build", "--release", "-p", "zenav-edge"])?.1;
+        }
+        if wanted.iter().any(|run| run.name == "footprint") {
+            good &= cargo(&["build", "--profile", "dist", "-p", "zenav-edge"])?.1;
         }
         for run in wanted {
             println!("== {}: {}", run.name, command_line(run));
@@ -191,7 +193,8 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
             )?;
         }
     }
-    std::fs::write(&args.out, page(folder))?;
+    let last = std::fs::read_to_string(&args.out).unwrap_or_default();
+    std::fs::write(&args.out, page(folder, &last))?;
     println!("{} is written", args.out.display());
     Ok(good)
 }
@@ -263,8 +266,15 @@ fn provenance() -> String {
     format!("commit {commit}{changed}, {date}; {cores} x {processor}, {memory}, {system}; {rust}")
 }
 
-/// The page, from the runs' outputs.
-fn page(folder: &Path) -> String {
+/// The section of a run on an earlier page, without its title.
+fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
+    let (_, after) = page.split_once(&format!("\n## {title}\n"))?;
+    let end = after.find("\n## ").or_else(|| after.find("\nNot run here:"));
+    Some(&after[..end.unwrap_or(after.len())])
+}
+
+/// The page, from the runs' outputs; what has no output here is taken from the last page.
+fn page(folder: &Path, last: &str) -> String {
     let mut page = String::from(
         "# Benchmarks\n\nWritten by `cargo run --release -p zenav-tests --bin benchmarks` from the output of the commands below: every row that they print, \
          losing ones too. Where a peer was measured, it was in the same run on the same machine; the ratio is its figure over ours.\n",
@@ -272,7 +282,12 @@ fn page(folder: &Path) -> String {
     let mut missing = Vec::new();
     for run in RUNS {
         let Ok(output) = std::fs::read_to_string(folder.join(format!("{}.txt", run.name))) else {
-            missing.push(run.name);
+            match section(last, run.title) {
+                Some(section) => {
+                    let _ = write!(page, "\n## {}\n{section}", run.title);
+                }
+                None => missing.push(run.name),
+            }
             continue;
         };
         let (provenance, output) = output.split_once('\n').unwrap_or_default();
@@ -378,5 +393,15 @@ mod tests {
         ] {
             assert_eq!(figure(value), text);
         }
+    }
+    #[test]
+    fn what_was_not_run_stays_on_the_page() {
+        let last =
+            "# Benchmarks\n\n## Time laws\n\nthe first\n\n## Scan insertion\n\nthe second\n\nNot run here: bus.\n";
+        let again = page(Path::new("no such folder"), last);
+        assert_eq!(section(&again, "Time laws"), Some("\nthe first\n"));
+        assert_eq!(section(&again, "Scan insertion"), Some("\nthe second\n"));
+        assert_eq!(section(&again, "Behaviour trees"), None);
+        assert!(again.contains("\nNot run here: kitchen, "), "{again}");
     }
 }
