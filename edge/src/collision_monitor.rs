@@ -215,6 +215,11 @@ impl CollisionMonitor {
         } else {
             1.0
         };
+        // Whoever went in there and did not come out may stand there still.
+        let blind_speed = match obstacles.moving().may_be_in_blind_spot(now) {
+            true => 0.0,
+            false => self.blind_speed,
+        };
         let limits = [
             (in_contact, "sliding along a contact"),
             (without_encoders.min(1.0), "the wheel encoders are silent"),
@@ -228,7 +233,7 @@ impl CollisionMonitor {
                 "moving obstacle nearby",
             ),
             (
-                motion.limit_blind_spot(obstacles, odom_from_base, self.blind_speed),
+                motion.limit_blind_spot(obstacles, odom_from_base, blind_speed),
                 "moving into the lidar's blind spot (`blind_speed` allows more)",
             ),
             (

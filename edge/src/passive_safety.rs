@@ -296,7 +296,7 @@ impl<'a> Motion<'a> {
         let base_from_odom = rigid(odom_from_base.inverse());
         let mut shares = SHARES.iter();
         let mut share = shares.next().copied().unwrap_or(0.0);
-        for occluded in obstacles.moving().occluded() {
+        for occluded in obstacles.moving().occluded(now) {
             let age = now.secs_since(occluded.stamp).max(0.0);
             let distance = self.footprint.distance(base_from_odom * occluded.place);
             while share > 0.0 && distance <= self.protective_distance(share, occluded.speed) + occluded.speed * age {

@@ -290,8 +290,10 @@ zenav_protocol::settings! {
         pub beside_blind_spot: f64 = 0.3, "m", 0.0..=5.0;
         /// An obstacle that needs longer than this to reach the robot is not followed into the blind spot.
         pub near_secs: f64 = 0.75, "s", 0.0..=10.0;
-        /// An obstacle that entered the blind spot is remembered for this long.
+        /// An obstacle that entered the blind spot keeps the outline from swinging out there for this long.
         pub memory: f64 = 10.0, "s", 0.0..=600.0;
+        /// And the robot from moving straight into the blind spot for this long: someone may stand there, or lean on it.
+        pub memory_backing: f64 = 60.0, "s", 0.0..=600.0;
         /// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one.
         pub reappearance_tolerance: f64 = 0.1, "m", 0.0..=2.0;
         /// Least spacing of the points of moving obstacles.

@@ -31,8 +31,9 @@ zenav_protocol::settings! {
         /// How long something that may leave is waited for while it bars the only way or the goal. A goal's own deadline comes first; 0
         /// waits for nothing (120: longer than people talk in a door, shorter than somebody needs to see to it).
         pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
-        /// A goal is not given up as closed off sooner than this after it began: a shut door looks like a wall until it opens.
-        pub linger: f64 = 15.0, "s", 0.0..=3600.0;
+        /// A goal is not given up as closed off or taken sooner than this after it began: a shut door looks like a wall until it opens, and
+        /// somebody far off is a beam or two.
+        pub linger: f64 = 30.0, "s", 0.0..=3600.0;
         /// A bump counts as recent for this long (`IsStuck`).
         pub bump_memory: f64 = 1.0, "s", 0.0..=60.0;
         /// Period of the mission's status where nothing changes.
@@ -89,6 +90,8 @@ zenav_protocol::settings! {
         pub gather: f64 = 2.0, "s", 0.0..=60.0;
         /// The robot is brought to rest this much earlier than braking and the latency budget need.
         pub brake_early: f64 = 0.4, "s", 0.0..=10.0;
+        /// The robot rests this far before what it waits for, where it still can: who leaves needs room.
+        pub standoff: f64 = 0.5, "m", 0.0..=5.0;
     }
 }
 

@@ -133,7 +133,7 @@ impl MovingObstacles {
         self.occluded.retain(|occluded| {
             let untracked = occluded.track.is_none() && none_beside;
             let is_out = untracked && points.iter().any(|point| may_be(occluded, *point));
-            now.secs_since(occluded.stamp) <= settings.memory && !is_out
+            now.secs_since(occluded.stamp) <= settings.memory.max(settings.memory_backing) && !is_out
         });
         let mut waiting: Vec<RecentPlace> = Vec::new();
         for occluded in self.occluded.iter().filter(|occluded| occluded.track.is_some()) {
@@ -176,9 +176,21 @@ impl MovingObstacles {
         });
     }
 
-    /// Where moving obstacles entered the blind spot.
-    pub fn occluded(&self) -> impl Iterator<Item = &RecentPlace> + '_ {
-        self.occluded.iter()
+    /// Where moving obstacles entered the blind spot lately.
+    pub fn occluded(&self, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {
+        self.entered_within(self.settings.memory, now)
+    }
+
+    /// Whether a moving obstacle may still be in the blind spot, at rest or not.
+    #[must_use]
+    pub fn may_be_in_blind_spot(&self, now: Stamp) -> bool {
+        self.entered_within(self.settings.memory_backing, now).next().is_some()
+    }
+
+    fn entered_within(&self, secs: f64, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {
+        self.occluded
+            .iter()
+            .filter(move |occluded| now.secs_since(occluded.stamp) <= secs)
     }
 
     /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`, and how fast each moves at most, m/s: a tracked one

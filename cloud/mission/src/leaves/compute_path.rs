@@ -139,8 +139,9 @@ impl Leaf<Context> for ComputePath {
                 Status::Success
             }
             Searching::Failed(no_route)
-                if no_route.code == error_code::NO_VALID_PATH
-                    && self.tried.is_some_and(|(_, times)| times >= LOOKS)
+                if (no_route.code == error_code::GOAL_OCCUPIED
+                    || no_route.code == error_code::NO_VALID_PATH
+                        && self.tried.is_some_and(|(_, times)| times >= LOOKS))
                     && ctx.now.secs_since(ctx.goal.started) < ctx.config.settings.linger =>
             {
                 search.again_at(ctx.now.plus_secs(LOOK_AGAIN));
