@@ -34,6 +34,9 @@ pub struct DriveArgs {
     /// The run of this name only, as the table names it
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
+    /// Drive zenav only
+    #[arg(long)]
+    no_anchors: bool,
     /// Write each world here, with the `zenav run` command that drives in it, and drive nothing
     #[arg(long, value_name = "DIR")]
     world_out: Option<PathBuf>,
@@ -80,6 +83,9 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
                 "--only {only}: no run of that name; `zenav bench drive --world-out DIR` writes all of them"
             )));
         }
+    }
+    if args.no_anchors {
+        cases.iter_mut().for_each(|case| case.anchors = &[]);
     }
     if let Some(folder) = &args.world_out {
         std::fs::create_dir_all(folder).map_err(Failure::failed_at(folder))?;
