@@ -14,6 +14,8 @@ pub struct RecentPlace {
     pub stamp: Stamp,
     /// How fast it moves at most, m/s.
     pub speed: f64,
+    /// It is no smaller than a disc of this radius, m.
+    pub radius: f64,
     /// Its track, if it has one.
     pub track: Option<u64>,
 }
@@ -100,6 +102,7 @@ mod tests {
             place: Point2::new(x, 0.0),
             stamp: Stamp::from_secs(secs),
             speed: 1.0,
+            radius: 0.0,
             track: None,
         }
     }

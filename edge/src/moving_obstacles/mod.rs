@@ -23,6 +23,8 @@ use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::settings::{EdgeSettings, MovingObstacleSettings};
 use detector::Detector;
 
+/// A moving obstacle is no smaller than this share of its track's radius, of which more than this is not relied on, m.
+const SURE_RADIUS: (f64, f64) = (0.8, 0.25);
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 32;
 
@@ -116,6 +118,7 @@ impl MovingObstacles {
                 place,
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
+                radius: track.map_or(0.0, |track| (SURE_RADIUS.0 * track.radius).min(SURE_RADIUS.1)),
                 track: track.map(|track| track.id),
             });
         }
@@ -172,6 +175,7 @@ impl MovingObstacles {
             place,
             stamp,
             speed: self.fastest_out_of_sight,
+            radius: 0.0,
             track: None,
         });
     }
