@@ -14,6 +14,8 @@ pub struct RecentPlace {
     pub stamp: Stamp,
     /// How fast it moves at most, m/s.
     pub speed: f64,
+    /// Whether it was so near that it may touch the robot at once.
+    pub is_near: bool,
     /// It is no smaller than a disc of this radius, m.
     pub radius: f64,
     /// Its track, if it has one.
@@ -102,6 +104,7 @@ mod tests {
             place: Point2::new(x, 0.0),
             stamp: Stamp::from_secs(secs),
             speed: 1.0,
+            is_near: true,
             radius: 0.0,
             track: None,
         }

@@ -288,8 +288,10 @@ zenav_protocol::settings! {
         pub turning_secs: f64 = 1.0, "s", 0.0..=30.0;
         /// An obstacle last seen this near to the blind spot, plus its motion between two scans, may have entered it.
         pub beside_blind_spot: f64 = 0.3, "m", 0.0..=5.0;
-        /// An obstacle that needs longer than this to reach the robot is not followed into the blind spot.
+        /// An obstacle that needs longer than this to reach the robot does not keep the outline from swinging out into the blind spot.
         pub near_secs: f64 = 0.75, "s", 0.0..=10.0;
+        /// And one that needs longer than this does not keep the robot from moving straight into it.
+        pub far_secs: f64 = 4.0, "s", 0.0..=60.0;
         /// An obstacle that entered the blind spot keeps the outline from swinging out there for this long.
         pub memory: f64 = 10.0, "s", 0.0..=600.0;
         /// And the robot from moving straight into the blind spot for this long: someone may stand there, or lean on it.

@@ -151,6 +151,7 @@ impl Detector {
                 place: *place,
                 stamp,
                 speed: self.fastest,
+                is_near: true,
                 radius: 0.0,
                 track: None,
             });

@@ -70,9 +70,9 @@ impl MovingObstacles {
         }
     }
 
-    /// Obstacles beyond this distance from the lidar are not followed into the blind spot, m.
-    fn near(&self) -> f64 {
-        2.0 * self.circumscribed_radius + self.settings.near_secs * self.fastest_out_of_sight
+    /// How far from the lidar an obstacle is that reaches the robot in this time, m.
+    fn within(&self, secs: f64) -> f64 {
+        2.0 * self.circumscribed_radius + secs * self.fastest_out_of_sight
     }
 
     /// Takes a scan of the lidar with this index.
@@ -101,13 +101,18 @@ impl MovingObstacles {
         };
         let (points, settings) = (&detector.points, &self.settings);
         let step = self.fastest / scan.lidar.rate_hz;
-        let (beside, near, laser) = (settings.beside_blind_spot + step, self.near(), scan.laser());
+        let far = self.within(settings.far_secs);
+        let (beside, near, laser) = (
+            settings.beside_blind_spot + step,
+            self.within(settings.near_secs),
+            scan.laser(),
+        );
         let (now, base_from_odom) = (scan.stamp, scan.odom_from_base.inverse());
         // Motion in a single scan may be a false detection: it is not worth waiting for.
         let since = settings.turning_distance + step;
         let goes = |place: &&Point2<f64>| {
             self.view.distance_to_blind_spot(base_from_odom * **place) <= beside
-                && (**place - laser).norm() <= near
+                && (**place - laser).norm() <= far
                 && detector.moved.any_within(since, **place)
         };
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
@@ -118,6 +123,7 @@ impl MovingObstacles {
                 place,
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
+                is_near: (place - laser).norm() <= near,
                 radius: track.map_or(0.0, |track| (SURE_RADIUS.0 * track.radius).min(SURE_RADIUS.1)),
                 track: track.map(|track| track.id),
             });
@@ -175,14 +181,16 @@ impl MovingObstacles {
             place,
             stamp,
             speed: self.fastest_out_of_sight,
+            is_near: true,
             radius: 0.0,
             track: None,
         });
     }
 
-    /// Where moving obstacles entered the blind spot lately.
+    /// Where moving obstacles entered the blind spot lately, near the robot.
     pub fn occluded(&self, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {
         self.entered_within(self.settings.memory, now)
+            .filter(|occluded| occluded.is_near)
     }
 
     /// Whether a moving obstacle may still be in the blind spot, at rest or not.
