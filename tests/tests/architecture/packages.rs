@@ -20,6 +20,7 @@ const ARROWS: &[Arrows] = &[
         &["zenav-protocol", "zenav-space"],
         &["zenav-mapping", "zenav-fixtures"],
     ),
+    ("zenav-pose-graph", &["zenav-protocol"], &[]),
     (
         "zenav-smoothing",
         &["zenav-protocol", "zenav-space"],
@@ -94,6 +95,10 @@ const WALLS: &[(&str, &[&str])] = &[
     (
         "zenav-planning",
         &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-pose-graph",
+        &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
     ),
     (
         "zenav-smoothing",

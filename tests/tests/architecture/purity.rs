@@ -85,6 +85,7 @@ const CORES: &[&str] = &[
     "cloud/mapping",
     "cloud/space",
     "cloud/planning",
+    "cloud/pose_graph",
     "cloud/smoothing",
     "cloud/mission",
     "tests/fixtures",
