@@ -21,6 +21,7 @@ const ARROWS: &[Arrows] = &[
         &["zenav-mapping", "zenav-fixtures"],
     ),
     ("zenav-pose-graph", &["zenav-protocol"], &[]),
+    ("zenav-scan-matching", &["zenav-protocol"], &[]),
     (
         "zenav-smoothing",
         &["zenav-protocol", "zenav-space"],
@@ -99,6 +100,10 @@ const WALLS: &[(&str, &[&str])] = &[
     (
         "zenav-pose-graph",
         &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-scan-matching",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
     ),
     (
         "zenav-smoothing",

@@ -86,6 +86,7 @@ const CORES: &[&str] = &[
     "cloud/space",
     "cloud/planning",
     "cloud/pose_graph",
+    "cloud/scan_matching",
     "cloud/smoothing",
     "cloud/mission",
     "tests/fixtures",
