@@ -11,6 +11,8 @@ use crate::settings::FieldSettings;
 
 /// Standard deviations after which a likelihood is zero.
 const REACH: f64 = 3.0;
+/// Most cells that a point reaches across: with a larger sigma its reach is cut.
+const MAX_WIDTH: usize = 256;
 /// What a field grows by beyond a point outside it, cells.
 const MARGIN: i64 = 64;
 /// A point further from the first one than this share of the largest grid is left out.
@@ -146,20 +148,26 @@ impl LikelihoodField {
         if !at.iter().all(|value| value.is_finite()) {
             return;
         }
-        let reach = REACH * self.sigma / self.spec.resolution;
+        let reach = (REACH * self.sigma / self.spec.resolution).min(0.5 * MAX_WIDTH as f64 - 1.0);
         let scale = -0.5 * (self.spec.resolution / self.sigma).powi(2);
         let range = |middle: f64, side: u32| {
             let low = (middle - reach - 0.5).ceil().max(0.0) as usize;
             let high = (middle + reach - 0.5).floor().min(f64::from(side) - 1.0);
             low..if high < 0.0 { low } else { high as usize + 1 }
         };
+        // The bell over two axes is the product of those over each.
+        let bell = |cell: usize, middle: f64| (scale * (cell as f64 + 0.5 - middle).powi(2)).exp();
+        let mut across = [0.0_f32; MAX_WIDTH];
+        let columns = range(at.x, self.spec.width);
+        for (weight, x) in across.iter_mut().zip(columns.clone()) {
+            *weight = (255.0 * bell(x, at.x)) as f32;
+        }
         for y in range(at.y, self.spec.height) {
-            let dy = y as f64 + 0.5 - at.y;
-            for x in range(at.x, self.spec.width) {
-                let dx = x as f64 + 0.5 - at.x;
-                let likelihood = (255.0 * (scale * (dx * dx + dy * dy)).exp()).round() as u8;
-                let value = &mut self.values[y * self.spec.width as usize + x];
-                *value = (*value).max(likelihood);
+            let up = bell(y, at.y) as f32;
+            let row = y * self.spec.width as usize;
+            let cells = &mut self.values[row + columns.start..row + columns.end];
+            for (value, weight) in cells.iter_mut().zip(&across) {
+                *value = (*value).max((up * weight + 0.5) as u8);
             }
         }
     }

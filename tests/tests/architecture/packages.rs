@@ -23,6 +23,11 @@ const ARROWS: &[Arrows] = &[
     ("zenav-pose-graph", &["zenav-protocol"], &[]),
     ("zenav-scan-matching", &["zenav-protocol"], &[]),
     (
+        "zenav-slam",
+        &["zenav-protocol", "zenav-pose-graph", "zenav-scan-matching"],
+        &["zenav-mapping"],
+    ),
+    (
         "zenav-smoothing",
         &["zenav-protocol", "zenav-space"],
         &["zenav-mapping", "zenav-planning", "zenav-fixtures"],
@@ -104,6 +109,10 @@ const WALLS: &[(&str, &[&str])] = &[
     (
         "zenav-scan-matching",
         &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-slam",
+        &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
     ),
     (
         "zenav-smoothing",

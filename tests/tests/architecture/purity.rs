@@ -87,6 +87,7 @@ const CORES: &[&str] = &[
     "cloud/planning",
     "cloud/pose_graph",
     "cloud/scan_matching",
+    "cloud/slam",
     "cloud/smoothing",
     "cloud/mission",
     "tests/fixtures",
