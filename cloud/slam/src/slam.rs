@@ -24,6 +24,7 @@ const BETWEEN: DescentSettings = DescentSettings {
     max_iterations: 4,
     tolerance: 1e-4,
 };
+
 /// Why a step failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SlamError {
@@ -125,7 +126,7 @@ impl Slam {
     /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is not looked at.
     ///
     /// # Errors
-    /// See [`SlamError`]; the map is as it was.
+    /// See [`SlamError`]; after a scan that is malformed or late the map is as it was.
     pub fn step(&mut self, scan: &Scan) -> Result<Effects, SlamError> {
         let stamp = scan.stamp.as_secs();
         let odometry = scan.odom_from_base;
