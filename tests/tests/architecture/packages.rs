@@ -69,6 +69,8 @@ const ARROWS: &[Arrows] = &[
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
+            "zenav-pose-graph",
+            "zenav-slam",
             "zenav-smoothing",
             "zenav-space",
         ],
@@ -110,10 +112,7 @@ const WALLS: &[(&str, &[&str])] = &[
         "zenav-scan-matching",
         &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
     ),
-    (
-        "zenav-slam",
-        &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
-    ),
+    ("zenav-slam", &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"]),
     (
         "zenav-smoothing",
         &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
