@@ -6,7 +6,9 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::exit_code;
 use crate::failure::Outcome;
-use crate::{batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, wall_following};
+use crate::{
+    batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam, wall_following,
+};
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
@@ -63,6 +65,8 @@ enum Command {
     Plan(batch::PlanArgs),
     /// Plan and smooth a batch of queries offline
     Smooth(batch::SmoothArgs),
+    /// Map a log of scans and odometry, or solve and certify a pose graph, offline
+    Slam(slam::SlamArgs),
     /// Tune gains in simulation; writes a robot file
     Tune(wall_following::TuneArgs),
     /// Draw a world, serve one to robots on several machines, measure the simulator
@@ -128,6 +132,7 @@ fn run(command: Command) -> Outcome {
         Command::Doctor(args) => inspect::doctor(&args),
         Command::Plan(args) => batch::plan(&args),
         Command::Smooth(args) => batch::smooth(&args),
+        Command::Slam(args) => slam::slam(&args),
         Command::Tune(args) => wall_following::tune(&args),
         Command::Sim(args) => batch::sim(&args),
         Command::Bench(args) => bench::bench(&args),

@@ -15,6 +15,7 @@
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
 //! | `batch` | planning, smoothing and mapping offline |
+//! | `slam` | maps and poses from logs; pose graphs, certified |
 //! | `bench` | how fast is the bus, how well do robots drive |
 //! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
 //! | `files` | worlds, robots and maps by file or shipped name |
@@ -41,6 +42,7 @@ pub mod operator;
 pub mod output;
 pub mod receivers;
 pub mod report;
+pub mod slam;
 pub mod wall_following;
 pub mod world_server;
 

@@ -124,7 +124,8 @@ pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
     Ok(exit_code::OK)
 }
 
-fn read_log(path: &Path) -> Result<Vec<Scan>, Failure> {
+/// All scans of a CARMEN log.
+pub(crate) fn read_log(path: &Path) -> Result<Vec<Scan>, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such log", path.display())));
     }

@@ -21,6 +21,7 @@ mod payload;
 mod topic;
 
 pub use bt::{BtArgs, bt};
+pub(crate) use build::read_log;
 pub use doctor::{DoctorArgs, doctor};
 pub use map::{MapArgs, map};
 pub use topic::{TopicArgs, topic};

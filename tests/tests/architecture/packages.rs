@@ -20,6 +20,13 @@ const ARROWS: &[Arrows] = &[
         &["zenav-protocol", "zenav-space"],
         &["zenav-mapping", "zenav-fixtures"],
     ),
+    ("zenav-pose-graph", &["zenav-protocol"], &[]),
+    ("zenav-scan-matching", &["zenav-protocol"], &[]),
+    (
+        "zenav-slam",
+        &["zenav-protocol", "zenav-pose-graph", "zenav-scan-matching"],
+        &["zenav-mapping"],
+    ),
     (
         "zenav-smoothing",
         &["zenav-protocol", "zenav-space"],
@@ -62,6 +69,8 @@ const ARROWS: &[Arrows] = &[
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
+            "zenav-pose-graph",
+            "zenav-slam",
             "zenav-smoothing",
             "zenav-space",
         ],
@@ -95,6 +104,15 @@ const WALLS: &[(&str, &[&str])] = &[
         "zenav-planning",
         &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
     ),
+    (
+        "zenav-pose-graph",
+        &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-scan-matching",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    ("zenav-slam", &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"]),
     (
         "zenav-smoothing",
         &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"],

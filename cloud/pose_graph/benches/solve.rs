@@ -1,0 +1,132 @@
+//! How long do a solve, its certificate and robust closures take? Processor time of the thread, on graphs from files or on one of its own.
+//!
+//! `cargo bench -p zenav-pose-graph`; with `ZENAV_BENCH_GRAPHS=DIR` on each `*.g2o` of a folder, else on a seeded walk of 3,500 nodes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a bench stops at what is wrong, and says what it measures"
+)]
+
+use std::time::Duration;
+
+use criterion::measurement::{Measurement, ValueFormatter, WallTime};
+use criterion::{Criterion, criterion_group, criterion_main};
+use rustix::time::{ClockId, clock_gettime};
+use zenav_pose_graph::{
+    DescentSettings, PoseGraph, RobustSettings, certify, chordal_start, descend, g2o, solve, solve_robust,
+};
+
+#[path = "../tests/manhattan/mod.rs"]
+mod manhattan;
+
+/// Processor time: other work on the machine does not count.
+struct ProcessorTime;
+
+fn now() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec.try_into().unwrap(), time.tv_nsec.try_into().unwrap())
+}
+
+impl Measurement for ProcessorTime {
+    type Intermediate = Duration;
+    type Value = Duration;
+
+    fn start(&self) -> Duration {
+        now()
+    }
+
+    fn end(&self, start: Duration) -> Duration {
+        now() - start
+    }
+
+    fn add(&self, a: &Duration, b: &Duration) -> Duration {
+        *a + *b
+    }
+
+    fn zero(&self) -> Duration {
+        Duration::ZERO
+    }
+
+    fn to_f64(&self, value: &Duration) -> f64 {
+        value.as_nanos() as f64
+    }
+
+    fn formatter(&self) -> &dyn ValueFormatter {
+        WallTime.formatter()
+    }
+}
+
+fn graphs() -> Vec<(String, PoseGraph)> {
+    let Ok(folder) = std::env::var("ZENAV_BENCH_GRAPHS") else {
+        return vec![("walk_3500".to_owned(), manhattan::walk(3500, 1).0)];
+    };
+    let mut paths: Vec<_> = std::fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "g2o"));
+    paths.sort();
+    let read = |path: &std::path::PathBuf| {
+        let text = std::fs::read_to_string(path).unwrap();
+        (
+            path.file_stem().unwrap().to_string_lossy().into_owned(),
+            g2o::read(&text).unwrap().graph,
+        )
+    };
+    paths.iter().map(read).collect()
+}
+
+fn benches(criterion: &mut Criterion<ProcessorTime>) {
+    let (descent, robust) = (DescentSettings::default(), RobustSettings::default());
+    for (name, mut graph) in graphs() {
+        let weights = vec![1.0; graph.edges().len()];
+        let solution = solve(&graph, &descent).unwrap();
+        println!(
+            "{name}: {} nodes, {} edges, chi squared {:.4}, {:?}",
+            graph.poses().len(),
+            graph.edges().len(),
+            solution.chi_squared,
+            solution.certificate.optimality
+        );
+        let mut group = criterion.benchmark_group(&name);
+        group.sample_size(20);
+        group.bench_function("solve_and_certify", |bench| bench.iter(|| solve(&graph, &descent)));
+        group.bench_function("certify", |bench| {
+            bench.iter(|| certify(&graph, &solution.poses, &weights))
+        });
+        let start = chordal_start(&graph, &weights).unwrap();
+        group.bench_function("descend_from_chordal", |bench| {
+            bench.iter(|| descend(&graph, &start, &weights, &descent));
+        });
+        let true_edges = graph.edges().len();
+        manhattan::add_false(&mut graph, 1.0, 7);
+        let kept = solve_robust(&graph, &descent, &robust).unwrap();
+        let away = kept.solution.poses.iter().zip(&solution.poses);
+        println!(
+            "{name}, half of the closures false: {} true ones lost, {} false ones kept, {:.1e} m from the optimum, {:?}",
+            kept.weights[..true_edges]
+                .iter()
+                .filter(|weight| **weight == 0.0)
+                .count(),
+            kept.weights[true_edges..]
+                .iter()
+                .filter(|weight| **weight > 0.0)
+                .count(),
+            away.map(|(a, b)| a.distance(b)).fold(0.0, f64::max),
+            kept.solution.certificate.optimality
+        );
+        group.sample_size(10);
+        group.bench_function("half_of_the_closures_false", |bench| {
+            bench.iter(|| solve_robust(&graph, &descent, &robust));
+        });
+        group.finish();
+    }
+}
+
+criterion_group! {
+    name = all;
+    config = Criterion::default().with_measurement(ProcessorTime);
+    targets = benches
+}
+criterion_main!(all);

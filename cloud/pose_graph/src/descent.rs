@@ -1,0 +1,248 @@
+//! Descent. How is the cost of the measurements brought down from a start?
+//!
+//! Gauss and Newton's steps; where one leads uphill, Levenberg and Marquardt's damping. Near the minimum the factors of an earlier step
+//! serve for several: the gradient is always that of the place, so what they cost is speed, not accuracy.
+
+use nalgebra::{Matrix3, Vector3};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+
+use crate::companion::moved;
+use crate::graph::{Edge, PoseGraph};
+use crate::linear::{BlockSystem, Pattern};
+use crate::settings::DescentSettings;
+use crate::start::pattern;
+
+/// Damping of the first step that needs some, as a share of the diagonal, and by how much it grows and shrinks.
+const FIRST_DAMPING: f64 = 1e-4;
+const DAMPING_GROWS: f64 = 10.0;
+/// From here on no step leads downhill but for rounding.
+const MOST_DAMPING: f64 = 1e10;
+/// Chi squared that nobody misses, where the cost is zero but for rounding.
+const NEGLIGIBLE: f64 = 1e-14;
+/// Largest turn of a step after which the factors of the step before are good enough, rad.
+const SAME_FACTORS: f64 = 0.2;
+/// Steps with old factors promise at most this share of what the one before promised.
+const SHRINK: f64 = 0.1;
+
+/// How a descent ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescentStatus {
+    /// The next step would change nothing that matters.
+    Converged,
+    /// Steps ran out: start nearer, or allow more.
+    OutOfIterations,
+    /// The graph does not hold together, or its numbers are too far apart: the start is handed back.
+    Singular,
+}
+
+/// A descent and where it ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Descent {
+    /// `map_from_node` of each node.
+    pub poses: Vec<Pose2>,
+    /// Weighted sum of chi squared over the edges.
+    pub chi_squared: f64,
+    /// Steps taken.
+    pub iterations: u32,
+    /// How it ended.
+    pub status: DescentStatus,
+}
+
+/// An edge whose information is turned into the frame of its first node.
+struct Factor {
+    from: usize,
+    to: usize,
+    measurement: Pose2,
+    information: Matrix3<f64>,
+}
+
+impl Factor {
+    fn new(edge: &Edge, weight: f64) -> Self {
+        let (sin, cos) = edge.measurement.yaw.sin_cos();
+        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        Self {
+            from: edge.from,
+            to: edge.to,
+            measurement: edge.measurement,
+            information: turn * edge.information * turn.transpose() * weight,
+        }
+    }
+
+    /// Difference to the measurement in the frame of `from`, and the position of `to` in it.
+    fn error(&self, poses: &[Pose2], headings: &[[f64; 2]]) -> (Vector3<f64>, [f64; 2]) {
+        let (from, to, [cos, sin]) = (poses[self.from], poses[self.to], headings[self.from]);
+        let (dx, dy) = (to.x - from.x, to.y - from.y);
+        let seen = [cos * dx + sin * dy, cos * dy - sin * dx];
+        let Pose2 { x, y, yaw } = self.measurement;
+        let turn = wrap_angle(to.yaw - from.yaw - yaw);
+        (Vector3::new(seen[0] - x, seen[1] - y, turn), seen)
+    }
+
+    fn chi_squared(&self, poses: &[Pose2], headings: &[[f64; 2]]) -> f64 {
+        let (error, _) = self.error(poses, headings);
+        error.dot(&(self.information * error))
+    }
+}
+
+/// Chi squared of one edge at given poses.
+///
+/// # Panics
+/// When the edge names a pose that is not there.
+#[must_use]
+pub fn edge_chi_squared(edge: &Edge, poses: &[Pose2]) -> f64 {
+    let factor = Factor::new(edge, 1.0);
+    let from = poses[edge.from];
+    let seen = from.inverse() * poses[edge.to];
+    let Pose2 { x, y, yaw } = edge.measurement;
+    let error = Vector3::new(seen.x - x, seen.y - y, wrap_angle(seen.yaw - yaw));
+    error.dot(&(factor.information * error))
+}
+
+/// The cost: weighted sum of chi squared over all edges. `poses`: one for each node; `weights`: one for each edge.
+#[must_use]
+pub fn chi_squared(graph: &PoseGraph, poses: &[Pose2], weights: &[f64]) -> f64 {
+    let all = graph.edges().iter().zip(weights);
+    all.map(|(edge, weight)| weight * edge_chi_squared(edge, poses)).sum()
+}
+
+/// Brings the cost down from `start` (one pose for each node) with the weights given (one for each edge). The anchor does not move.
+#[must_use]
+pub fn descend(graph: &PoseGraph, start: &[Pose2], weights: &[f64], settings: &DescentSettings) -> Descent {
+    let fitting = start.len() == graph.poses().len() && weights.len() == graph.edges().len();
+    let pattern = pattern(graph, weights).filter(|_| fitting && graph.disconnected(weights).is_none());
+    match pattern {
+        Some(pattern) => Problem::new(graph, weights, &pattern).descend(start, settings),
+        None => Descent {
+            poses: start.to_vec(),
+            chi_squared: f64::NAN,
+            iterations: 0,
+            status: DescentStatus::Singular,
+        },
+    }
+}
+
+/// The edges of some weight and the system that they make.
+pub(crate) struct Problem<'p> {
+    factors: Vec<Factor>,
+    system: BlockSystem<'p, 3>,
+}
+
+impl<'p> Problem<'p> {
+    /// `pattern`: that of the same graph and weights.
+    pub(crate) fn new(graph: &PoseGraph, weights: &[f64], pattern: &'p Pattern) -> Self {
+        let used = graph.edges().iter().zip(weights).filter(|(_, weight)| **weight > 0.0);
+        Self {
+            factors: used.map(|(edge, weight)| Factor::new(edge, *weight)).collect(),
+            system: BlockSystem::new(pattern),
+        }
+    }
+
+    fn cost(&self, poses: &[Pose2]) -> f64 {
+        let headings = crate::companion::headings(poses);
+        self.factors
+            .iter()
+            .map(|factor| factor.chi_squared(poses, &headings))
+            .sum()
+    }
+
+    /// Half the gradient by node, and with `is_full` the normal equations into the system.
+    fn linearise(&mut self, poses: &[Pose2], is_full: bool) -> Vec<[f64; 3]> {
+        let headings = crate::companion::headings(poses);
+        let mut gradient = vec![[0.0; 3]; poses.len()];
+        if is_full {
+            self.system.clear();
+        }
+        for (pair, factor) in self.factors.iter().enumerate() {
+            let (error, [x, y]) = factor.error(poses, &headings);
+            let [cos, sin] = headings[factor.from];
+            let by_to = Matrix3::new(cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0);
+            let by_from = Matrix3::new(-cos, -sin, y, sin, -cos, -x, 0.0, 0.0, -1.0);
+            let weighted = factor.information * error;
+            for (node, slope) in [
+                (factor.from, by_from.tr_mul(&weighted)),
+                (factor.to, by_to.tr_mul(&weighted)),
+            ] {
+                for (sum, part) in gradient[node].iter_mut().zip(slope.iter()) {
+                    *sum += part;
+                }
+            }
+            if is_full {
+                let weighted_to = factor.information * by_to;
+                self.system.add_node(factor.to, &by_to.tr_mul(&weighted_to));
+                self.system.add_pair(pair, &by_from.tr_mul(&weighted_to));
+                self.system
+                    .add_node(factor.from, &by_from.tr_mul(&(factor.information * by_from)));
+            }
+        }
+        gradient
+    }
+
+    /// The factorised normal equations at given poses; `None` where the graph leaves a node free.
+    pub(crate) fn factorised(mut self, poses: &[Pose2]) -> Option<BlockSystem<'p, 3>> {
+        self.linearise(poses, true);
+        self.system.factorise().filter(|negative| *negative == 0)?;
+        Some(self.system)
+    }
+
+    /// Brings the cost down.
+    pub(crate) fn descend(&mut self, start: &[Pose2], settings: &DescentSettings) -> Descent {
+        let mut poses = start.to_vec();
+        let mut cost = self.cost(&poses);
+        let mut damping = 0.0;
+        let (mut is_kept, mut promised) = (false, f64::INFINITY);
+        let ended = |poses, chi_squared, iterations, status| Descent {
+            poses,
+            chi_squared,
+            iterations,
+            status,
+        };
+        let mut iterations = 0;
+        while iterations < settings.max_iterations {
+            let gradient = self.linearise(&poses, !is_kept);
+            if !is_kept {
+                if damping > 0.0 {
+                    self.system.damp(damping);
+                }
+                if self.system.factorise() != Some(0) {
+                    damping = (damping * DAMPING_GROWS).max(FIRST_DAMPING);
+                    if damping > MOST_DAMPING {
+                        return ended(poses, cost, iterations, DescentStatus::Singular);
+                    }
+                    continue;
+                }
+            }
+            let mut step = gradient.clone();
+            self.system.solve(&mut step);
+            let products = gradient.iter().zip(&step);
+            let promise: f64 = products.map(|(a, b)| (0..3).map(|k| a[k] * b[k]).sum::<f64>()).sum();
+            if promise <= (settings.tolerance * cost).max(NEGLIGIBLE) && damping <= FIRST_DAMPING {
+                return ended(moved(&poses, &step, 1.0), cost, iterations, DescentStatus::Converged);
+            }
+            if is_kept && promise > SHRINK * promised {
+                is_kept = false;
+                promised = f64::INFINITY;
+                continue;
+            }
+            let next = moved(&poses, &step, 1.0);
+            let next_cost = self.cost(&next);
+            iterations += 1;
+            if next_cost <= cost {
+                let turn = step.iter().map(|block| block[2].abs()).fold(0.0, f64::max);
+                is_kept = turn < SAME_FACTORS && damping == 0.0;
+                damping = if damping <= FIRST_DAMPING {
+                    0.0
+                } else {
+                    damping / DAMPING_GROWS
+                };
+                (poses, cost, promised) = (next, next_cost, promise);
+            } else {
+                (is_kept, promised) = (false, f64::INFINITY);
+                damping = (damping * DAMPING_GROWS).max(FIRST_DAMPING);
+                if damping > MOST_DAMPING {
+                    return ended(poses, cost, iterations, DescentStatus::Converged);
+                }
+            }
+        }
+        ended(poses, cost, iterations, DescentStatus::OutOfIterations)
+    }
+}

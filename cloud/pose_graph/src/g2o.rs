@@ -1,0 +1,247 @@
+//! g2o files. How is a graph of poses in the plane written to a file, and read?
+//!
+//! The text format of g2o (Kuemmerle et al. 2011): `VERTEX_SE2 id x y yaw`, `EDGE_SE2 from to x y yaw I11 I12 I13 I22 I23 I33` with the
+//! upper triangle of the information matrix, row by row; `FIX id` and comments (`#`) are passed over. Lengths are metres, angles radians.
+//! The format does not say which edges are loop closures: an edge between ids that differ by 1 is odometry, any other a closure.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use nalgebra::Matrix3;
+use thiserror::Error;
+use zenav_protocol::geometry::Pose2;
+
+use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
+use crate::start::odometry_start;
+
+/// A graph, and the file's names of its nodes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Document {
+    /// The graph; nodes in the order of their ids, so that the lowest id is the anchor.
+    pub graph: PoseGraph,
+    /// The id of each node, ascending.
+    pub ids: Vec<u64>,
+}
+
+/// Why a file is no graph.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum G2oError {
+    /// A field is malformed: mend the line.
+    #[error("line {line}, field {field}: {what}")]
+    Field {
+        /// Number of the line, from 1.
+        line: usize,
+        /// Number of the word in the line, from 1: the tag is 1.
+        field: usize,
+        /// What was expected, and what was found.
+        what: String,
+    },
+    /// The line is well formed, but what it says cannot be.
+    #[error("line {line}: {source}")]
+    Graph {
+        /// Number of the line, from 1.
+        line: usize,
+        /// Why it cannot be.
+        source: GraphError,
+    },
+}
+
+/// Where an edge stands in a file, its ends by id, and the rest of it.
+struct EdgeLine {
+    line: usize,
+    from: u64,
+    to: u64,
+    measurement: Pose2,
+    information: Matrix3<f64>,
+}
+
+/// Reads the text of a file. Nodes that only edges name start where odometry leads them.
+///
+/// ```
+/// let text = "EDGE_SE2 3 4 1 0 0 100 0 0 100 0 400\nEDGE_SE2 4 5 1 0 1.57 100 0 0 100 0 400\n";
+/// let document = zenav_pose_graph::g2o::read(text)?;
+/// assert_eq!(document.ids, [3, 4, 5]);
+/// assert_eq!(document.graph.poses()[2].x, 2.0);
+/// # Ok::<(), zenav_pose_graph::g2o::G2oError>(())
+/// ```
+///
+/// # Errors
+/// The first line and field that is malformed or of another kind (3D, landmarks), the first edge that cannot be, with its line.
+pub fn read(text: &str) -> Result<Document, G2oError> {
+    let mut vertices: BTreeMap<u64, Option<Pose2>> = BTreeMap::new();
+    let mut lines: Vec<EdgeLine> = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let mut words = Words::new(number, line);
+        match words.next() {
+            None | Some("FIX") => continue,
+            Some(tag) if tag.starts_with('#') => continue,
+            Some("VERTEX_SE2") => {
+                let id = words.id("an id")?;
+                let pose = words.pose()?;
+                if let Some(Some(_)) = vertices.insert(id, Some(pose)) {
+                    return Err(words.wrong_at(2, format!("expected a new id, found {id} again")));
+                }
+            }
+            Some("EDGE_SE2") => {
+                let edge = words.edge()?;
+                for id in [edge.from, edge.to] {
+                    vertices.entry(id).or_insert(None);
+                }
+                lines.push(edge);
+            }
+            Some(tag) => {
+                let found: String = tag.chars().take(40).collect();
+                return Err(words.wrong(format!("expected VERTEX_SE2, EDGE_SE2 or FIX, found `{found}`")));
+            }
+        }
+        words.end()?;
+    }
+    let mut graph = PoseGraph::new();
+    for pose in vertices.values() {
+        // Both kinds of numbers were checked where they were read.
+        graph
+            .add_node(pose.unwrap_or_default())
+            .map_err(|source| G2oError::Graph { line: 0, source })?;
+    }
+    let ids: Vec<u64> = vertices.keys().copied().collect();
+    let index = |id: u64| ids.binary_search(&id).unwrap_or(usize::MAX);
+    for edge in lines {
+        let kind = match edge.from.abs_diff(edge.to) {
+            1 => EdgeKind::Odometry,
+            _ => EdgeKind::Closure,
+        };
+        let built = Edge {
+            from: index(edge.from),
+            to: index(edge.to),
+            measurement: edge.measurement,
+            information: edge.information,
+            kind,
+        };
+        let line = edge.line;
+        graph
+            .add_edge(built)
+            .map_err(|source| G2oError::Graph { line, source })?;
+    }
+    if vertices.values().any(Option::is_none) {
+        let known: Vec<bool> = vertices.values().map(Option::is_some).collect();
+        let start = odometry_start(&graph, &known);
+        graph
+            .set_poses(&start)
+            .map_err(|source| G2oError::Graph { line: 0, source })?;
+    }
+    Ok(Document { graph, ids })
+}
+
+/// The text of a file: vertices, the anchor as `FIX`, edges. [`read`] gives the same graph back, bit for bit; where ids differ by more
+/// than 1 along odometry its kind is lost, as the format has no word for it.
+///
+/// A node without an id in `ids` gets its index.
+#[must_use]
+pub fn write(graph: &PoseGraph, ids: &[u64]) -> String {
+    let id = |node: usize| ids.get(node).copied().unwrap_or(node as u64);
+    let mut text = String::new();
+    for (node, pose) in graph.poses().iter().enumerate() {
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "VERTEX_SE2 {} {} {} {}", id(node), pose.x, pose.y, pose.yaw);
+        if node == 0 {
+            let _ = writeln!(text, "FIX {}", id(0));
+        }
+    }
+    for edge in graph.edges() {
+        let Pose2 { x, y, yaw } = edge.measurement;
+        let _ = write!(text, "EDGE_SE2 {} {} {x} {y} {yaw}", id(edge.from), id(edge.to));
+        for (row, column) in UPPER {
+            let _ = write!(text, " {}", edge.information[(row, column)]);
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// The upper triangle, row by row.
+const UPPER: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+
+struct Words<'t> {
+    line: usize,
+    field: usize,
+    words: std::str::SplitAsciiWhitespace<'t>,
+}
+
+impl<'t> Words<'t> {
+    fn new(line: usize, text: &'t str) -> Self {
+        Self {
+            line,
+            field: 0,
+            words: text.split_ascii_whitespace(),
+        }
+    }
+
+    fn next(&mut self) -> Option<&'t str> {
+        self.field += 1;
+        self.words.next()
+    }
+
+    fn wrong(&self, what: String) -> G2oError {
+        self.wrong_at(self.field, what)
+    }
+
+    fn wrong_at(&self, field: usize, what: String) -> G2oError {
+        G2oError::Field {
+            line: self.line,
+            field,
+            what,
+        }
+    }
+
+    fn parsed<T: std::str::FromStr>(&mut self, what: &str, is_valid: impl Fn(&T) -> bool) -> Result<T, G2oError> {
+        match self.next() {
+            None => Err(self.wrong(format!("expected {what}, found the end of the line"))),
+            Some(word) => word.parse().ok().filter(is_valid).ok_or_else(|| {
+                let found: String = word.chars().take(40).collect();
+                self.wrong(format!("expected {what}, found `{found}`"))
+            }),
+        }
+    }
+
+    fn id(&mut self, what: &str) -> Result<u64, G2oError> {
+        self.parsed(what, |_| true)
+    }
+
+    fn number(&mut self, what: &str) -> Result<f64, G2oError> {
+        self.parsed(what, |number: &f64| number.is_finite())
+    }
+
+    fn pose(&mut self) -> Result<Pose2, G2oError> {
+        let (x, y) = (self.number("x in metres")?, self.number("y in metres")?);
+        Ok(Pose2::new(x, y, self.number("a yaw in radians")?))
+    }
+
+    fn edge(&mut self) -> Result<EdgeLine, G2oError> {
+        let (from, to) = (self.id("an id")?, self.id("an id")?);
+        let measurement = self.pose()?;
+        let mut information = Matrix3::zeros();
+        for (row, column) in UPPER {
+            let value = self.number("an entry of the information matrix")?;
+            information[(row, column)] = value;
+            information[(column, row)] = value;
+        }
+        let line = self.line;
+        Ok(EdgeLine {
+            line,
+            from,
+            to,
+            measurement,
+            information,
+        })
+    }
+
+    fn end(&mut self) -> Result<(), G2oError> {
+        match self.next() {
+            None => Ok(()),
+            Some(word) => {
+                let found: String = word.chars().take(40).collect();
+                Err(self.wrong(format!("expected the end of the line, found `{found}`")))
+            }
+        }
+    }
+}

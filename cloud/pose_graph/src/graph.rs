@@ -1,0 +1,163 @@
+//! Pose graph. What is known: which nodes, and which measurements between them?
+
+use nalgebra::Matrix3;
+use thiserror::Error;
+use zenav_protocol::geometry::Pose2;
+
+/// Negative eigenvalues of an information matrix down to this share of the largest are rounding.
+const SEMIDEFINITE: f64 = 1e-6;
+
+/// Where a measurement comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EdgeKind {
+    /// Odometry or a match between neighbours: trusted.
+    Odometry,
+    /// A place seen again: may be false.
+    Closure,
+}
+
+/// A relative measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// Index of the node from which is measured.
+    pub from: usize,
+    /// Index of the node that is measured.
+    pub to: usize,
+    /// `from_from_to`: pose of `to` in the frame of `from`, m and rad.
+    pub measurement: Pose2,
+    /// Information of x, y, yaw in the frame of the measured pose, 1/m², 1/(m rad), 1/rad²: symmetric, no negative eigenvalue, some in yaw
+    /// and in each direction of the plane over all edges together.
+    pub information: Matrix3<f64>,
+    /// May it be false?
+    pub kind: EdgeKind,
+}
+
+/// Why something is no part of a graph.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum GraphError {
+    /// The edge names a node that was not added: add nodes first.
+    #[error("node {node} of {nodes} does not exist")]
+    NoSuchNode {
+        /// The index.
+        node: usize,
+        /// How many there are.
+        nodes: usize,
+    },
+    /// Both ends are one node.
+    #[error("an edge from node {0} to itself measures nothing")]
+    Loop(usize),
+    /// A pose or measurement has a number that is none.
+    #[error("a number of {0} is not finite")]
+    NotFinite(&'static str),
+    /// The information matrix is not symmetric, or has a negative eigenvalue: it is the inverse of no covariance.
+    #[error("the information matrix is not symmetric and positive semidefinite")]
+    Information,
+}
+
+/// Nodes, and measurements between them. Indices count from 0 in the order of adding.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseGraph {
+    poses: Vec<Pose2>,
+    edges: Vec<Edge>,
+}
+
+impl PoseGraph {
+    /// A graph without nodes.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a node at a first guess `map_from_node`; returns its index. The first node is the anchor: it never moves.
+    ///
+    /// # Errors
+    /// [`GraphError::NotFinite`].
+    pub fn add_node(&mut self, map_from_node: Pose2) -> Result<usize, GraphError> {
+        if !map_from_node.is_finite() {
+            return Err(GraphError::NotFinite("a pose"));
+        }
+        self.poses.push(map_from_node);
+        Ok(self.poses.len() - 1)
+    }
+
+    /// Adds a measurement; returns its index.
+    ///
+    /// # Errors
+    /// An end that does not exist, both ends the same, a number that is not finite, an information matrix that is none.
+    pub fn add_edge(&mut self, edge: Edge) -> Result<usize, GraphError> {
+        let nodes = self.poses.len();
+        for node in [edge.from, edge.to] {
+            if node >= nodes {
+                return Err(GraphError::NoSuchNode { node, nodes });
+            }
+        }
+        if edge.from == edge.to {
+            return Err(GraphError::Loop(edge.from));
+        }
+        if !edge.measurement.is_finite() {
+            return Err(GraphError::NotFinite("a measurement"));
+        }
+        if !is_information(&edge.information) {
+            return Err(GraphError::Information);
+        }
+        self.edges.push(edge);
+        Ok(self.edges.len() - 1)
+    }
+
+    /// Moves all nodes.
+    ///
+    /// # Errors
+    /// [`GraphError::NoSuchNode`] where the count differs, [`GraphError::NotFinite`].
+    pub fn set_poses(&mut self, poses: &[Pose2]) -> Result<(), GraphError> {
+        if poses.len() != self.poses.len() {
+            return Err(GraphError::NoSuchNode {
+                node: poses.len(),
+                nodes: self.poses.len(),
+            });
+        }
+        if !poses.iter().all(Pose2::is_finite) {
+            return Err(GraphError::NotFinite("a pose"));
+        }
+        self.poses.copy_from_slice(poses);
+        Ok(())
+    }
+
+    /// `map_from_node` of each node: first guesses, or what was set since.
+    #[must_use]
+    pub fn poses(&self) -> &[Pose2] {
+        &self.poses
+    }
+
+    /// All measurements.
+    #[must_use]
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+
+    /// The first node that no chain of edges of a weight above zero joins to the anchor.
+    pub(crate) fn disconnected(&self, weights: &[f64]) -> Option<usize> {
+        let mut parent: Vec<usize> = (0..self.poses.len()).collect();
+        fn root(parent: &mut [usize], mut node: usize) -> usize {
+            while parent[node] != node {
+                parent[node] = parent[parent[node]];
+                node = parent[node];
+            }
+            node
+        }
+        for (edge, weight) in self.edges.iter().zip(weights) {
+            if *weight > 0.0 {
+                let (a, b) = (root(&mut parent, edge.from), root(&mut parent, edge.to));
+                parent[a.max(b)] = a.min(b);
+            }
+        }
+        (0..self.poses.len()).find(|node| root(&mut parent, *node) != 0)
+    }
+}
+
+fn is_information(matrix: &Matrix3<f64>) -> bool {
+    let largest = matrix.amax();
+    if !largest.is_finite() || (matrix - matrix.transpose()).amax() > SEMIDEFINITE * largest {
+        return false;
+    }
+    largest > 0.0 && matrix.symmetric_eigenvalues().min() >= -SEMIDEFINITE * largest
+}

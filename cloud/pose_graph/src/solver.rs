@@ -1,0 +1,123 @@
+//! Solver. Which poses agree best with all measurements, and is that certain?
+
+use thiserror::Error;
+use zenav_protocol::geometry::Pose2;
+
+use crate::certificate::{Certificate, Optimality, UNKNOWN, certify_companion};
+use crate::companion::{self, Isotropic};
+use crate::descent::{Descent, DescentStatus, Problem};
+use crate::graph::PoseGraph;
+use crate::linear::Pattern;
+use crate::settings::DescentSettings;
+use crate::start::{chordal, pattern};
+
+/// The best poses, and what is known of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solution {
+    /// `map_from_node` of each node; the anchor is where the graph has it.
+    pub poses: Vec<Pose2>,
+    /// Weighted sum of chi squared over the edges.
+    pub chi_squared: f64,
+    /// Steps of the last descent.
+    pub iterations: u32,
+    /// Is there no better valley?
+    pub certificate: Certificate,
+}
+
+/// Why a graph has no solution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum SolveError {
+    /// There is no node.
+    #[error("the graph has no nodes")]
+    Empty,
+    /// No chain of measurements (for robust solving: of odometry) leads from the anchor to a node: solve the parts apart.
+    #[error("node {node} is not joined to the anchor")]
+    Disconnected {
+        /// Index of the first such node.
+        node: usize,
+    },
+    /// Informations leave a direction of a node free, or are too far apart for the arithmetic.
+    #[error("the measurements leave a node free, or their informations lie too far apart")]
+    Singular,
+    /// Steps ran out: raise `max_iterations`.
+    #[error("no minimum within {0} iterations")]
+    OutOfIterations(u32),
+}
+
+/// Finds the poses that agree best with all edges, each with weight 1, and certifies them.
+///
+/// Starts from the chordal relaxation, and where that ends without a certificate from the graph's own poses too; the certified or else the
+/// cheaper of the two is returned. Cost: about six sparse factorisations.
+///
+/// # Errors
+/// See [`SolveError`]: each variant says what to do.
+pub fn solve(graph: &PoseGraph, settings: &DescentSettings) -> Result<Solution, SolveError> {
+    solve_weighted(graph, &vec![1.0; graph.edges().len()], graph.poses(), settings)
+}
+
+/// [`solve()`] with weights, and with another start beside the chordal one.
+pub(crate) fn solve_weighted(
+    graph: &PoseGraph,
+    weights: &[f64],
+    other_start: &[Pose2],
+    settings: &DescentSettings,
+) -> Result<Solution, SolveError> {
+    if graph.poses().is_empty() {
+        return Err(SolveError::Empty);
+    }
+    if let Some(node) = graph.disconnected(weights) {
+        return Err(SolveError::Disconnected { node });
+    }
+    let pattern = pattern(graph, weights).ok_or(SolveError::Singular)?;
+    let edges = Isotropic::of(graph, weights);
+    let mut problem = Problem::new(graph, weights, &pattern);
+    let from_chordal = chordal(graph.poses(), &edges, &pattern)
+        .ok_or(SolveError::Singular)
+        .and_then(|start| solve_from(&mut problem, &edges, &pattern, &start, settings));
+    if let Ok(solution) = &from_chordal
+        && solution.certificate.optimality == Optimality::Certified
+    {
+        return from_chordal;
+    }
+    let from_other = solve_from(&mut problem, &edges, &pattern, other_start, settings);
+    match (from_chordal, from_other) {
+        (Ok(a), Ok(b)) => {
+            let is_better = b.certificate.optimality == Optimality::Certified || b.chi_squared < a.chi_squared;
+            Ok(if is_better { b } else { a })
+        }
+        (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(one),
+        (Err(error), Err(_)) => Err(error),
+    }
+}
+
+/// Companion, certificate, descent, from one start.
+fn solve_from(
+    problem: &mut Problem<'_>,
+    edges: &[Isotropic],
+    pattern: &Pattern,
+    start: &[Pose2],
+    settings: &DescentSettings,
+) -> Result<Solution, SolveError> {
+    let optimum = companion::stationary(edges, pattern, start);
+    let certificate = match &optimum {
+        Some(optimum) => certify_companion(edges, pattern, optimum),
+        None => UNKNOWN,
+    };
+    let optimum = optimum.as_deref().unwrap_or(start);
+    let Descent {
+        poses,
+        chi_squared,
+        iterations,
+        status,
+    } = problem.descend(optimum, settings);
+    match status {
+        DescentStatus::Converged => Ok(Solution {
+            certificate: certificate.with_distance(optimum, &poses),
+            poses,
+            chi_squared,
+            iterations,
+        }),
+        DescentStatus::OutOfIterations => Err(SolveError::OutOfIterations(iterations)),
+        DescentStatus::Singular => Err(SolveError::Singular),
+    }
+}

@@ -1,0 +1,136 @@
+//! Start. Where does the descent begin?
+
+use std::collections::VecDeque;
+
+use nalgebra::{Matrix1, Matrix2, Point2};
+use zenav_protocol::geometry::Pose2;
+
+use crate::companion::Isotropic;
+use crate::graph::{EdgeKind, PoseGraph};
+use crate::linear::{BlockSystem, Pattern};
+
+/// Poses along a tree of edges, odometry before closures, from the nodes that are `known` (and node 0), which stay. Others stay where they
+/// are too when no edge leads to them.
+///
+/// `known`: one for each node.
+#[must_use]
+pub fn odometry_start(graph: &PoseGraph, known: &[bool]) -> Vec<Pose2> {
+    let mut poses = graph.poses().to_vec();
+    let mut reached: Vec<bool> = (0..poses.len())
+        .map(|node| node == 0 || known.get(node).copied().unwrap_or(false))
+        .collect();
+    let mut edges_of: Vec<Vec<usize>> = vec![Vec::new(); poses.len()];
+    for (index, edge) in graph.edges().iter().enumerate() {
+        edges_of[edge.from].push(index);
+        edges_of[edge.to].push(index);
+    }
+    let mut front: VecDeque<usize> = (0..poses.len()).filter(|node| reached[*node]).collect();
+    // Closures wait until odometry leads no further.
+    let mut waiting: VecDeque<usize> = VecDeque::new();
+    loop {
+        let (node, kind) = match (front.pop_front(), waiting.front().copied()) {
+            (Some(node), _) => {
+                waiting.push_back(node);
+                (node, EdgeKind::Odometry)
+            }
+            (None, Some(node)) => {
+                waiting.pop_front();
+                (node, EdgeKind::Closure)
+            }
+            (None, None) => return poses,
+        };
+        for index in &edges_of[node] {
+            let edge = &graph.edges()[*index];
+            let other = if edge.from == node { edge.to } else { edge.from };
+            if edge.kind != kind || reached[other] {
+                continue;
+            }
+            let step = if edge.from == node {
+                edge.measurement
+            } else {
+                edge.measurement.inverse()
+            };
+            poses[other] = poses[node] * step;
+            reached[other] = true;
+            front.push_back(other);
+        }
+    }
+}
+
+/// Poses from two linear problems: rotations as free 2-vectors that are normalised afterwards, then positions with these rotations. The
+/// anchor stays.
+///
+/// Needs no guess. Source: Carlone et al., "Initialization techniques for 3D SLAM", ICRA 2015. `None` where the graph does not hold
+/// together. `weights`: one for each edge, from 0 to 1.
+#[must_use]
+pub fn chordal_start(graph: &PoseGraph, weights: &[f64]) -> Option<Vec<Pose2>> {
+    if graph.disconnected(weights).is_some() || graph.poses().is_empty() {
+        return None;
+    }
+    let edges = Isotropic::of(graph, weights);
+    chordal(graph.poses(), &edges, &pattern(graph, weights)?)
+}
+
+/// The pairs that edges of some weight join.
+pub(crate) fn pattern(graph: &PoseGraph, weights: &[f64]) -> Option<Pattern> {
+    let used = graph.edges().iter().zip(weights).filter(|(_, weight)| **weight > 0.0);
+    let pairs: Vec<(usize, usize)> = used.map(|(edge, _)| (edge.from, edge.to)).collect();
+    Pattern::new(graph.poses().len(), &pairs)
+}
+
+/// [`chordal_start`] with what it needs.
+pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -> Option<Vec<Pose2>> {
+    let anchor = poses[0];
+    let mut rotations = BlockSystem::<2>::new(pattern);
+    let mut headings = vec![[0.0; 2]; poses.len()];
+    for (pair, edge) in edges.iter().enumerate() {
+        let own = Matrix2::identity() * edge.rotation;
+        rotations.add_node(edge.from, &own);
+        rotations.add_node(edge.to, &own);
+        // Rows of `from`, columns of `to`: the transposed turn of the measurement.
+        let turned = Matrix2::new(edge.cos, edge.sin, -edge.sin, edge.cos) * -edge.rotation;
+        rotations.add_pair(pair, &turned);
+        let (sin, cos) = anchor.yaw.sin_cos();
+        if edge.from == 0 {
+            headings[edge.to][0] += edge.rotation * (edge.cos * cos - edge.sin * sin);
+            headings[edge.to][1] += edge.rotation * (edge.sin * cos + edge.cos * sin);
+        } else if edge.to == 0 {
+            headings[edge.from][0] += edge.rotation * (edge.cos * cos + edge.sin * sin);
+            headings[edge.from][1] += edge.rotation * (edge.cos * sin - edge.sin * cos);
+        }
+    }
+    if rotations.factorise()? > 0 {
+        return None;
+    }
+    rotations.solve(&mut headings);
+    headings[0] = [anchor.yaw.cos(), anchor.yaw.sin()];
+    let mut positions = BlockSystem::<1>::new(pattern);
+    let (mut xs, mut ys) = (vec![[0.0]; poses.len()], vec![[0.0]; poses.len()]);
+    for (pair, edge) in edges.iter().enumerate() {
+        let own = Matrix1::new(edge.translation);
+        positions.add_node(edge.from, &own);
+        positions.add_node(edge.to, &own);
+        positions.add_pair(pair, &-own);
+        let [cos, sin] = headings[edge.from];
+        let length = cos.hypot(sin).max(f64::MIN_POSITIVE);
+        let step = Point2::new(
+            edge.translation * (cos * edge.x - sin * edge.y) / length,
+            edge.translation * (sin * edge.x + cos * edge.y) / length,
+        );
+        for (all, step) in [(&mut xs, step.x), (&mut ys, step.y)] {
+            all[edge.to][0] += step;
+            all[edge.from][0] -= step;
+        }
+    }
+    if positions.factorise()? > 0 {
+        return None;
+    }
+    positions.solve(&mut xs);
+    positions.solve(&mut ys);
+    let nodes = headings.iter().zip(xs.iter().zip(&ys));
+    let mut start: Vec<Pose2> = nodes
+        .map(|([cos, sin], ([x], [y]))| Pose2::new(anchor.x + x, anchor.y + y, sin.atan2(*cos)))
+        .collect();
+    start[0] = anchor;
+    Some(start)
+}

@@ -1,0 +1,304 @@
+//! Are solutions the best there are, and do false closures and wrong valleys leave no trace in them?
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use nalgebra::Matrix3;
+use proptest::prelude::*;
+use zenav_pose_graph::{
+    DescentSettings, Edge, EdgeKind, GraphError, Optimality, PoseGraph, RobustSettings, SolveError, certify,
+    chi_squared, chordal_start, descend, g2o, marginal_covariance, relative_covariance, solve, solve_robust, supported,
+};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+
+mod manhattan;
+use manhattan::{add_false, information, walk};
+
+fn ones(graph: &PoseGraph) -> Vec<f64> {
+    vec![1.0; graph.edges().len()]
+}
+
+fn apart(a: &[Pose2], b: &[Pose2]) -> f64 {
+    let pairs = a.iter().zip(b);
+    pairs
+        .map(|(a, b)| a.distance(b).max(wrap_angle(a.yaw - b.yaw).abs()))
+        .fold(0.0, f64::max)
+}
+
+/// A ring of `nodes` without noise, its nodes where they belong.
+fn ring(nodes: usize) -> PoseGraph {
+    let step = Pose2::new(1.0, 0.0, std::f64::consts::TAU / nodes as f64);
+    let mut graph = PoseGraph::new();
+    let mut pose = Pose2::IDENTITY;
+    for _ in 0..nodes {
+        graph.add_node(pose).unwrap();
+        pose = pose * step;
+    }
+    for from in 0..nodes {
+        let edge = Edge {
+            from,
+            to: (from + 1) % nodes,
+            measurement: step,
+            information: information(),
+            kind: if from + 1 == nodes {
+                EdgeKind::Closure
+            } else {
+                EdgeKind::Odometry
+            },
+        };
+        graph.add_edge(edge).unwrap();
+    }
+    graph
+}
+
+/// The same ring, wound once more than it should be: a stationary point of the cost that is no optimum.
+fn wound(graph: &PoseGraph) -> Vec<Pose2> {
+    let nodes = graph.poses().len();
+    let turn = 2.0 * std::f64::consts::TAU / nodes as f64;
+    let mut pose = Pose2::IDENTITY;
+    let mut poses = Vec::new();
+    for _ in 0..nodes {
+        poses.push(pose);
+        pose = pose * Pose2::new(1.0, 0.0, turn);
+    }
+    poses
+}
+
+#[test]
+fn a_walk_is_solved_certified_and_near_the_truth() {
+    let (graph, truth) = walk(400, 3);
+    let odometry = apart(graph.poses(), &truth);
+    let solution = solve(&graph, &DescentSettings::default()).unwrap();
+    assert_eq!(
+        solution.certificate.optimality,
+        Optimality::Certified,
+        "{:?}",
+        solution.certificate
+    );
+    assert!(apart(&solution.poses, &truth) < 0.5 * odometry, "{odometry}");
+    let again = certify(&graph, &solution.poses, &ones(&graph));
+    assert_eq!(again.optimality, Optimality::Certified, "{again:?}");
+}
+
+#[test]
+fn the_wrong_valley_is_refused() {
+    let graph = ring(40);
+    let settings = DescentSettings::default();
+    let wrong = descend(&graph, &wound(&graph), &ones(&graph), &settings);
+    assert!(wrong.chi_squared > 10.0, "the descent left the wrong valley");
+    let refused = certify(&graph, &wrong.poses, &ones(&graph));
+    assert_ne!(refused.optimality, Optimality::Certified, "{refused:?}");
+    let right = solve(&graph, &settings).unwrap();
+    assert!(right.chi_squared < 1e-9);
+    assert_eq!(right.certificate.optimality, Optimality::Certified);
+}
+
+#[test]
+fn as_many_false_closures_as_true_ones_change_nothing() {
+    for seed in 0..3 {
+        let (mut graph, _) = walk(500, seed);
+        let clean = solve(&graph, &DescentSettings::default()).unwrap();
+        let edges = graph.edges().len();
+        add_false(&mut graph, 1.0, seed + 100);
+        let robust = solve_robust(&graph, &DescentSettings::default(), &RobustSettings::default()).unwrap();
+        let kept = |from: usize, to: usize| robust.weights[from..to].iter().filter(|weight| **weight > 0.0).count();
+        assert_eq!(kept(edges, graph.edges().len()), 0, "false closures kept, seed {seed}");
+        // A true closure beyond 99.9 % of the noise may be lost.
+        assert!(kept(0, edges) + 2 >= edges, "true closures lost, seed {seed}");
+        assert!(apart(&robust.solution.poses, &clean.poses) < 0.2, "seed {seed}");
+        assert_eq!(robust.solution.certificate.optimality, Optimality::Certified);
+    }
+}
+
+#[test]
+fn a_lone_true_closure_is_taken_and_a_lone_false_one_is_not() {
+    let (walked, truth) = walk(60, 5);
+    let mut graph = PoseGraph::new();
+    for pose in walked.poses() {
+        graph.add_node(*pose).unwrap();
+    }
+    for edge in walked.edges().iter().filter(|edge| edge.kind == EdgeKind::Odometry) {
+        graph.add_edge(*edge).unwrap();
+    }
+    let closure = |measurement| Edge {
+        from: 2,
+        to: 57,
+        measurement,
+        information: information(),
+        kind: EdgeKind::Closure,
+    };
+    let seen = truth[2].inverse() * truth[57];
+    for (offset, is_true) in [(0.0, true), (25.0, false)] {
+        let mut graph = graph.clone();
+        graph.add_edge(closure(seen * Pose2::new(offset, 0.0, 0.0))).unwrap();
+        // Another one with support, so that the lone one has to ask.
+        let near = truth[20].inverse() * truth[24];
+        graph
+            .add_edge(Edge {
+                from: 20,
+                to: 24,
+                measurement: near,
+                ..closure(near)
+            })
+            .unwrap();
+        let robust = solve_robust(&graph, &DescentSettings::default(), &RobustSettings::default()).unwrap();
+        let lone = robust.weights[robust.weights.len() - 2];
+        assert_eq!(lone > 0.0, is_true, "{offset} m off");
+    }
+}
+
+#[test]
+fn support_is_company_around_a_short_cycle() {
+    let (mut graph, _) = walk(300, 8);
+    let edges = graph.edges().len();
+    add_false(&mut graph, 1.0, 9);
+    let support = supported(&graph, &RobustSettings::default());
+    let share = |from: usize, to: usize| {
+        let closures = (from..to).filter(|index| graph.edges()[*index].kind == EdgeKind::Closure);
+        let (all, with) = closures.fold((0, 0), |(all, with), index| (all + 1, with + u32::from(support[index])));
+        f64::from(with) / f64::from(all)
+    };
+    assert!(share(0, edges) > 0.7, "{}", share(0, edges));
+    assert!(
+        share(edges, graph.edges().len()) < 0.1,
+        "{}",
+        share(edges, graph.edges().len())
+    );
+}
+
+#[test]
+fn what_cannot_be_solved_is_said() {
+    let settings = DescentSettings::default();
+    assert_eq!(solve(&PoseGraph::new(), &settings), Err(SolveError::Empty));
+    let mut graph = ring(4);
+    graph.add_node(Pose2::IDENTITY).unwrap();
+    assert_eq!(solve(&graph, &settings), Err(SolveError::Disconnected { node: 4 }));
+    let alone = Edge {
+        from: 3,
+        to: 4,
+        measurement: Pose2::IDENTITY,
+        information: Matrix3::zeros(),
+        kind: EdgeKind::Odometry,
+    };
+    assert_eq!(graph.add_edge(alone), Err(GraphError::Information));
+    assert_eq!(graph.add_edge(Edge { to: 3, ..alone }), Err(GraphError::Loop(3)));
+    let mut bad = information();
+    bad[(0, 1)] = 1.0;
+    assert_eq!(
+        graph.add_edge(Edge {
+            information: bad,
+            ..alone
+        }),
+        Err(GraphError::Information)
+    );
+    let far = Edge { to: 9, ..alone };
+    assert_eq!(graph.add_edge(far), Err(GraphError::NoSuchNode { node: 9, nodes: 5 }));
+}
+
+#[test]
+fn a_mistake_in_a_file_is_named_by_line_and_field() {
+    let error = |text: &str| g2o::read(text).unwrap_err().to_string();
+    assert_eq!(
+        error("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 zero 0\n"),
+        "line 2, field 4: expected y in metres, found `zero`"
+    );
+    assert_eq!(
+        error("EDGE_SE2 0 1 0 0 0 1 0 0 1 0\n"),
+        "line 1, field 12: expected an entry of the information matrix, found the end of the line"
+    );
+    assert_eq!(
+        error("# 3D\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n"),
+        "line 2, field 1: expected VERTEX_SE2, EDGE_SE2 or FIX, found `VERTEX_SE3:QUAT`"
+    );
+    assert_eq!(
+        error("VERTEX_SE2 0 0 0 0 7\n"),
+        "line 1, field 6: expected the end of the line, found `7`"
+    );
+    assert_eq!(
+        error("EDGE_SE2 0 1 0 0 0 1 0 0 -1 0 1\n"),
+        "line 1: the information matrix is not symmetric and positive semidefinite"
+    );
+    assert_eq!(
+        error("VERTEX_SE2 4 0 0 0\nVERTEX_SE2 4 0 0 0\n"),
+        "line 2, field 2: expected a new id, found 4 again"
+    );
+}
+
+#[test]
+fn the_covariance_of_a_chain_grows_as_the_steps_add_up() {
+    let mut graph = PoseGraph::new();
+    graph.add_node(Pose2::IDENTITY).unwrap();
+    for to in 1..=4 {
+        graph.add_node(Pose2::new(to as f64, 0.0, 0.0)).unwrap();
+        let edge = Edge {
+            from: to - 1,
+            to,
+            measurement: Pose2::new(1.0, 0.0, 0.0),
+            information: information(),
+            kind: EdgeKind::Odometry,
+        };
+        graph.add_edge(edge).unwrap();
+    }
+    let joint = marginal_covariance(&graph, graph.poses(), &ones(&graph), &[2, 4]).unwrap();
+    let [x, _, yaw] = manhattan::SIGMA.map(|sigma| sigma * sigma);
+    assert!((joint[(0, 0)] - 2.0 * x).abs() < 1e-12 && (joint[(5, 5)] - 4.0 * yaw).abs() < 1e-12);
+    // Seen from node 2, node 4 is two steps away; across, the first turn of the two counts.
+    let seen = relative_covariance(&joint, graph.poses()[2], graph.poses()[4]);
+    assert!((seen[(0, 0)] - 2.0 * x).abs() < 1e-12);
+    assert!((seen[(1, 1)] - (2.0 * x + yaw)).abs() < 1e-12, "{seen}");
+    assert!((seen[(2, 2)] - 2.0 * yaw).abs() < 1e-12);
+}
+
+fn pose() -> impl Strategy<Value = Pose2> {
+    (-20.0..20.0, -20.0..20.0, -3.1..3.1).prop_map(|(x, y, yaw)| Pose2::new(x, y, yaw))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn a_file_holds_a_graph_bit_for_bit(nodes in 12usize..40, seed in 0u64..1000) {
+        let (graph, _) = walk(nodes, seed);
+        let ids: Vec<u64> = (0..nodes as u64).map(|id| id + 7).collect();
+        let read = g2o::read(&g2o::write(&graph, &ids)).unwrap();
+        prop_assert_eq!(read.ids, ids);
+        prop_assert_eq!(read.graph, graph);
+    }
+
+    #[test]
+    fn where_the_map_lies_changes_neither_cost_nor_shape(nodes in 20usize..60, seed in 0u64..1000, map in pose()) {
+        let (graph, _) = walk(nodes, seed);
+        let mut moved = graph.clone();
+        let poses: Vec<Pose2> = graph.poses().iter().map(|pose| map * *pose).collect();
+        moved.set_poses(&poses).unwrap();
+        let settings = DescentSettings::default();
+        let (here, there) = (solve(&graph, &settings).unwrap(), solve(&moved, &settings).unwrap());
+        prop_assert!((here.chi_squared - there.chi_squared).abs() < 1e-6 * (1.0 + here.chi_squared));
+        let back: Vec<Pose2> = here.poses.iter().map(|pose| map * *pose).collect();
+        prop_assert!(apart(&back, &there.poses) < 1e-4);
+    }
+
+    #[test]
+    fn no_small_change_of_a_solution_is_better(seed in 0u64..1000, node in 1usize..50, by in pose()) {
+        let (graph, _) = walk(50, seed);
+        let weights = ones(&graph);
+        let solution = solve(&graph, &DescentSettings::default()).unwrap();
+        let mut poses = solution.poses.clone();
+        poses[node] = poses[node] * Pose2::new(1e-3 * by.x, 1e-3 * by.y, 1e-3 * by.yaw);
+        prop_assert!(chi_squared(&graph, &poses, &weights) >= solution.chi_squared * (1.0 - 1e-9));
+    }
+
+    #[test]
+    fn without_noise_the_chordal_start_is_the_answer(seed in 0u64..1000, anchor in pose()) {
+        let (walked, truth) = walk(40, seed);
+        let mut graph = PoseGraph::new();
+        for pose in &truth {
+            graph.add_node(anchor * *pose).unwrap();
+        }
+        for edge in walked.edges() {
+            let measurement = truth[edge.from].inverse() * truth[edge.to];
+            graph.add_edge(Edge { measurement, ..*edge }).unwrap();
+        }
+        let start = chordal_start(&graph, &ones(&graph)).unwrap();
+        prop_assert!(apart(&start, graph.poses()) < 1e-6);
+    }
+}

@@ -1,0 +1,47 @@
+//! Scan matching in the plane. Where was a laser scan taken, how well is that known, and does it fit at all?
+//!
+//! # The problem
+//!
+//! Given points `p₁ … pₙ` that a scan saw in its own frame and a map as a [`LikelihoodField`] `m`, 0 to 1; wanted is the pose
+//! `T = field_from_scan` that
+//!
+//! ```text
+//! maximises   (1/n) Σ m(T pᵢ)      within a window of poses
+//! ```
+//!
+//! and by how much it is better than any other place. It is solved in three steps:
+//!
+//! 1. **search** ([`search()`]): exact branch and bound over cells and headings, with bounds from a [`Pyramid`]; the best of the window,
+//!    and the second best place.
+//! 2. **refinement** ([`refine()`]): Gauss-Newton beyond cells, with a prior; the information matrix of the scan alone, and a direction in
+//!    which it says nothing (a corridor).
+//! 3. **verdict** ([`judge()`]): the share of the points that the map explains, and of the beams that pass through its walls.
+//!
+//! Frames: `field` is the map's, `scan` that of the points. Metres, radians, yaw counter-clockwise.
+//!
+//! # Use
+//!
+//! `cargo run -p zenav-scan-matching --example find_in_a_room` finds a scan in a room without a guess.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `field` | how near is a point to what is known? |
+//! | `pyramid` | what can a block of positions score at most? |
+//! | `search` | which pose of a window fits best, and by how much? |
+//! | `refine` | where exactly, and how well is that known? |
+//! | `verdict` | does it fit? |
+//! | `settings` | what can be tuned? |
+
+mod field;
+mod pyramid;
+mod refine;
+mod search;
+mod settings;
+mod verdict;
+
+pub use field::LikelihoodField;
+pub use pyramid::Pyramid;
+pub use refine::{Prior, Refined, refine};
+pub use search::{Candidate, Search, Window, heading_step, search};
+pub use settings::{FieldSettings, RefineSettings, VerdictSettings};
+pub use verdict::{Verdict, judge};

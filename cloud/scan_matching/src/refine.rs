@@ -1,0 +1,161 @@
+//! Refinement. Where exactly does a scan fit, how well is that known, and in which direction is it not?
+//!
+//! Minimises `Σ σ² (1 - m(p))` over the points, `m = exp(-d² / 2σ²)` the smooth likelihood field, and a prior. Near a surface that is half
+//! the squared distance, far from it a constant: Gauss and Newton's steps with weights `m` (Welsch's robust kernel), along the normals of
+//! surfaces. The information returned is that of these distances, and counts neighbouring points as one: it does not grow with the number
+//! of beams alone.
+
+use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+
+use crate::field::{LikelihoodField, placed};
+use crate::settings::RefineSettings;
+
+/// Points with a likelihood below this do not pull: nothing known is near.
+const NEAR: f64 = 0.02;
+/// Added to the diagonal, so that a scan without any point near stays where the prior is.
+const LEAST_INFORMATION: f64 = 1e-9;
+
+/// What is known of the pose without the scan: odometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// `field_from_scan` as expected.
+    pub pose: Pose2,
+    /// Its information: x, y (1/m², frame of the field), yaw (1/rad²).
+    pub information: Matrix3<f64>,
+}
+
+/// A refined pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refined {
+    /// `field_from_scan`.
+    pub pose: Pose2,
+    /// What the scan alone says: information of x, y (1/m², frame of the scan's pose) and yaw (1/rad²). The prior is not in it.
+    pub information: Matrix3<f64>,
+    /// Mean likelihood of the points, 0 to 1.
+    pub score: f64,
+    /// Unit vector in the frame of the field along which the scan alone does not know the position, if there is one; with two, the worse.
+    pub degenerate: Option<Vector2<f64>>,
+}
+
+/// Refines a pose. `points`: of the scan, in its frame, m.
+#[must_use]
+pub fn refine(
+    field: &LikelihoodField,
+    points: &[Point2<f64>],
+    start: Pose2,
+    prior: Option<&Prior>,
+    settings: &RefineSettings,
+) -> Refined {
+    let mut pose = start;
+    // A step is short against the width of the field: surfaces keep their direction.
+    let surfaces = surfaces(field, points, pose);
+    for _ in 0..settings.max_iterations {
+        let (mut hessian, mut gradient, _) = sums(field, points, &surfaces, pose, settings);
+        if let Some(prior) = prior {
+            let away = Vector3::new(
+                pose.x - prior.pose.x,
+                pose.y - prior.pose.y,
+                wrap_angle(pose.yaw - prior.pose.yaw),
+            );
+            hessian += prior.information;
+            gradient += prior.information * away;
+        }
+        hessian += Matrix3::identity() * LEAST_INFORMATION;
+        let Some(factor) = hessian.cholesky() else {
+            break;
+        };
+        let mut step = factor.solve(&gradient);
+        // Further away the field bends.
+        let farthest = step.x.hypot(step.y);
+        if farthest > field.sigma() {
+            step *= field.sigma() / farthest;
+        }
+        pose = Pose2::new(pose.x - step.x, pose.y - step.y, pose.yaw - step.z);
+        if step.norm() < settings.tolerance {
+            break;
+        }
+    }
+    let surfaces = self::surfaces(field, points, pose);
+    let (information, _, score) = sums(field, points, &surfaces, pose, settings);
+    let degenerate = degenerate(&information, settings);
+    let (sin, cos) = pose.yaw.sin_cos();
+    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+    Refined {
+        pose,
+        information: turn.transpose() * information * turn,
+        score,
+        degenerate,
+    }
+}
+
+/// For each point `n nᵀ` of the normal of the surface that it lies on, from the slopes of the field around it; shorter where these have no
+/// common direction.
+fn surfaces(field: &LikelihoodField, points: &[Point2<f64>], pose: Pose2) -> Vec<Matrix2<f64>> {
+    let away = field.sigma();
+    let around = [(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)].map(|(x, y)| Vector2::new(x, y));
+    let of = |point: Point2<f64>| {
+        let slopes = around.map(|offset| field.likelihood(point + offset).1);
+        let tensor: Matrix2<f64> = slopes.iter().map(|slope| slope * slope.transpose()).sum();
+        let sum = tensor.trace();
+        let difference = (tensor.m11 - tensor.m22).hypot(2.0 * tensor.m12);
+        let smaller = 0.5 * (sum - difference);
+        (tensor - Matrix2::identity() * smaller) / sum.max(f64::MIN_POSITIVE)
+    };
+    placed(pose, points).into_iter().map(of).collect()
+}
+
+/// Information and gradient of the points, and their mean likelihood.
+fn sums(
+    field: &LikelihoodField,
+    points: &[Point2<f64>],
+    surfaces: &[Matrix2<f64>],
+    pose: Pose2,
+    settings: &RefineSettings,
+) -> (Matrix3<f64>, Vector3<f64>, f64) {
+    let (mut hessian, mut gradient, mut total) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for (point, surface) in placed(pose, points).iter().zip(surfaces) {
+        let (likelihood, slope) = field.likelihood(*point);
+        total += likelihood;
+        if likelihood < NEAR {
+            continue;
+        }
+        let lever = Vector2::new(pose.y - point.y, point.x - pose.x);
+        gradient -= Vector3::new(slope.x, slope.y, slope.dot(&lever));
+        let plane = surface * likelihood;
+        let mixed = plane * lever;
+        hessian += Matrix3::new(
+            plane.m11,
+            plane.m12,
+            mixed.x,
+            plane.m21,
+            plane.m22,
+            mixed.y,
+            mixed.x,
+            mixed.y,
+            lever.dot(&mixed),
+        );
+    }
+    let per_point = settings.point_sigma.powi(-2) / settings.points_per_independent;
+    let score = if points.is_empty() {
+        0.0
+    } else {
+        total / points.len() as f64
+    };
+    (
+        hessian * per_point,
+        gradient * (per_point * field.sigma().powi(2)),
+        score,
+    )
+}
+
+/// The direction in which the position is known worst, where that is too little. The heading is unknown too, as far as the scan goes.
+fn degenerate(information: &Matrix3<f64>, settings: &RefineSettings) -> Option<Vector2<f64>> {
+    let plane: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
+    let mixed = Vector2::new(information.m13, information.m23);
+    let position = plane - mixed * mixed.transpose() / information.m33.max(LEAST_INFORMATION);
+    let eigen = position.symmetric_eigen();
+    let worst = eigen.eigenvalues.imin();
+    let least = settings.degenerate_sigma.powi(-2);
+    (eigen.eigenvalues[worst] < least).then(|| eigen.eigenvectors.column(worst).into_owned())
+}

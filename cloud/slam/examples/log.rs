@@ -1,0 +1,85 @@
+//! How near do the poses of a log come to the truth? A simulated house, or a CARMEN log beside reference relations.
+//!
+//! `cargo run --release -p zenav-slam --example log [-- LOG [RELATIONS [setting=value …]]]`
+
+#![allow(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "an example shows its result and stops at what is wrong"
+)]
+
+use zenav_protocol::messages::Scan;
+use zenav_protocol::settings::Settings;
+use zenav_slam::{Relation, Slam, SlamSettings, read_relations, relation_errors};
+
+#[path = "../tests/house/mod.rs"]
+mod house;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (scans, relations) = match arguments.first() {
+        Some(log) => {
+            let log = zenav_mapping::carmen::open(log.as_ref()).unwrap();
+            let relations = arguments.get(1).map(|path| std::fs::read_to_string(path).unwrap());
+            let relations = read_relations(&relations.unwrap_or_default()).unwrap();
+            (log.map(Result::unwrap).collect(), relations)
+        }
+        None => house::drive(1),
+    };
+    let mut settings = SlamSettings::default();
+    for argument in arguments.iter().skip(2) {
+        let (key, value) = argument.split_once('=').unwrap();
+        settings = settings.with_number(key, value.parse().unwrap()).unwrap().unwrap();
+    }
+    run(&scans, &relations, settings);
+}
+
+fn run(scans: &[Scan], relations: &[Relation], settings: SlamSettings) {
+    let odometry: Vec<_> = scans
+        .iter()
+        .map(|scan| (scan.stamp.as_secs(), scan.odom_from_base))
+        .collect();
+    let errors = |what: &str, trajectory: &[_]| {
+        if let Some(errors) = relation_errors(trajectory, relations) {
+            println!(
+                "{what}: {:.4} +- {:.4} m, {:.3} +- {:.3} deg over {} relations",
+                errors.translation.mean,
+                errors.translation.deviation,
+                errors.rotation.mean.to_degrees(),
+                errors.rotation.deviation.to_degrees(),
+                errors.count
+            );
+        }
+    };
+    errors("odometry", &odometry);
+    let mut slam = Slam::new(settings);
+    let start = processor_time();
+    for scan in scans {
+        slam.step(scan).unwrap();
+    }
+    let online = processor_time() - start;
+    errors("online  ", &slam.trajectory());
+    let solved = slam.finish().unwrap();
+    let all = processor_time() - start;
+    errors("finished", &slam.trajectory());
+    let per_scan = |secs: f64| 1e3 * secs / scans.len() as f64;
+    println!("{:?}, {} submaps", slam.counts(), slam.submaps());
+    println!(
+        "graph: {} nodes, {} edges, {} held to be false, {:?}",
+        slam.graph().poses().len(),
+        slam.graph().edges().len(),
+        slam.weights().iter().filter(|weight| **weight == 0.0).count(),
+        solved.solution.certificate.optimality
+    );
+    println!(
+        "processor time: {:.2} ms a scan, {:.2} ms with the finish",
+        per_scan(online),
+        per_scan(all)
+    );
+}
+
+/// Processor time of this thread, s: other work on the machine does not count.
+fn processor_time() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}

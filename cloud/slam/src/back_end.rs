@@ -1,0 +1,139 @@
+//! Back end. Which poses agree best with all odometry and all matches so far?
+
+use nalgebra::{Matrix3, Vector3};
+use zenav_pose_graph::{
+    DescentSettings, DescentStatus, Edge, EdgeKind, GraphError, PoseGraph, RobustSettings, RobustSolution, Solution,
+    SolveError, certify, descend, edge_chi_squared, solve_robust,
+};
+use zenav_protocol::geometry::Pose2;
+
+use crate::settings::OdometrySettings;
+use crate::slam::SlamError;
+
+/// Rounds in which closures change sides, at most, each time the graph is settled.
+const ROUNDS: usize = 4;
+/// Added to an information before it is inverted, 1/m² and 1/rad²: directions that a match does not know.
+const LEAST_INFORMATION: f64 = 1e-3;
+
+/// The graph of all inserted scans.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct BackEnd {
+    graph: PoseGraph,
+    weights: Vec<f64>,
+}
+
+/// Information of a step of odometry, frame of its end.
+pub(crate) fn odometry_information(step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
+    let (way, turn) = (step.x.hypot(step.y), step.yaw.abs());
+    let position = settings.least + settings.per_metre * way + settings.slip_per_radian * turn;
+    let heading = settings.least_turn + settings.per_radian * turn + settings.turn_per_metre * way;
+    Matrix3::from_diagonal(&Vector3::new(position.powi(-2), position.powi(-2), heading.powi(-2)))
+}
+
+/// Information of a match whose map is not exact: in no direction better than the floor.
+pub(crate) fn floored(information: &Matrix3<f64>, floor: f64, floor_turn: f64) -> Matrix3<f64> {
+    let known = information + Matrix3::identity() * LEAST_INFORMATION;
+    let floor = Matrix3::from_diagonal(&Vector3::new(floor, floor, floor_turn).map(|sigma| sigma * sigma));
+    let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity) + floor;
+    let information = covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
+    (information + information.transpose()) * 0.5
+}
+
+impl BackEnd {
+    pub(crate) fn add_node(&mut self, map_from_node: Pose2) -> Result<usize, GraphError> {
+        self.graph.add_node(map_from_node)
+    }
+
+    pub(crate) fn add_edge(&mut self, edge: Edge) -> Result<(), GraphError> {
+        self.graph.add_edge(edge)?;
+        self.weights.push(1.0);
+        Ok(())
+    }
+
+    pub(crate) fn graph(&self) -> &PoseGraph {
+        &self.graph
+    }
+
+    pub(crate) fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// `map_from_node` of all nodes.
+    pub(crate) fn poses(&self) -> &[Pose2] {
+        self.graph.poses()
+    }
+
+    /// Drops edges, given by what is to be kept.
+    pub(crate) fn keep(&mut self, mut is_kept: impl FnMut(usize) -> bool) -> Result<(), GraphError> {
+        let mut graph = PoseGraph::new();
+        let mut weights = Vec::new();
+        for pose in self.graph.poses() {
+            graph.add_node(*pose)?;
+        }
+        for (index, edge) in self.graph.edges().iter().enumerate() {
+            if is_kept(index) {
+                graph.add_edge(*edge)?;
+                weights.push(self.weights[index]);
+            }
+        }
+        (self.graph, self.weights) = (graph, weights);
+        Ok(())
+    }
+
+    /// Moves the nodes to where they agree best, and closures that do not fit out of the sum or back into it.
+    pub(crate) fn settle(&mut self, descent: &DescentSettings, robust: &RobustSettings) -> Result<(), GraphError> {
+        for _ in 0..ROUNDS {
+            let end = descend(&self.graph, self.graph.poses(), &self.weights, descent);
+            if end.status == DescentStatus::Singular {
+                return Ok(());
+            }
+            self.graph.set_poses(&end.poses)?;
+            let fits = |edge: &Edge| {
+                let is_trusted = edge.kind == EdgeKind::Odometry;
+                is_trusted || edge_chi_squared(edge, &end.poses) <= robust.max_chi_squared
+            };
+            let weights: Vec<f64> = self
+                .graph
+                .edges()
+                .iter()
+                .map(|edge| f64::from(u8::from(fits(edge))))
+                .collect();
+            if weights == self.weights {
+                break;
+            }
+            self.weights = weights;
+        }
+        Ok(())
+    }
+
+    /// Decides on all closures anew, from the beginning, and moves the nodes.
+    pub(crate) fn solve(
+        &mut self,
+        descent: &DescentSettings,
+        robust: &RobustSettings,
+    ) -> Result<RobustSolution, SlamError> {
+        let solved = solve_robust(&self.graph, descent, robust)?;
+        self.weights.clone_from(&solved.weights);
+        self.graph.set_poses(&solved.solution.poses)?;
+        Ok(solved)
+    }
+
+    /// The certificate of where the nodes lie now, with the weights as they are.
+    pub(crate) fn solved(&self, descent: &DescentSettings) -> Result<RobustSolution, SolveError> {
+        let end = descend(&self.graph, self.graph.poses(), &self.weights, descent);
+        match end.status {
+            DescentStatus::Converged => Ok(RobustSolution {
+                solution: Solution {
+                    certificate: certify(&self.graph, &end.poses, &self.weights),
+                    poses: end.poses,
+                    chi_squared: end.chi_squared,
+                    iterations: end.iterations,
+                },
+                weights: self.weights.clone(),
+                rounds: 0,
+            }),
+            DescentStatus::OutOfIterations => Err(SolveError::OutOfIterations(end.iterations)),
+            DescentStatus::Singular => Err(SolveError::Singular),
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Finish. Where does each scan lie once all of them are known?
+
+use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
+use zenav_scan_matching::refine;
+
+use crate::back_end::floored;
+use crate::slam::{Slam, SlamError};
+use crate::submap::Submap;
+
+/// Decides on closures, then in rounds: submaps anew from where scans lie now, each scan matched to those of others around it, solved.
+pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
+    let settings = slam.settings;
+    let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
+    let own_edges = slam.back_end.graph().edges().len();
+    for _ in 0..settings.finish.rounds {
+        redraw(slam);
+        // Matches of the round before belong to other submaps: they go.
+        slam.back_end.keep(|index| index < own_edges)?;
+        for node in 0..slam.scans.len() {
+            rematch(slam, node)?;
+        }
+        slam.back_end.settle(&settings.descent, &settings.robust)?;
+    }
+    if settings.finish.rounds > 0 {
+        redraw(slam);
+        replace(slam);
+        solved = slam.back_end.solved(&settings.descent)?;
+    }
+    Ok(solved)
+}
+
+/// Draws all submaps anew.
+fn redraw(slam: &mut Slam) {
+    let poses = slam.back_end.poses().to_vec();
+    let field = slam.settings.field;
+    for submap in &mut slam.submaps {
+        let mut drawn = Submap::new(submap.anchor, &field);
+        for node in submap.anchor..submap.end() {
+            drawn.insert(poses[submap.anchor].inverse() * poses[node], &slam.scans[node]);
+        }
+        *submap = drawn;
+    }
+}
+
+/// Matches a scan to the nearest submaps that it is not in.
+fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
+    let settings = slam.settings;
+    let here = slam.back_end.poses()[node];
+    let mut near: Vec<(f64, usize)> = (0..slam.submaps.len())
+        .filter(|index| !slam.submaps[*index].contains(node))
+        .map(|index| {
+            (
+                slam.back_end.poses()[slam.submaps[index].middle()].distance(&here),
+                index,
+            )
+        })
+        .filter(|(distance, _)| *distance < settings.finish.near)
+        .collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    near.truncate(settings.finish.submaps as usize);
+    for (_, index) in near {
+        let submap = &slam.submaps[index];
+        let expected = slam.back_end.poses()[submap.anchor].inverse() * here;
+        let refined = refine(&submap.field, &slam.scans[node], expected, None, &settings.refine);
+        let is_near = refined.pose.distance(&expected) < settings.finish.max_move;
+        if refined.score < settings.closure.min_score || !is_near || submap.anchor == node {
+            continue;
+        }
+        slam.back_end.add_edge(Edge {
+            from: submap.anchor,
+            to: node,
+            measurement: refined.pose,
+            information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
+            kind: EdgeKind::Closure,
+        })?;
+    }
+    Ok(())
+}
+
+/// Matches the scans that are no nodes to their submaps.
+fn replace(slam: &mut Slam) {
+    let settings = slam.settings;
+    let Slam { submaps, stands, .. } = slam;
+    for stand in stands.iter_mut().filter(|stand| !stand.points.is_empty()) {
+        let Ok(index) = submaps.binary_search_by_key(&stand.node, |submap| submap.anchor) else {
+            continue;
+        };
+        let field = &submaps[index].field;
+        let refined = refine(field, &stand.points, stand.node_from_base, None, &settings.refine);
+        let is_near = refined.pose.distance(&stand.node_from_base) < settings.finish.max_move;
+        if is_near && refined.score >= settings.closure.min_score {
+            stand.node_from_base = refined.pose;
+        }
+    }
+}

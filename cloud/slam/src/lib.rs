@@ -1,0 +1,58 @@
+//! SLAM in the plane. Where is the robot, and what does the world look like, from laser scans and odometry alone?
+//!
+//! # The problem
+//!
+//! Given scans, each with the odometry at its stamp; wanted are the poses `map_from_base` under which all scans draw one map. Odometry
+//! knows short ways and drifts; a match with the map around knows where it is, or is wrong. Both are measurements of their own in one pose
+//! graph:
+//!
+//! ```text
+//! minimise   Σ odometry  +  Σ matches with growing submaps  +  Σ closures with older submaps (those that hold)
+//! ```
+//!
+//! A step goes through these phases:
+//!
+//! 1. **points**: what the scan saw, in the frame of the base, thinned, the sweep straightened by odometry ([`points()`]).
+//! 2. **front**: after 0.1 m or 3 degrees the scan is refined on the older of two submaps that grow, with odometry as prior. Where the
+//!    match is doubtful (its score, or how far it is from odometry), an exact search of a wide window decides. In between, scans are
+//!    matched and make no node.
+//! 3. **closure**: one inserted scan of six is searched for in the nearest older submap, by exact branch and bound; taken where it scores
+//!    well, no second place is as good, the points are explained and the beams pass no walls.
+//! 4. **back end**: a new closure settles the graph; closures that do not fit fall out and may come back.
+//!
+//! [`Slam::finish`] ends a log: closures are decided anew ([`zenav_pose_graph::solve_robust`]), every scan is matched to submaps around
+//! that it is not part of, and the result is certified.
+//!
+//! Frames: `map` begins at the first scan's base; `anchor` is the base at a submap's first scan; `base` and `laser` are the robot's.
+//! Metres, radians, seconds. The core has no clock, no chance, no files: the same scans give the same map.
+//!
+//! # Use
+//!
+//! [`Slam::step`] takes a scan, [`Slam::finish`] ends the log, [`Slam::trajectory`] has a pose for each scan; [`relation_errors`] measures
+//! it.
+//! `cargo run --release -p zenav-slam --example log` maps a simulated house, with arguments a CARMEN log.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `slam` | where is the robot? |
+//! | `scan` | which points did a scan see? |
+//! | `submap` | what does a short stretch of the way look like? |
+//! | `closure` | was the robot here before? |
+//! | `back_end` | which poses agree best? |
+//! | `finish` | where does each scan lie once all are known? |
+//! | `metric` | how far is a trajectory from reference relations? |
+//! | `settings` | what can be tuned? |
+
+mod back_end;
+mod closure;
+mod finish;
+mod metric;
+mod scan;
+mod settings;
+mod slam;
+mod submap;
+
+pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
+pub use scan::points;
+pub use settings::{ClosureSettings, FinishSettings, FrontSettings, OdometrySettings, ScanSettings, SlamSettings};
+pub use slam::{Counts, Effects, Slam, SlamError};

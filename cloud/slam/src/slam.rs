@@ -1,0 +1,375 @@
+//! SLAM. Where is the robot, and what does the world look like, from scans and odometry alone?
+
+use nalgebra::{Matrix3, Point2, Vector3};
+use thiserror::Error;
+use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::Scan;
+use zenav_scan_matching::{Prior, Refined, Window, refine, search};
+
+use crate::back_end::{BackEnd, floored, odometry_information};
+use crate::closure::close;
+use crate::finish;
+use crate::scan::points;
+use crate::settings::SlamSettings;
+use crate::submap::{Submap, thinned};
+
+/// Share of a new score in the usual one.
+const USUAL: f64 = 0.05;
+/// A correction of odometry that is less likely than this (chi squared, three degrees of freedom) makes a match doubtful.
+const DOUBTFUL_CORRECTION: f64 = 16.0;
+
+/// While scans come in, the graph need not be at the very bottom.
+const BETWEEN: DescentSettings = DescentSettings {
+    max_iterations: 4,
+    tolerance: 1e-4,
+};
+
+/// Why a step failed.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SlamError {
+    /// A number of the scan or of its poses is not finite: skip the scan.
+    #[error("the scan at {0} s is malformed")]
+    Scan(f64),
+    /// The scan is older than the last one: sort the log.
+    #[error("the scan at {0} s comes after a newer one")]
+    Order(f64),
+    /// The graph refused a measurement.
+    #[error(transparent)]
+    Graph(#[from] GraphError),
+    /// The graph has no solution.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Effects {
+    /// `map_from_base` at the scan's stamp.
+    pub pose: Pose2,
+    /// Whether the scan became a node.
+    pub is_inserted: bool,
+    /// Score of the match, 0 to 1, where there was one that counts.
+    pub score: Option<f64>,
+    /// Whether a wide search was needed.
+    pub is_searched: bool,
+    /// Direction in the map, rad, along which the scan does not know the position.
+    pub degenerate: Option<f64>,
+    /// Loop closures found.
+    pub closures: usize,
+    /// Whether the graph was settled: the map may have moved.
+    pub is_settled: bool,
+}
+
+/// Counts over a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Scans given.
+    pub scans: usize,
+    /// Wide searches of the front end.
+    pub wide_searches: usize,
+    /// Scans without a match that counts.
+    pub unmatched: usize,
+    /// Submaps searched for a closure.
+    pub searched: usize,
+    /// Closures found.
+    pub found: usize,
+}
+
+/// Where a scan stands: its time, s, a node, and the pose in that node's frame; its points, where it is no node itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Stand {
+    stamp: f64,
+    pub(crate) node: usize,
+    pub(crate) node_from_base: Pose2,
+    pub(crate) points: Vec<Point2<f64>>,
+}
+
+/// A map in the making.
+#[derive(Clone, Debug)]
+pub struct Slam {
+    pub(crate) settings: SlamSettings,
+    pub(crate) back_end: BackEnd,
+    pub(crate) scans: Vec<Vec<Point2<f64>>>,
+    pub(crate) submaps: Vec<Submap>,
+    pub(crate) stands: Vec<Stand>,
+    last: Option<(f64, Pose2)>,
+    last_node_odometry: Pose2,
+    /// Running mean of the scores of matches.
+    usual: f64,
+    /// Way since the last closure, m.
+    pub(crate) since_closure: f64,
+    /// Whether closures came since the graph was settled.
+    pub(crate) is_dirty: bool,
+    pub(crate) counts: Counts,
+}
+
+impl Slam {
+    /// A map of nothing.
+    #[must_use]
+    pub fn new(settings: SlamSettings) -> Self {
+        Self {
+            settings,
+            back_end: BackEnd::default(),
+            scans: Vec::new(),
+            submaps: Vec::new(),
+            stands: Vec::new(),
+            last: None,
+            last_node_odometry: Pose2::IDENTITY,
+            usual: 0.0,
+            since_closure: 0.0,
+            is_dirty: false,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is not looked at.
+    ///
+    /// # Errors
+    /// See [`SlamError`]; after a scan that is malformed or late the map is as it was.
+    pub fn step(&mut self, scan: &Scan) -> Result<Effects, SlamError> {
+        let stamp = scan.stamp.as_secs();
+        let odometry = scan.odom_from_base;
+        if !scan.is_sane() || !odometry.is_finite() {
+            return Err(SlamError::Scan(stamp));
+        }
+        let (before, odometry_before) = self.last.unwrap_or((stamp, odometry));
+        if stamp < before {
+            return Err(SlamError::Order(stamp));
+        }
+        self.counts.scans += 1;
+        let step = odometry_before.inverse() * odometry;
+        let seen = points(scan, step, stamp - before, &self.settings.scan);
+        self.last = Some((stamp, odometry));
+        if self.scans.is_empty() {
+            return self.begin(stamp, odometry, seen);
+        }
+        let node_from_base = self.last_node_odometry.inverse() * odometry;
+        let front = &self.settings.front;
+        let way = node_from_base.x.hypot(node_from_base.y);
+        if way < front.distance && node_from_base.yaw.abs() < front.turn {
+            return Ok(self.track(stamp, node_from_base, seen));
+        }
+        self.since_closure += way;
+        self.insert(stamp, node_from_base, seen, scan.base_from_laser.position())
+    }
+
+    /// A scan near the last node is matched, but makes no node of its own.
+    fn track(&mut self, stamp: f64, step: Pose2, seen: Vec<Point2<f64>>) -> Effects {
+        let settings = &self.settings;
+        let poses = self.back_end.poses();
+        let last = self.scans.len() - 1;
+        let submap = &self.submaps[self.submaps.len().saturating_sub(2)];
+        let expected = poses[submap.anchor].inverse() * poses[last] * step;
+        let prior = prior(expected, &odometry_information(step, &settings.odometry));
+        let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
+        let is_match = refined.score >= settings.front.doubtful * self.usual;
+        let anchor_from_base = if is_match { refined.pose } else { expected };
+        let pose = poses[submap.anchor] * anchor_from_base;
+        self.stands.push(Stand {
+            stamp,
+            node: submap.anchor,
+            node_from_base: anchor_from_base,
+            points: seen,
+        });
+        Effects {
+            pose,
+            score: is_match.then_some(refined.score),
+            ..Effects::default()
+        }
+    }
+
+    fn begin(&mut self, stamp: f64, odometry: Pose2, seen: Vec<Point2<f64>>) -> Result<Effects, SlamError> {
+        self.back_end.add_node(Pose2::IDENTITY)?;
+        let mut submap = Submap::new(0, &self.settings.field);
+        submap.insert(Pose2::IDENTITY, &seen);
+        self.submaps.push(submap);
+        self.scans.push(seen);
+        self.last_node_odometry = odometry;
+        self.stands.push(Stand {
+            stamp,
+            node: 0,
+            node_from_base: Pose2::IDENTITY,
+            points: Vec::new(),
+        });
+        Ok(Effects {
+            is_inserted: true,
+            ..Effects::default()
+        })
+    }
+
+    fn insert(
+        &mut self,
+        stamp: f64,
+        step: Pose2,
+        seen: Vec<Point2<f64>>,
+        laser: Point2<f64>,
+    ) -> Result<Effects, SlamError> {
+        let settings = self.settings;
+        let last = self.scans.len() - 1;
+        let information = odometry_information(step, &settings.odometry);
+        // The older of the two submaps that grow has seen more.
+        let half = (settings.front.submap_scans / 2).max(1) as usize;
+        let active = self.submaps.len().saturating_sub(2);
+        let mut effects = Effects {
+            is_inserted: true,
+            ..Effects::default()
+        };
+        let anchor = self.submaps[active].anchor;
+        let map_from_anchor = self.back_end.poses()[anchor];
+        let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * step;
+        let matched = self.matched(active, expected, &information, &seen, &mut effects);
+        let anchor_from_scan = matched.as_ref().map_or(expected, |refined| refined.pose);
+        let node = self.back_end.add_node(map_from_anchor * anchor_from_scan)?;
+        self.back_end.add_edge(Edge {
+            from: last,
+            to: node,
+            measurement: step,
+            information,
+            kind: EdgeKind::Odometry,
+        })?;
+        if let Some(refined) = &matched {
+            self.back_end.add_edge(Edge {
+                from: anchor,
+                to: node,
+                measurement: refined.pose,
+                information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
+                kind: EdgeKind::Odometry,
+            })?;
+            effects.score = Some(refined.score);
+            effects.degenerate = refined
+                .degenerate
+                .map(|along| along.y.atan2(along.x) + map_from_anchor.yaw);
+        } else {
+            self.counts.unmatched += 1;
+        }
+        self.scans.push(seen);
+        self.last_node_odometry = self.last_node_odometry * step;
+        self.stands.push(Stand {
+            stamp,
+            node,
+            node_from_base: Pose2::IDENTITY,
+            points: Vec::new(),
+        });
+        let map_from_node = self.back_end.poses()[node];
+        for submap in &mut self.submaps[active..] {
+            let anchor_from_node = self.back_end.poses()[submap.anchor].inverse() * map_from_node;
+            submap.insert(anchor_from_node, &self.scans[node]);
+        }
+        let is_half = self.submaps.last().is_some_and(|newest| newest.count >= half);
+        if is_half {
+            let mut next = Submap::new(node, &settings.field);
+            next.insert(Pose2::IDENTITY, &self.scans[node]);
+            self.submaps.push(next);
+        }
+        if node % settings.closure.every as usize == 0 {
+            effects.closures = close(self, node, laser)?;
+        }
+        if is_half && self.is_dirty {
+            self.back_end.settle(&BETWEEN, &settings.robust)?;
+            self.is_dirty = false;
+            effects.is_settled = true;
+        }
+        effects.pose = self.back_end.poses()[node];
+        Ok(effects)
+    }
+
+    /// The scan matched to a submap that grows, where that says more than odometry.
+    fn matched(
+        &mut self,
+        active: usize,
+        expected: Pose2,
+        odometry: &Matrix3<f64>,
+        seen: &[Point2<f64>],
+        effects: &mut Effects,
+    ) -> Option<Refined> {
+        let settings = self.settings;
+        let submap = &mut self.submaps[active];
+        let prior = prior(expected, odometry);
+        let mut best = refine(&submap.field, seen, expected, Some(&prior), &settings.refine);
+        let correction = expected.inverse() * best.pose;
+        let vector = Vector3::new(correction.x, correction.y, correction.yaw);
+        let is_doubtful =
+            best.score < settings.front.doubtful * self.usual || vector.dot(&(odometry * vector)) > DOUBTFUL_CORRECTION;
+        if is_doubtful {
+            self.counts.wide_searches += 1;
+            effects.is_searched = true;
+            let window = Window {
+                min_score: best.score.max(settings.front.min_score),
+                budget: settings.closure.budget as usize,
+                ..Window::around(expected, settings.front.reach, settings.front.search_turn)
+            };
+            let found = search(submap.pyramid(), &thinned(seen), &window);
+            if let Some(candidate) = found.found.first() {
+                let wide = refine(&submap.field, seen, candidate.pose, None, &settings.refine);
+                if wide.score > best.score {
+                    best = wide;
+                }
+            }
+        }
+        if best.score < settings.front.min_score {
+            return None;
+        }
+        let share = if self.usual == 0.0 { 1.0 } else { USUAL };
+        self.usual += share * (best.score - self.usual);
+        Some(best)
+    }
+
+    /// Ends a log: decides on all closures anew, matches every scan to the submaps around it, and solves, in rounds.
+    ///
+    /// # Errors
+    /// [`SlamError::Solve`], without a scan among others.
+    pub fn finish(&mut self) -> Result<RobustSolution, SlamError> {
+        finish::finish(self)
+    }
+
+    /// `map_from_base` at each scan given so far, with its time, s.
+    #[must_use]
+    pub fn trajectory(&self) -> Vec<(f64, Pose2)> {
+        let poses = self.back_end.poses();
+        let stands = self.stands.iter();
+        stands
+            .map(|stand| (stand.stamp, poses[stand.node] * stand.node_from_base))
+            .collect()
+    }
+
+    /// The graph: a node for each inserted scan, odometry, matches and closures.
+    #[must_use]
+    pub fn graph(&self) -> &PoseGraph {
+        self.back_end.graph()
+    }
+
+    /// The weight of each edge of the graph: 0 for a closure that is held to be false.
+    #[must_use]
+    pub fn weights(&self) -> &[f64] {
+        self.back_end.weights()
+    }
+
+    /// Points of an inserted scan in the frame of its base, m.
+    #[must_use]
+    pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {
+        self.scans.get(node).map(Vec::as_slice)
+    }
+
+    /// What was counted.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// How many submaps there are.
+    #[must_use]
+    pub fn submaps(&self) -> usize {
+        self.submaps.len()
+    }
+}
+
+/// What odometry says, its information turned into the frame of the field.
+fn prior(field_from_scan: Pose2, odometry: &Matrix3<f64>) -> Prior {
+    let (sin, cos) = field_from_scan.yaw.sin_cos();
+    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+    Prior {
+        pose: field_from_scan,
+        information: turn * odometry * turn.transpose(),
+    }
+}

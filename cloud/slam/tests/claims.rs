@@ -1,0 +1,172 @@
+//! Does a log become a map whose poses are right, and does it say so when they are not?
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use proptest::prelude::*;
+use zenav_pose_graph::{EdgeKind, Optimality};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::messages::Scan;
+use zenav_protocol::settings::Settings;
+use zenav_protocol::time::Stamp;
+use zenav_slam::{Relation, ScanSettings, Slam, SlamError, SlamSettings, points, read_relations, relation_errors};
+
+mod house;
+
+fn odometry(scans: &[Scan]) -> Vec<(f64, Pose2)> {
+    scans
+        .iter()
+        .map(|scan| (scan.stamp.as_secs(), scan.odom_from_base))
+        .collect()
+}
+
+#[test]
+fn a_drive_through_a_house_is_mapped_closed_and_certified() {
+    let (scans, relations) = house::drive(1);
+    let raw = relation_errors(&odometry(&scans), &relations).unwrap();
+    let mut slam = Slam::new(SlamSettings::default());
+    let mut closures = 0;
+    for scan in &scans {
+        closures += slam.step(scan).unwrap().closures;
+    }
+    let solved = slam.finish().unwrap();
+    let errors = relation_errors(&slam.trajectory(), &relations).unwrap();
+    assert!(errors.translation.mean < 0.02, "{errors:?}, odometry {raw:?}");
+    assert!(errors.rotation.mean < 0.005, "{errors:?}");
+    assert!(
+        raw.translation.mean > 5.0 * errors.translation.mean,
+        "odometry was too good to tell: {raw:?}"
+    );
+    assert!(closures > 0, "no closure on the second lap");
+    assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
+    assert_eq!(slam.trajectory().len(), scans.len());
+    assert_eq!(slam.counts().scans, scans.len());
+    // Odometry and matches are measurements of their own.
+    let trusted = slam
+        .graph()
+        .edges()
+        .iter()
+        .filter(|edge| edge.kind == EdgeKind::Odometry);
+    assert!(trusted.count() > slam.graph().poses().len());
+}
+
+#[test]
+fn the_same_scans_make_the_same_map_bit_for_bit() {
+    let (scans, _) = house::drive(2);
+    let run = || {
+        let mut slam = Slam::new(SlamSettings::default());
+        for scan in &scans[..120] {
+            slam.step(scan).unwrap();
+        }
+        slam.trajectory()
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn scans_that_cannot_be_are_refused_and_change_nothing() {
+    let (scans, _) = house::drive(3);
+    let mut slam = Slam::new(SlamSettings::default());
+    slam.step(&scans[1]).unwrap();
+    let stamp = scans[0].stamp.as_secs();
+    assert_eq!(slam.step(&scans[0]), Err(SlamError::Order(stamp)));
+    let mut broken = scans[2].clone();
+    broken.odom_from_base.x = f64::NAN;
+    assert_eq!(slam.step(&broken), Err(SlamError::Scan(broken.stamp.as_secs())));
+    assert_eq!(slam.trajectory().len(), 1);
+}
+
+#[test]
+fn without_anything_in_sight_odometry_leads() {
+    let (mut scans, _) = house::drive(4);
+    scans.truncate(40);
+    let mut slam = Slam::new(SlamSettings::default());
+    for scan in &mut scans {
+        scan.ranges.fill(f32::INFINITY);
+        slam.step(scan).unwrap();
+    }
+    for ((_, pose), scan) in slam.trajectory().iter().zip(&scans) {
+        assert!(pose.distance(&scan.odom_from_base) < 1e-6);
+    }
+    assert!(slam.counts().unmatched > 0);
+}
+
+#[test]
+fn a_sweep_is_straightened_by_odometry() {
+    // A robot that turns by 0.2 rad while the beams of a sweep look at a wall 2 m ahead.
+    let settings = ScanSettings {
+        sweep: 0.1,
+        spacing: 0.0,
+        ..ScanSettings::default()
+    };
+    let step = Pose2::new(0.0, 0.0, 0.2);
+    let count = 50;
+    let ranges = (0..count).map(|beam| {
+        let share = 1.0 - beam as f64 / count as f64;
+        let heading = -0.5 + 0.02 * beam as f64 - 0.2 * share;
+        (2.0 / heading.cos()) as f32
+    });
+    let scan = Scan {
+        stamp: Stamp::from_secs(1.0),
+        angle_min: -0.5,
+        angle_increment: 0.02,
+        range_min: 0.02,
+        range_max: 30.0,
+        ranges: ranges.collect(),
+        moving: Vec::new(),
+        base_from_laser: Pose2::IDENTITY,
+        map_from_odom: Pose2::IDENTITY,
+        odom_from_base: step,
+    };
+    let straight = points(&scan, step, 0.1, &settings);
+    assert_eq!(straight.len(), count);
+    for point in &straight {
+        // In the frame of the last heading, which the wall is square to.
+        assert!((point.x - 2.0).abs() < 1e-3, "{point}");
+    }
+    let sheared = points(&scan, step, 0.1, &ScanSettings { sweep: 0.0, ..settings });
+    assert!(sheared.iter().any(|point| (point.x - 2.0).abs() > 0.05));
+}
+
+#[test]
+fn relations_are_read_and_a_mistake_is_named_by_its_line() {
+    let relations = read_relations("# t1 t2\n1 2 0.5 0 0 0 0 0.1\n\n").unwrap();
+    assert_eq!(
+        relations,
+        [Relation {
+            from: 1.0,
+            to: 2.0,
+            relative: Pose2::new(0.5, 0.0, 0.1)
+        }]
+    );
+    let error = read_relations("1 2 0.5 0 0 0 0 0.1\n1 2 zero 0 0 0 0 0\n").unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "line 2: expected `t1 t2 x y z roll pitch yaw`, found `1 2 zero 0 0 0 0 0`"
+    );
+}
+
+#[test]
+fn the_settings_are_within_their_own_bounds() {
+    SlamSettings::default().check().unwrap();
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn where_the_map_lies_does_not_change_the_metric(x in -9.0..9.0, y in -9.0..9.0, yaw in -3.0..3.0, error in 0.0..0.5) {
+        let truth: Vec<Pose2> = (0..20).map(|step| Pose2::new(0.3 * f64::from(step), 0.0, 0.1 * f64::from(step))).collect();
+        let relations: Vec<Relation> = (0..19)
+            .map(|from| Relation {
+                from: from as f64,
+                to: from as f64 + 1.0,
+                relative: truth[from].inverse() * truth[from + 1] * Pose2::new(error, 0.0, 0.0),
+            })
+            .collect();
+        let map = Pose2::new(x, y, yaw);
+        let trajectory: Vec<(f64, Pose2)> = truth.iter().enumerate().map(|(at, pose)| (at as f64, map * *pose)).collect();
+        let errors = relation_errors(&trajectory, &relations).unwrap();
+        prop_assert!((errors.translation.mean - error).abs() < 1e-9 && errors.translation.deviation < 1e-6);
+        prop_assert!(wrap_angle(errors.rotation.mean).abs() < 1e-9);
+    }
+}
