@@ -1,9 +1,10 @@
 //! Input files. Which one is meant? Worlds, robots and maps by path or by the name of a shipped one.
 
-use std::io::Read as _;
+use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
 use std::sync::Arc;
 
+use flate2::read::MultiGzDecoder;
 use zenav_edge::trackers::Law;
 use zenav_mapping::map_file;
 use zenav_protocol::geometry::Pose2;
@@ -15,6 +16,8 @@ use zenav_space::Zones;
 use crate::exit_code;
 use crate::failure::Failure;
 
+/// First bytes of what gzip has compressed (RFC 1952).
+const GZIP: [u8; 2] = [0x1f, 0x8b];
 /// Largest text file that is read, bytes.
 const MAX_TEXT: u64 = 64 * 1024 * 1024;
 /// Room around the start in a world that is a map, m.
@@ -30,7 +33,7 @@ pub fn text(path: &Path) -> Result<String, Failure> {
     text_within(path, MAX_TEXT)
 }
 
-/// The same of at most `limit` bytes.
+/// The same of at most `limit` bytes, compressed by gzip or not.
 ///
 /// # Errors
 /// As [`text`].
@@ -42,8 +45,14 @@ pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
         return Err(named(exit_code::USAGE, "expected a file"));
     }
     let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(missing)?;
-    file.take(limit + 1).read_to_end(&mut bytes).map_err(missing)?;
+    let mut file = BufReader::new(std::fs::File::open(path).map_err(missing)?);
+    let is_compressed = file.fill_buf().map_err(missing)?.starts_with(&GZIP);
+    let content: &mut dyn Read = if is_compressed {
+        &mut MultiGzDecoder::new(file)
+    } else {
+        &mut file
+    };
+    content.take(limit + 1).read_to_end(&mut bytes).map_err(missing)?;
     if bytes.len() as u64 > limit {
         return Err(named(exit_code::USAGE, &format!("expected at most {limit} bytes")));
     }
