@@ -70,8 +70,13 @@ impl Solved {
     }
 }
 
-/// Solves the graph of a file.
+/// Solves the graph of a file, and writes what `--out` asks for.
 pub(super) fn solve(path: &Path, args: &SlamArgs) -> Outcome {
+    output::value(args.output, &solved(path, args)?, Solved::told)?;
+    Ok(exit_code::OK)
+}
+
+fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
     let text = files::text_within(path, MAX_GRAPH)?;
     let g2o::Document { mut graph, ids } = g2o::read(&text).map_err(Failure::usage_at(path))?;
     let descent = DescentSettings::default();
@@ -92,10 +97,46 @@ pub(super) fn solve(path: &Path, args: &SlamArgs) -> Outcome {
         graph.set_poses(&robust.solution.poses).map_err(Failure::failed)?;
         files::write(&out.join("graph.g2o"), g2o::write(&graph, &ids))?;
     }
-    output::value(
-        args.output,
-        &Solved::new(graph.poses().len(), &robust, solve_ms),
-        Solved::told,
-    )?;
-    Ok(exit_code::OK)
+    Ok(Solved::new(graph.poses().len(), &robust, solve_ms))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::io::Write as _;
+
+    use clap::Parser as _;
+    use flate2::Compression;
+    use flate2::write::GzEncoder;
+
+    use super::*;
+
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        slam: SlamArgs,
+    }
+
+    #[test]
+    fn a_square_in_a_compressed_file_is_solved_and_certified() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, out) = (folder.path().join("square.g2o.gz"), folder.path().join("out"));
+        let mut packed = GzEncoder::new(std::fs::File::create(&file).unwrap(), Compression::fast());
+        for (from, to) in [(0, 1), (1, 2), (2, 3), (3, 0)] {
+            writeln!(packed, "EDGE_SE2 {from} {to} 1 0 1.5707963 100 0 0 100 0 100").unwrap();
+        }
+        packed.finish().unwrap();
+        let arguments = [
+            "slam".as_ref(),
+            "--graph".as_ref(),
+            file.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
+        let found = solved(&file, &Command::parse_from(arguments).slam).unwrap();
+        assert_eq!((found.nodes, found.edges, found.certified), (4, 4, true));
+        assert!(found.chi_squared < 1e-6, "{}", found.chi_squared);
+        let written = files::text(&out.join("graph.g2o")).unwrap();
+        assert_eq!(g2o::read(&written).unwrap().graph.edges().len(), 4);
+    }
 }

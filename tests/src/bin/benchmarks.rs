@@ -107,6 +107,11 @@ const RUNS: &[Run] = &[
         &["bench", "-p", "zenav-space", "--bench", "sight"],
     ),
     bench(
+        "solve",
+        "Pose graphs",
+        &["bench", "-p", "zenav-pose-graph", "--bench", "solve"],
+    ),
+    bench(
         "tick",
         "Behaviour trees",
         &["bench", "-p", "zenav-behaviour-tree", "--bench", "tick"],
