@@ -171,12 +171,6 @@ impl BlindSpotGrid {
     pub fn in_blind_spot(&self, place: Point2<f64>) -> bool {
         self.view.in_blind_spot(place)
     }
-
-    /// How deep a place (base frame) is in the blind spot, m; outside of it negative, and the distance is no less than that.
-    #[must_use]
-    pub fn depth_in_blind_spot(&self, place: Point2<f64>) -> f64 {
-        self.view.depth_in_blind_spot(place)
-    }
 }
 
 /// A grid with the disc free that the robot needs to turn at its start.

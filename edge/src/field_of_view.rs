@@ -57,13 +57,8 @@ impl Sector {
         if self.gap == 0.0 {
             return f64::INFINITY;
         }
-        (-self.depth_in_blind_spot(place)).max(0.0)
-    }
-
-    /// Distance of a place within what is never seen from what is seen, m; outside of it the distance to it, negative.
-    fn depth_in_blind_spot(&self, place: Point2<f64>) -> f64 {
-        if self.gap == 0.0 {
-            return f64::NEG_INFINITY;
+        if self.in_blind_spot(place) {
+            return 0.0;
         }
         let local = place.coords - self.origin;
         let off = |edge: &Vector2<f64>| {
@@ -73,8 +68,7 @@ impl Sector {
                 local.norm()
             }
         };
-        let depth = off(&self.first).min(off(&self.last));
-        if self.in_blind_spot(place) { depth } else { -depth }
+        off(&self.first).min(off(&self.last))
     }
 }
 
@@ -129,15 +123,6 @@ impl FieldOfView {
         }
         let distances = self.sectors.iter().map(|sector| sector.distance_to_blind_spot(place));
         distances.fold(0.0, f64::max)
-    }
-
-    /// A place that is never seen is this far from what is seen, m; one that is seen is no nearer than this to what is not, negative.
-    pub(crate) fn depth_in_blind_spot(&self, place: Point2<f64>) -> f64 {
-        if !self.has_blind_spot {
-            return f64::NEG_INFINITY;
-        }
-        let depths = self.sectors.iter().map(|sector| sector.depth_in_blind_spot(place));
-        depths.fold(f64::INFINITY, f64::min)
     }
 }
 

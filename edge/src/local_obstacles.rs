@@ -154,13 +154,6 @@ impl LocalObstacles {
         stamps.reduce(|oldest, stamp| Some(oldest?.min(stamp?))).flatten()
     }
 
-    /// Time from one sweep to the next, s: that of the slowest lidar.
-    #[must_use]
-    pub fn scan_period(&self) -> f64 {
-        let periods = self.lidars.iter().map(|lidar| 1.0 / lidar.projector.lidar().rate_hz);
-        periods.fold(0.0, f64::max)
-    }
-
     /// When the newest sweep of any lidar was taken.
     #[must_use]
     pub fn stamp(&self) -> Option<Stamp> {

@@ -16,7 +16,6 @@ use zenav_protocol::time::Stamp;
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
-use crate::recent_places::RecentPlace;
 use crate::settings::PassiveSafetySettings;
 use crate::time_to_contact::SweptFootprint;
 
@@ -73,16 +72,6 @@ pub struct Mover {
     pub velocity: Vector2<f64>,
     /// As fast as it may move beside that, m/s.
     pub speed: f64,
-}
-
-/// A moving obstacle in the blind spot: where it was seen last (base frame), how far it may have come since, m, at its speed, m/s, and its
-/// radius, m.
-#[derive(Clone, Copy, Debug)]
-struct Hidden {
-    place: Point2<f64>,
-    reach: f64,
-    speed: f64,
-    radius: f64,
 }
 
 impl Mover {
@@ -300,84 +289,34 @@ impl<'a> Motion<'a> {
         share.min(1.0)
     }
 
-    /// Limit by moving obstacles that have left the field of view and may be anywhere within their reach by now where no lidar looks: no point
-    /// of the outline that one could touch before the robot is at rest moves outwards faster than gently. A body that is hidden has to come
-    /// out first, and its size is known: it does not fit unseen beside the outline near the border of the blind spot.
+    /// Limit by moving obstacles that have left the field of view and may be anywhere within their reach by now: inside the blind spot no
+    /// point of the outline moves outwards faster than gently, outside it none swings towards what may come into view.
     #[must_use]
     pub fn limit_occluded(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let base_from_odom = rigid(odom_from_base.inverse());
-        let mut hidden: Vec<Hidden> = Vec::new();
-        let is_newest = |one: &&RecentPlace| {
-            let mut others = obstacles.moving().occluded(now);
-            one.track.is_none() || others.all(|other| other.track != one.track || other.stamp <= one.stamp)
-        };
-        for occluded in obstacles.moving().occluded(now).filter(is_newest) {
-            let reach = occluded.speed * now.secs_since(occluded.stamp).max(0.0);
-            let place = base_from_odom * occluded.place;
-            if self.footprint.distance(place) <= self.protective_distance(1.0, occluded.speed) + reach {
-                hidden.push(Hidden {
-                    place,
-                    reach,
-                    speed: occluded.speed,
-                    radius: occluded.radius,
-                });
+        let mut shares = SHARES.iter();
+        let mut share = shares.next().copied().unwrap_or(0.0);
+        for occluded in obstacles.moving().occluded(now) {
+            let age = now.secs_since(occluded.stamp).max(0.0);
+            let distance = self.footprint.distance(base_from_odom * occluded.place);
+            while share > 0.0 && distance <= self.protective_distance(share, occluded.speed) + occluded.speed * age {
+                share = shares.next().copied().unwrap_or(0.0);
             }
         }
-        if hidden.is_empty() {
-            return 1.0;
+        if share >= 1.0 {
+            return share;
         }
-        let samples: Vec<(Point2<f64>, Vector2<f64>, f64)> = outline_samples(self.footprint, 0.0)
+        let fastest = outline_samples(self.footprint, 0.0)
             .into_iter()
             .map(|(at, normal)| {
-                let outward = if obstacles.blind_spots().in_blind_spot(at) {
+                if obstacles.blind_spots().in_blind_spot(at) {
                     self.outward(at, normal)
                 } else {
                     self.twist.w * (at.x * normal.y - at.y * normal.x)
-                };
-                (at, normal, outward)
+                }
             })
-            .filter(|(_, _, outward)| *outward > GENTLE)
-            .collect();
-        let fastest = samples.iter().map(|(_, _, outward)| *outward).fold(GENTLE, f64::max);
-        let safe = |share: &&f64| !self.may_be_touched_unseen(**share, &samples, &hidden, obstacles);
-        let share = SHARES.iter().find(safe).copied().unwrap_or(0.0);
-        share.max(GENTLE / fastest).min(1.0)
-    }
-
-    /// Whether one of these may come out of the blind spot and touch the outline where it moves outwards, before the robot is at rest from a
-    /// share of its speed.
-    fn may_be_touched_unseen(
-        &self,
-        share: f64,
-        samples: &[(Point2<f64>, Vector2<f64>, f64)],
-        hidden: &[Hidden],
-        obstacles: &LocalObstacles,
-    ) -> bool {
-        let (speed, all) = (share * self.speed, self.stopping_time(share));
-        let (mut travelled, mut before) = (0.0, 0.0);
-        for step in 1..=STOPPING_STEPS {
-            let until = all * f64::from(step) / f64::from(STOPPING_STEPS);
-            let now = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
-            let there = rigid(Pose2::IDENTITY.advance(self.twist, travelled));
-            let touched = samples
-                .iter()
-                .filter(|(_, _, outward)| now * outward > GENTLE)
-                .any(|(at, normal, _)| {
-                    hidden.iter().any(|hidden| {
-                        let center = there * (at + normal * hidden.radius);
-                        // It is seen a scan after it has come out.
-                        let way = self.margin + hidden.speed * (until + obstacles.scan_period());
-                        let comes_out = hidden.radius - obstacles.blind_spots().depth_in_blind_spot(center);
-                        comes_out <= way && (center - hidden.place).norm() <= way + hidden.reach + hidden.radius
-                    })
-                });
-            if touched {
-                return true;
-            }
-            travelled += now * (until - before);
-            before = until;
-        }
-        false
+            .fold(0.0, f64::max);
+        share.max(GENTLE / fastest.max(1e-9)).min(1.0)
     }
 
     /// How fast a point of the outline moves along its normal, m/s.

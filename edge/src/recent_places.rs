@@ -16,8 +16,6 @@ pub struct RecentPlace {
     pub speed: f64,
     /// Whether it was so near that it may touch the robot at once.
     pub is_near: bool,
-    /// It is no smaller than a disc of this radius, m.
-    pub radius: f64,
     /// Its track, if it has one.
     pub track: Option<u64>,
 }
@@ -105,7 +103,6 @@ mod tests {
             stamp: Stamp::from_secs(secs),
             speed: 1.0,
             is_near: true,
-            radius: 0.0,
             track: None,
         }
     }

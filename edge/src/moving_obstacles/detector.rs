@@ -152,7 +152,6 @@ impl Detector {
                 stamp,
                 speed: self.fastest,
                 is_near: true,
-                radius: 0.0,
                 track: None,
             });
         }

@@ -23,10 +23,8 @@ use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::settings::{EdgeSettings, MovingObstacleSettings};
 use detector::Detector;
 
-/// A moving obstacle is no smaller than this share of its track's radius, of which more than this is not relied on, m.
-const SURE_RADIUS: (f64, f64) = (0.8, 0.25);
 /// Most places kept where an obstacle entered the blind spot.
-const OCCLUDED_PLACES: usize = 32;
+const OCCLUDED_PLACES: usize = 128;
 
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
@@ -124,7 +122,6 @@ impl MovingObstacles {
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
                 is_near: (place - laser).norm() <= near,
-                radius: track.map_or(0.0, |track| (SURE_RADIUS.0 * track.radius).min(SURE_RADIUS.1)),
                 track: track.map(|track| track.id),
             });
         }
@@ -182,7 +179,6 @@ impl MovingObstacles {
             stamp,
             speed: self.fastest_out_of_sight,
             is_near: true,
-            radius: 0.0,
             track: None,
         });
     }

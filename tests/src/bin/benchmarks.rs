@@ -72,6 +72,51 @@ const RUNS: &[Run] = &[
     ),
     bench("footprint", "The robot's binary alone", &["acceptance", "footprint"]),
     bench(
+        "drive_s2",
+        "Driving among discs on random polylines",
+        &["zenav", "bench", "drive", "--suite", "s2"],
+    ),
+    bench(
+        "drive_s3",
+        "Driving among people who do not look",
+        &["zenav", "bench", "drive", "--suite", "s3"],
+    ),
+    bench(
+        "drive_s4",
+        "Driving among people who make way",
+        &["zenav", "bench", "drive", "--suite", "s4"],
+    ),
+    bench(
+        "drive_s5",
+        "Driving in tight places",
+        &["zenav", "bench", "drive", "--suite", "s5"],
+    ),
+    bench(
+        "drive_s6",
+        "Driving among clutter, in traps and an office",
+        &["zenav", "bench", "drive", "--suite", "s6"],
+    ),
+    bench(
+        "drive_s7",
+        "Waiting for what may leave",
+        &["zenav", "bench", "drive", "--suite", "s7"],
+    ),
+    bench(
+        "drive_s9",
+        "Driving with broken sensors",
+        &["zenav", "bench", "drive", "--suite", "s9"],
+    ),
+    bench(
+        "drive_s11",
+        "Robots among robots, one seed",
+        &["zenav", "bench", "drive", "--suite", "s11", "--seeds", "1"],
+    ),
+    bench(
+        "drive_s12",
+        "Processor time on long ways",
+        &["zenav", "bench", "drive", "--suite", "s12"],
+    ),
+    bench(
         "search",
         "A* and JPS beside the crate pathfinding",
         &["bench", "-p", "zenav-planning", "--bench", "search"],
@@ -206,28 +251,22 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
 
 fn cargo_arguments(run: &Run) -> Vec<&'static str> {
     match run.arguments {
-        ["acceptance", rest @ ..] => {
-            let mut all = vec![
-                "run",
-                "--release",
-                "-q",
-                "-p",
-                "zenav-tests",
-                "--bin",
-                "acceptance",
-                "--",
-            ];
-            all.extend(rest);
-            all
-        }
+        ["acceptance", rest @ ..] => built("zenav-tests", "acceptance", rest),
+        ["zenav", rest @ ..] => built("zenav", "zenav", rest),
         arguments => arguments.to_vec(),
     }
+}
+
+/// What has cargo run a binary of a package.
+fn built(package: &'static str, binary: &'static str, arguments: &[&'static str]) -> Vec<&'static str> {
+    let cargo = ["run", "--release", "-q", "-p", package, "--bin", binary, "--"];
+    [&cargo, arguments].concat()
 }
 
 /// The command as a person types it.
 fn command_line(run: &Run) -> String {
     match run.arguments {
-        ["acceptance", rest @ ..] => format!("target/release/acceptance {}", rest.join(" ")),
+        ["acceptance" | "zenav", ..] => format!("target/release/{}", run.arguments.join(" ")),
         arguments => format!("cargo {}", arguments.join(" ")),
     }
 }

@@ -139,7 +139,7 @@ impl Leaf<Context> for ComputePath {
                 Status::Success
             }
             Searching::Failed(no_route)
-                if (no_route.code == error_code::GOAL_OCCUPIED
+                if (no_route.code == error_code::GOAL_OCCUPIED && ctx.goal.waited.is_none()
                     || no_route.code == error_code::NO_VALID_PATH
                         && self.tried.is_some_and(|(_, times)| times >= LOOKS))
                     && ctx.now.secs_since(ctx.goal.started) < ctx.config.settings.linger =>
