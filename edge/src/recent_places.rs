@@ -56,7 +56,8 @@ impl RecentPlaces {
             .iter_mut()
             .find(|known| known.is_within(spacing, seen.place))
         {
-            *known = seen;
+            let is_near = known.is_near || seen.is_near;
+            *known = RecentPlace { is_near, ..seen };
             return;
         }
         if self.places.len() == self.most {
