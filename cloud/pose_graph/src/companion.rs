@@ -1,7 +1,7 @@
 //! Isotropic companion. Which problem has a certificate, and where is its stationary point?
 //!
 //! Cost `Σ κ |zⱼ - r zᵢ|² + τ |tⱼ - tᵢ - zᵢ p|²` with complex rotations `z`, positions `t`, measured rotation `r` and position `p`; `κ` is
-//! the information of the yaw, `τ` the harmonic mean of the two informations in the plane (Rosen et al. 2019, section 6).
+//! the information of the yaw, `τ` the harmonic mean of the information along the two axes of the plane (Rosen et al. 2019, section 6).
 
 use nalgebra::{Matrix2, Matrix3};
 use zenav_protocol::geometry::Pose2;

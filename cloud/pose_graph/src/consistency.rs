@@ -13,7 +13,7 @@ use crate::covariance::mahalanobis;
 use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::RobustSettings;
 
-/// Added to informations before they are inverted, as a share of the largest entry: directions that an edge does not know.
+/// Added to information matrices before they are inverted, as a share of the largest entry: directions that an edge does not know.
 const LEAST_INFORMATION: f64 = 1e-9;
 
 /// A relative pose and its covariance in the frame of its far end.

@@ -36,8 +36,8 @@ pub enum SolveError {
         /// Index of the first such node.
         node: usize,
     },
-    /// Informations leave a direction of a node free, or are too far apart for the arithmetic.
-    #[error("the measurements leave a node free, or their informations lie too far apart")]
+    /// Information matrices leave a direction of a node free, or are too far apart for the arithmetic.
+    #[error("the measurements leave a node free, or their information matrices lie too far apart")]
     Singular,
     /// Steps ran out: raise `max_iterations`.
     #[error("no minimum within {0} iterations")]
