@@ -18,3 +18,6 @@ pub mod map_subscriber;
 pub mod mapping;
 pub mod mission;
 pub mod motion;
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod testing;

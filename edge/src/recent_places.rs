@@ -121,5 +121,11 @@ mod tests {
         assert_eq!(places.bounds(0.2).1, Point2::new(1.2, 0.2));
         places.note(at(2.0, 4.0));
         assert!(!places.any_within(0.2, Point2::new(0.0, 0.0)));
+        // What was near once stays near.
+        places.note(RecentPlace {
+            is_near: false,
+            ..at(2.0, 5.0)
+        });
+        assert!(places.iter().all(|known| known.is_near));
     }
 }

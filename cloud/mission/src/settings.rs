@@ -90,8 +90,6 @@ zenav_protocol::settings! {
         pub gather: f64 = 2.0, "s", 0.0..=60.0;
         /// The robot is brought to rest this much earlier than braking and the latency budget need.
         pub brake_early: f64 = 0.4, "s", 0.0..=10.0;
-        /// The robot rests this far before what it waits for, where it still can: who leaves needs room.
-        pub standoff: f64 = 0.5, "m", 0.0..=5.0;
     }
 }
 

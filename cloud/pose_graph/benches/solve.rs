@@ -8,54 +8,14 @@
     reason = "a bench stops at what is wrong, and says what it measures"
 )]
 
-use std::time::Duration;
-
-use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, criterion_group, criterion_main};
-use rustix::time::{ClockId, clock_gettime};
+use zenav_fixtures::ThreadTime;
 use zenav_pose_graph::{
     DescentSettings, PoseGraph, RobustSettings, certify, chordal_start, descend, g2o, solve, solve_robust,
 };
 
 #[path = "../tests/manhattan/mod.rs"]
 mod manhattan;
-
-/// Processor time: other work on the machine does not count.
-struct ProcessorTime;
-
-fn now() -> Duration {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(time.tv_sec.try_into().unwrap(), time.tv_nsec.try_into().unwrap())
-}
-
-impl Measurement for ProcessorTime {
-    type Intermediate = Duration;
-    type Value = Duration;
-
-    fn start(&self) -> Duration {
-        now()
-    }
-
-    fn end(&self, start: Duration) -> Duration {
-        now() - start
-    }
-
-    fn add(&self, a: &Duration, b: &Duration) -> Duration {
-        *a + *b
-    }
-
-    fn zero(&self) -> Duration {
-        Duration::ZERO
-    }
-
-    fn to_f64(&self, value: &Duration) -> f64 {
-        value.as_nanos() as f64
-    }
-
-    fn formatter(&self) -> &dyn ValueFormatter {
-        WallTime.formatter()
-    }
-}
 
 fn graphs() -> Vec<(String, PoseGraph)> {
     let Ok(folder) = std::env::var("ZENAV_BENCH_GRAPHS") else {
@@ -77,7 +37,7 @@ fn graphs() -> Vec<(String, PoseGraph)> {
     paths.iter().map(read).collect()
 }
 
-fn benches(criterion: &mut Criterion<ProcessorTime>) {
+fn benches(criterion: &mut Criterion<ThreadTime>) {
     let (descent, robust) = (DescentSettings::default(), RobustSettings::default());
     for (name, mut graph) in graphs() {
         let weights = vec![1.0; graph.edges().len()];
@@ -126,7 +86,7 @@ fn benches(criterion: &mut Criterion<ProcessorTime>) {
 
 criterion_group! {
     name = all;
-    config = Criterion::default().with_measurement(ProcessorTime);
+    config = Criterion::default().with_measurement(ThreadTime);
     targets = benches
 }
 criterion_main!(all);

@@ -8,6 +8,7 @@
     reason = "an example shows its result and stops at what is wrong"
 )]
 
+use zenav_fixtures::thread_time;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::settings::Settings;
 use zenav_slam::{Relation, Slam, SlamSettings, read_relations, relation_errors};
@@ -53,14 +54,14 @@ fn run(scans: &[Scan], relations: &[Relation], settings: SlamSettings) {
     };
     errors("odometry", &odometry);
     let mut slam = Slam::new(settings);
-    let start = processor_time();
+    let start = thread_time().as_secs_f64();
     for scan in scans {
         slam.step(scan).unwrap();
     }
-    let online = processor_time() - start;
+    let online = thread_time().as_secs_f64() - start;
     errors("online  ", &slam.trajectory());
     let solved = slam.finish().unwrap();
-    let all = processor_time() - start;
+    let all = thread_time().as_secs_f64() - start;
     errors("finished", &slam.trajectory());
     let per_scan = |secs: f64| 1e3 * secs / scans.len() as f64;
     println!("{:?}, {} submaps", slam.counts(), slam.submaps());
@@ -76,10 +77,4 @@ fn run(scans: &[Scan], relations: &[Relation], settings: SlamSettings) {
         per_scan(online),
         per_scan(all)
     );
-}
-
-/// Processor time of this thread, s: other work on the machine does not count.
-fn processor_time() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }

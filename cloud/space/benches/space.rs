@@ -14,52 +14,18 @@
 
 use std::hint::black_box;
 use std::sync::Arc;
-use std::time::Duration;
 
-use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
+use zenav_fixtures::ThreadTime;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapInfo, MapPatch, MapRef, MapReply, TILE, Tile};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy, squared_distances};
-
-/// Time that this thread has had a processor for.
-struct ThreadTime;
-
-impl Measurement for ThreadTime {
-    type Intermediate = Duration;
-    type Value = Duration;
-
-    fn start(&self) -> Duration {
-        let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-        Duration::new(now.tv_sec.cast_unsigned(), now.tv_nsec as u32)
-    }
-
-    fn end(&self, start: Duration) -> Duration {
-        self.start() - start
-    }
-
-    fn add(&self, one: &Duration, other: &Duration) -> Duration {
-        *one + *other
-    }
-
-    fn zero(&self) -> Duration {
-        Duration::ZERO
-    }
-
-    fn to_f64(&self, value: &Duration) -> f64 {
-        value.as_nanos() as f64
-    }
-
-    fn formatter(&self) -> &dyn ValueFormatter {
-        WallTime.formatter()
-    }
-}
 
 const SIDES: [u32; 2] = [1000, 4000];
 /// Cells.

@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
-use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig};
+use zenav_protocol::bus::{Bus, BusConfig};
 use zenav_protocol::messages::{EdgeState, GoalPhase, GoalReply, StopReply};
 use zenav_protocol::topics::{GOAL, STATE, STOP};
 
 use super::*;
+use crate::testing::router;
 
 const DEADLINE: Duration = Duration::from_secs(20);
 
@@ -40,13 +41,7 @@ async fn http(address: &str, method: &str, path: &str, body: &str) -> (String, S
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_s_state_is_served_and_goals_and_stops_reach_it() {
-    let router = Router::open(&RouterConfig {
-        listen: vec!["tcp/127.0.0.1:0".into()],
-        ..RouterConfig::default()
-    })
-    .await
-    .unwrap();
-    let endpoint = router.endpoints().await.remove(0);
+    let (router, endpoint) = router().await;
     let robot = Bus::open(BusConfig::service("robot", &endpoint)).await.unwrap();
     let states = robot.publisher(&STATE, &["tiago"]).unwrap();
     let mut stops = robot.serve(&STOP, &["tiago"]).unwrap();

@@ -2,12 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
+use zenav_protocol::bus::BusConfig;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{EdgeState, LeaseRole, LeaseState, MapAction, MapReply, MapRequest, Refusal};
 
 use super::*;
+use crate::testing::router;
 
 const DEADLINE: Duration = Duration::from_secs(10);
 
@@ -32,17 +33,6 @@ fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
         request_id: Some(id.to_owned()),
         epoch,
     }
-}
-
-async fn router() -> (Router, String) {
-    let router = Router::open(&RouterConfig {
-        listen: vec!["tcp/127.0.0.1:0".into()],
-        ..RouterConfig::default()
-    })
-    .await
-    .unwrap();
-    let endpoint = router.endpoints().await.remove(0);
-    (router, endpoint)
 }
 
 /// State of a robot whose lease a mission holds under this epoch, or has let lapse.

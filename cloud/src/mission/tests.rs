@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::bus::{AskError, BusConfig, Latest, Router, RouterConfig};
+use zenav_protocol::bus::{AskError, BusConfig, Latest, Router};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
@@ -15,6 +15,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 
 use super::*;
+use crate::testing;
 use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, Status};
 use zenav_mission::context::Context;
 use zenav_mission::trees;
@@ -51,13 +52,7 @@ async fn router() -> (Router, String) {
         })
         .unwrap();
     });
-    let config = RouterConfig {
-        listen: vec!["tcp/127.0.0.1:0".into()],
-        ..RouterConfig::default()
-    };
-    let router = Router::open(&config).await.unwrap();
-    let endpoint = router.endpoints().await.remove(0);
-    (router, endpoint)
+    testing::router().await
 }
 
 #[tokio::test(flavor = "multi_thread")]

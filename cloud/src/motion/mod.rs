@@ -173,7 +173,7 @@ impl TreePublishers {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
-    use zenav_protocol::bus::{AskError, BusConfig, Router, RouterConfig};
+    use zenav_protocol::bus::{AskError, BusConfig};
     use zenav_protocol::geometry::{Pose2, Twist2};
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply, PlanRequest, Refusal, SmoothRequest};
@@ -181,6 +181,7 @@ mod tests {
     use zenav_protocol::topics::MAP;
 
     use super::*;
+    use crate::testing::router;
 
     const DEADLINE: Duration = Duration::from_secs(20);
 
@@ -219,13 +220,7 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_worker_answers_every_kind_of_request_and_shows_its_searches() {
-        let router = Router::open(&RouterConfig {
-            listen: vec!["tcp/127.0.0.1:0".into()],
-            ..RouterConfig::default()
-        })
-        .await
-        .unwrap();
-        let endpoint = router.endpoints().await.remove(0);
+        let (_router, endpoint) = router().await;
         let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
         let mapping = open("mapping").await.unwrap();
         let mut maps = mapping.serve(&MAP, &["tiago"]).unwrap();

@@ -229,6 +229,39 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
 }
 
 #[test]
+fn whoever_went_into_the_blind_spot_and_did_not_come_out_is_not_backed_into() {
+    let model = jackal();
+    // One passes close by, one out of reach of the corners.
+    for (from, velocity, may_touch) in [((0.6, 0.5), -1.0, true), ((-1.2, 2.5), -1.3, false)] {
+        let (obstacles, stamp) = beside(&model, Point2::new(from.0, from.1), velocity);
+        let there = |secs: f64| obstacles.moving().may_be_in_blind_spot(stamp.plus_secs(secs));
+        assert!(there(0.1) && there(55.0) && !there(61.0), "{from:?}");
+        let corners = |secs: f64| obstacles.moving().occluded(stamp.plus_secs(secs)).next().is_some();
+        assert_eq!((corners(0.1), corners(11.0)), (may_touch, false), "{from:?}");
+    }
+    let mut nobody = LocalObstacles::new(&model);
+    looked(&mut nobody, &model, 1.0, 0.0);
+    assert!(!nobody.moving().may_be_in_blind_spot(Stamp::from_secs(1.1)));
+    // Over floor that it has seen it backs up as fast as is allowed, until somebody may be there.
+    let mut floor = LocalObstacles::new(&model);
+    looked(&mut floor, &model, 0.8, std::f64::consts::PI);
+    looked(&mut floor, &model, 1.0, 0.0);
+    let back = |obstacles: &LocalObstacles| {
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        monitor.blind_speed = 0.15;
+        let wanted = Twist2::new(-0.3, 0.0);
+        -monitor
+            .judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
+            .twist
+            .v
+    };
+    assert!((back(&floor) - 0.15).abs() < 1e-9, "{}", back(&floor));
+    floor.touch(Stamp::from_secs(1.02), Some(Point2::new(-0.25, 0.0)), Pose2::IDENTITY);
+    floor.touch(Stamp::from_secs(1.04), None, Pose2::IDENTITY);
+    assert!(back(&floor) <= 0.01, "{}", back(&floor));
+}
+
+#[test]
 fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
     let model = jackal();
     let turn = |second: f64| {

@@ -58,18 +58,10 @@ pub struct FollowPath {
     rechecked: u64,
     /// A better route than the one being driven, from the tree.
     offered: Option<Arc<Route>>,
-    blocked: Option<Blocked>,
+    /// Plan time of the motion in force at which something stands on the trajectory, s.
+    blocked_at: Option<f64>,
     /// Until then what stands far ahead can wait.
     gathered: Stamp,
-}
-
-/// Something stands on the trajectory of the motion in force.
-#[derive(Clone, Copy, Debug)]
-struct Blocked {
-    /// The robot is to be at rest by this plan time, s.
-    at: f64,
-    /// Whether that leaves room before what is waited for.
-    keeps_off: bool,
 }
 
 /// What must not be forgotten over a restart.
@@ -214,7 +206,7 @@ impl Leaf<Context> for FollowPath {
                         return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
                     }
                     ctx.motion.clear();
-                    self.blocked = None;
+                    self.blocked_at = None;
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(PlanStatus::Sent | PlanStatus::Taken | PlanStatus::Refused(_)) => {
@@ -295,7 +287,7 @@ impl FollowPath {
             }
         }
         self.stop_search(ctx);
-        self.blocked = None;
+        self.blocked_at = None;
         ctx.drive(route.plan.clone());
         self.gathered = ctx.now.plus_secs(ctx.config.settings.obstacle.gather);
         memory.motion = ctx.motion.id();
@@ -327,10 +319,7 @@ impl FollowPath {
                 Ok(Recheck::Blocked(ahead)) => {
                     tracing::debug!(goal = ctx.goal.id, ahead, "the path is blocked");
                     self.begin_search(ctx, memory.goal, 0.0);
-                    self.blocked = Some(Blocked {
-                        at: time + ahead,
-                        keeps_off: false,
-                    });
+                    self.blocked_at = Some(time + ahead);
                     self.brake_in_time(ctx);
                     return step(io, ctx, "replanning: the path is blocked");
                 }
@@ -365,7 +354,6 @@ impl FollowPath {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Blocked(what) => {
                 self.progress.reset();
-                self.keep_off(ctx);
                 step(io, ctx, &what)
             }
             Searching::Found(route) => {
@@ -397,25 +385,12 @@ impl FollowPath {
         }
     }
 
-    /// What is waited for needs room to leave: the robot is to come to rest before it.
-    fn keep_off(&mut self, ctx: &Context) {
-        let now = self.where_it_is(ctx).0;
-        if let (Some(blocked), Some(plan)) = (&mut self.blocked, ctx.motion.plan())
-            && !std::mem::replace(&mut blocked.keeps_off, true)
-        {
-            let left = plan.trajectory.length_left(blocked.at) + ctx.config.settings.obstacle.standoff;
-            let before = plan.trajectory.rest(now).iter().map(|point| point.t);
-            let far_enough = before.take_while(|t| plan.trajectory.length_left(*t) >= left);
-            blocked.at = far_enough.last().unwrap_or(now).min(blocked.at);
-        }
-    }
-
     /// Holds the motion in force once what stands on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
-        if let (Some(blocked), Some(model)) = (self.blocked, ctx.robot.model()) {
+        if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
             let braking = Limits::of(model).braking_time(ctx.robot.velocity());
             let early = ctx.latency_budget() + ctx.config.settings.obstacle.brake_early;
-            let ahead = blocked.at - self.where_it_is(ctx).0;
+            let ahead = at - self.where_it_is(ctx).0;
             if ahead < braking + early {
                 ctx.hold_within(ahead);
             }
