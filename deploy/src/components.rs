@@ -185,6 +185,7 @@ impl Parts {
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
         let mut config = mapping::MappingConfig::new(id.as_str());
         config.settings = deployment.mapping.settings.clone();
+        config.poses = deployment.poses();
         config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;

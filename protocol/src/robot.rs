@@ -199,7 +199,13 @@ impl Footprint {
 }
 
 /// Names and texts of the shipped options: parts that are added to a robot's file.
-pub const OPTIONS: &[(&str, &str)] = &[("rear_lidar", include_str!("../robots/options/rear_lidar.toml"))];
+pub const OPTIONS: &[(&str, &str)] = &[
+    ("rear_lidar", include_str!("../robots/options/rear_lidar.toml")),
+    ("indoor", include_str!("../robots/options/indoor.toml")),
+];
+
+/// Key of an option file: what the robot goes without, each a key or a dotted path to one.
+const WITHOUT: &str = "without";
 
 /// Names and texts of the shipped robots.
 pub const SHIPPED: &[(&str, &str)] = &[
@@ -228,7 +234,8 @@ impl RobotModel {
         Ok(model)
     }
 
-    /// Reads a robot and its options, `ROBOT+OPTION+…`: a robot file's tables, with those of each option file laid over them.
+    /// Reads a robot and its options, `ROBOT+OPTION+…`: a robot file's tables, with those of each option file laid over them, and less
+    /// what an option file says that the robot goes `without`.
     ///
     /// `read` gives the text of a file that is not a shipped robot or option, or says why it cannot.
     ///
@@ -263,7 +270,18 @@ impl RobotModel {
         let table = |text: &str, name: &str| text.parse().map_err(|source| RobotError::toml(name, source));
         let mut sum: toml::Table = table(&text, robot)?;
         for option in options {
-            lay_over(&mut sum, table(&text_of(option, OPTIONS)?, option)?);
+            let mut over = table(&text_of(option, OPTIONS)?, option)?;
+            let without = over.remove(WITHOUT);
+            lay_over(&mut sum, over);
+            if let Some(keys) = without {
+                take_away(&mut sum, keys).map_err(|problem| {
+                    let error = OutOfBounds {
+                        key: WITHOUT.to_owned(),
+                        problem,
+                    };
+                    RobotError::value(error, option, None)
+                })?;
+            }
         }
         let model: Self = sum.try_into().map_err(|source| RobotError::toml(names, source))?;
         model.checked(names)
@@ -315,9 +333,37 @@ fn lay_over(table: &mut toml::Table, over: toml::Table) {
     }
 }
 
+/// Takes keys out of a table; one that is not there is no robot's that goes without it.
+fn take_away(table: &mut toml::Table, keys: toml::Value) -> Result<(), String> {
+    let keys: Vec<String> = keys
+        .try_into()
+        .map_err(|_| "expected a list of keys, as in [\"gps\", \"imu.compass_noise\"]".to_owned())?;
+    for key in keys {
+        let (path, last) = key.rsplit_once('.').unwrap_or(("", &key));
+        let inner = path.split('.').filter(|name| !name.is_empty()).try_fold(&mut *table, |table, name| {
+            table.get_mut(name).and_then(toml::Value::as_table_mut)
+        });
+        if let Some(inner) = inner {
+            inner.remove(last);
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_option_may_take_sensors_away() {
+        let nothing = |name: &str| Err(format!("no such file: {name}"));
+        for (robot, _) in SHIPPED {
+            let model = RobotModel::with_options(&format!("{robot}+indoor"), nothing).unwrap();
+            assert!(model.gps.is_none() && model.imu.compass_noise.is_none(), "{robot}");
+        }
+        let refused = RobotModel::with_options("tiago+bad", |_| Ok("without = \"gps\"".to_owned())).unwrap_err();
+        assert!(refused.to_string().contains("expected a list of keys"), "{refused}");
+    }
 
     #[test]
     fn every_shipped_robot_can_be_read() {

@@ -16,7 +16,7 @@ use crate::codec::Encoding;
 use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
-    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
+    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, Localisation, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
     ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan,
     SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
@@ -314,6 +314,7 @@ crate::sensor_kinds!(key_table [
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
+        LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, 16 * KIB;
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
         TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;

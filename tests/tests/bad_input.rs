@@ -114,6 +114,7 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         boot_id: "x".repeat(1000),
         map_from_base: nowhere,
         covariance: [f64::NAN; 9],
+        is_found_anew: false,
     };
     let spec = GridSpec {
         origin: Point2::new(f64::NAN, 1e300),

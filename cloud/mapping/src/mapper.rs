@@ -155,6 +155,36 @@ impl Mapper {
         Insertion::Inserted
     }
 
+    /// A mapper of the same map in which nothing was seen yet: the scans of this one are drawn into it from better poses, then it
+    /// [succeeds](Self::succeed) it.
+    #[must_use]
+    pub fn redrawing(&self) -> Self {
+        Self {
+            settings: self.settings.clone(),
+            footprint: self.footprint.clone(),
+            grid: self.grid.unseen(),
+            map: self.map.clone(),
+            ..Self::new(self.settings.clone(), "")
+        }
+    }
+
+    /// Takes the place of the mapper that it was made of by [`Self::redrawing`]: the same map, which may have changed everywhere.
+    #[must_use]
+    pub fn succeed(mut self, old: &Self) -> Self {
+        // Both cover the same ground but for centimetres: where that is too much for a map, the borders of the old one are left.
+        self.grid.succeed(&old.grid);
+        Self {
+            stamp: self.stamp.max(old.stamp),
+            newest: old.newest.clone(),
+            scans: old.scans,
+            stored: old.stored,
+            held: old.held,
+            map: old.map.clone(),
+            footprint: old.footprint.clone(),
+            ..self
+        }
+    }
+
     /// Whether a scan is newer than the last one of its lidar: the lidars of one robot scan independently of one another.
     fn is_in_order(&self, scan: &Scan) -> bool {
         let last = self.newest.iter().find(|(mount, _)| *mount == scan.base_from_laser);

@@ -25,14 +25,18 @@
 //!
 //! | file | answers |
 //! |---|---|
+//! | `points` | which points did a scan see? |
 //! | `field` | how near is a point to what is known? |
 //! | `pyramid` | what can a block of positions score at most? |
 //! | `search` | which pose of a window fits best, and by how much? |
 //! | `refine` | where exactly, and how well is that known? |
 //! | `verdict` | does it fit? |
+//! | `information` | how well are odometry and matches known? |
 //! | `settings` | what can be tuned? |
 
 mod field;
+mod information;
+mod points;
 mod pyramid;
 mod refine;
 mod search;
@@ -40,8 +44,10 @@ mod settings;
 mod verdict;
 
 pub use field::LikelihoodField;
+pub use information::{floored, odometry_information, turned};
+pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refined, refine};
 pub use search::{Candidate, Search, Window, heading_step, search};
-pub use settings::{FieldSettings, RefineSettings, VerdictSettings};
+pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
 pub use verdict::{Verdict, judge};

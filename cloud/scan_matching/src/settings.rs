@@ -3,6 +3,38 @@
 //! Tolerances of arithmetic are private constants beside their use.
 
 zenav_protocol::settings! {
+    /// Which points of a scan count.
+    #[derive(Copy)]
+    pub struct ScanSettings {
+        /// Beams longer than this are left out: their ends are far apart, and a small turn moves them far.
+        pub max_range: f64 = 25.0, "m", 1.0..=200.0;
+        /// Points nearer than this to the one before are left out: a wall beside the robot has a hundred.
+        pub spacing: f64 = 0.03, "m", 0.0..=1.0;
+        /// Duration of a sweep: points are moved to where they were at its stamp, the end of the sweep. 0: all at once.
+        pub sweep: f64 = 0.0, "s", 0.0..=1.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// How well odometry is known: standard deviations of a step.
+    #[derive(Copy)]
+    pub struct OdometrySettings {
+        /// Of the position, for each metre.
+        pub per_metre: f64 = 0.1, "m/m", 0.0001..=1.0;
+        /// Of the heading, for each radian turned.
+        pub per_radian: f64 = 0.1, "rad/rad", 0.0001..=1.0;
+        /// Of the heading, for each metre.
+        pub turn_per_metre: f64 = 0.05, "rad/m", 0.0001..=1.0;
+        /// Of the position, for each radian turned.
+        pub slip_per_radian: f64 = 0.03, "m/rad", 0.0001..=1.0;
+        /// Of the position, at least.
+        pub least: f64 = 0.005, "m", 0.0001..=1.0;
+        /// Of the heading, at least.
+        pub least_turn: f64 = 0.003, "rad", 0.0001..=1.0;
+    }
+}
+
+zenav_protocol::settings! {
     /// How near to what is known a point has to lie.
     #[derive(Copy)]
     pub struct FieldSettings {

@@ -1,42 +1,21 @@
 //! Back end. Which poses agree best with all odometry and all matches so far?
 
-use nalgebra::{Matrix3, Vector3};
 use zenav_pose_graph::{
     DescentSettings, DescentStatus, Edge, EdgeKind, GraphError, PoseGraph, RobustSettings, RobustSolution, Solution,
     SolveError, certify, descend, edge_chi_squared, solve_robust,
 };
 use zenav_protocol::geometry::Pose2;
 
-use crate::settings::OdometrySettings;
 use crate::slam::SlamError;
 
 /// Rounds in which closures change sides, at most, each time the graph is settled.
 const ROUNDS: usize = 4;
-/// Added to an information before it is inverted, 1/m² and 1/rad²: directions that a match does not know.
-const LEAST_INFORMATION: f64 = 1e-3;
 
 /// The graph of all inserted scans.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BackEnd {
     graph: PoseGraph,
     weights: Vec<f64>,
-}
-
-/// Information of a step of odometry, frame of its end.
-pub(crate) fn odometry_information(step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
-    let (way, turn) = (step.x.hypot(step.y), step.yaw.abs());
-    let position = settings.least + settings.per_metre * way + settings.slip_per_radian * turn;
-    let heading = settings.least_turn + settings.per_radian * turn + settings.turn_per_metre * way;
-    Matrix3::from_diagonal(&Vector3::new(position.powi(-2), position.powi(-2), heading.powi(-2)))
-}
-
-/// Information of a match whose map is not exact: in no direction better than the floor.
-pub(crate) fn floored(information: &Matrix3<f64>, floor: f64, floor_turn: f64) -> Matrix3<f64> {
-    let known = information + Matrix3::identity() * LEAST_INFORMATION;
-    let floor = Matrix3::from_diagonal(&Vector3::new(floor, floor, floor_turn).map(|sigma| sigma * sigma));
-    let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity) + floor;
-    let information = covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
-    (information + information.transpose()) * 0.5
 }
 
 impl BackEnd {

@@ -2,9 +2,8 @@
 
 use nalgebra::Point2;
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
-use zenav_scan_matching::{Window, judge, refine, search};
+use zenav_scan_matching::{Window, floored, judge, refine, search};
 
-use crate::back_end::floored;
 use crate::slam::Slam;
 use crate::submap::thinned;
 

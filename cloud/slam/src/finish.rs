@@ -1,9 +1,8 @@
 //! Finish. Where does each scan lie once all of them are known?
 
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
-use zenav_scan_matching::refine;
+use zenav_scan_matching::{floored, refine};
 
-use crate::back_end::floored;
 use crate::slam::{Slam, SlamError};
 use crate::submap::Submap;
 

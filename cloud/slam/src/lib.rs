@@ -12,7 +12,7 @@
 //!
 //! A step goes through these phases:
 //!
-//! 1. **points**: what the scan saw, in the frame of the base, thinned, the sweep straightened by odometry ([`points()`]).
+//! 1. **points**: what the scan saw, in the frame of the base, thinned, the sweep straightened by odometry ([`points`](zenav_scan_matching::points())).
 //! 2. **front**: after 0.1 m or 3 degrees the scan is refined on the older of two submaps that grow, with odometry as prior. Where the
 //!    match is doubtful (its score, or how far it is from odometry), an exact search of a wide window decides. In between, scans are
 //!    matched and make no node.
@@ -35,7 +35,6 @@
 //! | file | answers |
 //! |---|---|
 //! | `slam` | where is the robot? |
-//! | `scan` | which points did a scan see? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
 //! | `back_end` | which poses agree best? |
@@ -47,12 +46,10 @@ mod back_end;
 mod closure;
 mod finish;
 mod metric;
-mod scan;
 mod settings;
 mod slam;
 mod submap;
 
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
-pub use scan::points;
-pub use settings::{ClosureSettings, FinishSettings, FrontSettings, OdometrySettings, ScanSettings, SlamSettings};
+pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::{Counts, Effects, Slam, SlamError};

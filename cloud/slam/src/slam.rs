@@ -5,19 +5,20 @@ use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refined, Window, refine, search};
+use zenav_scan_matching::{Prior, Refined, Window, floored, odometry_information, points, refine, search, turned};
 
-use crate::back_end::{BackEnd, floored, odometry_information};
+use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
-use crate::scan::points;
 use crate::settings::SlamSettings;
 use crate::submap::{Submap, thinned};
 
 /// Share of a new score in the usual one.
 const USUAL: f64 = 0.05;
-/// A correction of odometry that is less likely than this (chi squared, three degrees of freedom) makes a match doubtful.
-const DOUBTFUL_CORRECTION: f64 = 16.0;
+/// A correction of odometry that is less likely than this (half of chi squared, three degrees of freedom) makes a match doubtful.
+const DOUBTFUL_CORRECTION: f64 = 8.0;
+/// No correction of odometry is less likely than this (half of chi squared): wheels slip.
+const SLIPPED: f64 = 25.0;
 
 /// While scans come in, the graph need not be at the very bottom.
 const BETWEEN: DescentSettings = DescentSettings {
@@ -57,8 +58,11 @@ pub struct Effects {
     pub degenerate: Option<f64>,
     /// Loop closures found.
     pub closures: usize,
-    /// Whether the graph was settled: the map may have moved.
-    pub is_settled: bool,
+    /// How well the pose is known within the map around it: covariance of x, y (m²) and yaw (rad²) along the map's axes; without a
+    /// match that counts, nothing new is known.
+    pub covariance: Option<Matrix3<f64>>,
+    /// How the surroundings moved in the map as the graph was settled: `new_from_old`, for places about the robot.
+    pub moved: Option<Pose2>,
 }
 
 /// Counts over a run.
@@ -93,8 +97,16 @@ pub struct Slam {
     pub(crate) scans: Vec<Vec<Point2<f64>>>,
     pub(crate) submaps: Vec<Submap>,
     pub(crate) stands: Vec<Stand>,
+    /// Time, s, and odometry of the last scan.
     last: Option<(f64, Pose2)>,
     last_node_odometry: Pose2,
+    /// Whether odometry begins anew with the next scan.
+    is_interrupted: bool,
+    /// Whether the next match is searched for widely, however well it scores.
+    is_doubted: bool,
+    /// Whether every scan is kept for the end of a log; beside a robot only nodes are.
+    keeps_all: bool,
+    start: Pose2,
     /// Running mean of the scores of matches.
     usual: f64,
     /// Way since the last closure, m.
@@ -116,11 +128,31 @@ impl Slam {
             stands: Vec::new(),
             last: None,
             last_node_odometry: Pose2::IDENTITY,
+            is_interrupted: false,
+            is_doubted: false,
+            keeps_all: true,
+            start: Pose2::IDENTITY,
             usual: 0.0,
             since_closure: 0.0,
             is_dirty: false,
             counts: Counts::default(),
         }
+    }
+
+    /// A map of nothing, made beside a robot that stands at `start` in it: the map goes on without an end, and of the scans only nodes
+    /// are kept.
+    #[must_use]
+    pub fn beside_a_robot(settings: SlamSettings, start: Pose2) -> Self {
+        Self {
+            keeps_all: false,
+            start,
+            ..Self::new(settings)
+        }
+    }
+
+    /// The odometry of the scans to come begins anew: the robot was restarted. It is looked for about where it was last.
+    pub fn interrupt(&mut self) {
+        self.is_interrupted = !self.scans.is_empty();
     }
 
     /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is not looked at.
@@ -132,6 +164,12 @@ impl Slam {
         let odometry = scan.odom_from_base;
         if !scan.is_sane() || !odometry.is_finite() {
             return Err(SlamError::Scan(stamp));
+        }
+        if std::mem::take(&mut self.is_interrupted)
+            && let Some((_, before)) = self.last.replace((stamp, odometry))
+        {
+            self.last_node_odometry = odometry * before.inverse() * self.last_node_odometry;
+            self.is_doubted = true;
         }
         let (before, odometry_before) = self.last.unwrap_or((stamp, odometry));
         if stamp < before {
@@ -161,38 +199,52 @@ impl Slam {
         let last = self.scans.len() - 1;
         let submap = &self.submaps[self.submaps.len().saturating_sub(2)];
         let expected = poses[submap.anchor].inverse() * poses[last] * step;
-        let prior = prior(expected, &odometry_information(step, &settings.odometry));
+        let prior = Prior::of_odometry(expected, &odometry_information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
-        let is_match = refined.score >= settings.front.doubtful * self.usual;
+        let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
+        let is_match = !self.is_doubted && refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
         let pose = poses[submap.anchor] * anchor_from_base;
-        self.stands.push(Stand {
-            stamp,
-            node: submap.anchor,
-            node_from_base: anchor_from_base,
-            points: seen,
-        });
-        Effects {
+        let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
+            covariance: is_match.then(|| self.covariance(&refined, pose)).flatten(),
             ..Effects::default()
+        };
+        let anchor = submap.anchor;
+        self.stand(stamp, anchor, anchor_from_base, seen);
+        effects
+    }
+
+    /// Covariance of a match along the map's axes.
+    fn covariance(&self, refined: &Refined, map_from_base: Pose2) -> Option<Matrix3<f64>> {
+        let front = &self.settings.front;
+        let information = floored(&refined.information, front.floor, front.floor_turn);
+        Some(turned(&information.try_inverse()?, map_from_base.yaw))
+    }
+
+    /// Notes where a scan stands, and the points of one that is no node.
+    fn stand(&mut self, stamp: f64, node: usize, node_from_base: Pose2, points: Vec<Point2<f64>>) {
+        if self.keeps_all {
+            self.stands.push(Stand {
+                stamp,
+                node,
+                node_from_base,
+                points,
+            });
         }
     }
 
     fn begin(&mut self, stamp: f64, odometry: Pose2, seen: Vec<Point2<f64>>) -> Result<Effects, SlamError> {
-        self.back_end.add_node(Pose2::IDENTITY)?;
+        self.back_end.add_node(self.start)?;
         let mut submap = Submap::new(0, &self.settings.field);
         submap.insert(Pose2::IDENTITY, &seen);
         self.submaps.push(submap);
         self.scans.push(seen);
         self.last_node_odometry = odometry;
-        self.stands.push(Stand {
-            stamp,
-            node: 0,
-            node_from_base: Pose2::IDENTITY,
-            points: Vec::new(),
-        });
+        self.stand(stamp, 0, Pose2::IDENTITY, Vec::new());
         Ok(Effects {
+            pose: self.start,
             is_inserted: true,
             ..Effects::default()
         })
@@ -245,13 +297,9 @@ impl Slam {
         }
         self.scans.push(seen);
         self.last_node_odometry = self.last_node_odometry * step;
-        self.stands.push(Stand {
-            stamp,
-            node,
-            node_from_base: Pose2::IDENTITY,
-            points: Vec::new(),
-        });
+        self.stand(stamp, node, Pose2::IDENTITY, Vec::new());
         let map_from_node = self.back_end.poses()[node];
+        effects.covariance = matched.and_then(|refined| self.covariance(&refined, map_from_node));
         for submap in &mut self.submaps[active..] {
             let anchor_from_node = self.back_end.poses()[submap.anchor].inverse() * map_from_node;
             submap.insert(anchor_from_node, &self.scans[node]);
@@ -266,9 +314,10 @@ impl Slam {
             effects.closures = close(self, node, laser)?;
         }
         if is_half && self.is_dirty {
+            let before = self.back_end.poses()[node];
             self.back_end.settle(&BETWEEN, &settings.robust)?;
             self.is_dirty = false;
-            effects.is_settled = true;
+            effects.moved = Some(self.back_end.poses()[node] * before.inverse());
         }
         effects.pose = self.back_end.poses()[node];
         Ok(effects)
@@ -285,12 +334,11 @@ impl Slam {
     ) -> Option<Refined> {
         let settings = self.settings;
         let submap = &mut self.submaps[active];
-        let prior = prior(expected, odometry);
+        let prior = Prior::of_odometry(expected, odometry);
         let mut best = refine(&submap.field, seen, expected, Some(&prior), &settings.refine);
-        let correction = expected.inverse() * best.pose;
-        let vector = Vector3::new(correction.x, correction.y, correction.yaw);
-        let is_doubtful =
-            best.score < settings.front.doubtful * self.usual || vector.dot(&(odometry * vector)) > DOUBTFUL_CORRECTION;
+        let is_doubtful = self.is_doubted
+            || best.score < settings.front.doubtful * self.usual
+            || unlikely(odometry, expected, best.pose) > DOUBTFUL_CORRECTION;
         if is_doubtful {
             self.counts.wide_searches += 1;
             effects.is_searched = true;
@@ -302,7 +350,11 @@ impl Slam {
             let found = search(submap.pyramid(), &thinned(seen), &window);
             if let Some(candidate) = found.found.first() {
                 let wide = refine(&submap.field, seen, candidate.pose, None, &settings.refine);
-                if wide.score > best.score {
+                // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.
+                let per_point = (settings.field.sigma / settings.refine.point_sigma).powi(2)
+                    / settings.refine.points_per_independent;
+                let gain = per_point * seen.len() as f64 * (wide.score - best.score);
+                if gain > (unlikely(odometry, expected, wide.pose) - unlikely(odometry, expected, best.pose)).max(0.0) {
                     best = wide;
                 }
             }
@@ -310,6 +362,7 @@ impl Slam {
         if best.score < settings.front.min_score {
             return None;
         }
+        self.is_doubted = false;
         let share = if self.usual == 0.0 { 1.0 } else { USUAL };
         self.usual += share * (best.score - self.usual);
         Some(best)
@@ -345,6 +398,12 @@ impl Slam {
         self.back_end.weights()
     }
 
+    /// `map_from_node` of all inserted scans, in their order.
+    #[must_use]
+    pub fn nodes(&self) -> &[Pose2] {
+        self.back_end.poses()
+    }
+
     /// Points of an inserted scan in the frame of its base, m.
     #[must_use]
     pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {
@@ -364,12 +423,9 @@ impl Slam {
     }
 }
 
-/// What odometry says, its information turned into the frame of the field.
-fn prior(field_from_scan: Pose2, odometry: &Matrix3<f64>) -> Prior {
-    let (sin, cos) = field_from_scan.yaw.sin_cos();
-    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-    Prior {
-        pose: field_from_scan,
-        information: turn * odometry * turn.transpose(),
-    }
+/// Half of chi squared of a pose that odometry did not expect.
+fn unlikely(odometry: &Matrix3<f64>, expected: Pose2, pose: Pose2) -> f64 {
+    let correction = expected.inverse() * pose;
+    let vector = Vector3::new(correction.x, correction.y, correction.yaw);
+    (0.5 * vector.dot(&(odometry * vector))).min(SLIPPED)
 }

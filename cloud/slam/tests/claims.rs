@@ -8,7 +8,8 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::Scan;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
-use zenav_slam::{Relation, ScanSettings, Slam, SlamError, SlamSettings, points, read_relations, relation_errors};
+use zenav_scan_matching::{ScanSettings, points};
+use zenav_slam::{Relation, Slam, SlamError, SlamSettings, read_relations, relation_errors};
 
 mod house;
 

@@ -25,11 +25,11 @@ impl Service {
         let format = request.parameters.get("format").map_or("json", String::as_str);
         match format {
             "json" | "cbor" => {
-                let map = self.mapper.snapshot();
+                let map = self.core.mapper.snapshot();
                 self.encoding.spawn_blocking(move || request.reply(&map.into_reply()));
             }
             "png" | "pgm" | "yaml" => {
-                let (format, map) = (format.to_owned(), self.mapper.snapshot());
+                let (format, map) = (format.to_owned(), self.core.mapper.snapshot());
                 self.encoding.spawn_blocking(move || match file(&map.grid(), &format) {
                     Ok((bytes, mime)) => request.reply_bytes(bytes, mime),
                     Err(refusal) => request.refuse(&refusal),

@@ -1,17 +1,21 @@
 //! Mapping service. How does mapping live on the network?
 //!
-//! Scans in; map description, patches and answers out. Thin: [`Mapper`] decides what the map is.
+//! Scans in; map description, patches and answers out. Thin: [`MappingCore`] decides what the map is.
 //!
 //! | file | subject |
 //! |---|---|
+//! | `core` | from which poses are scans drawn, and what is the robot told? |
+//! | `slam_poses` | the same by SLAM |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers, each change once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
 //! | `storage` | the stored map at the start, and saving |
 
 mod authority;
+mod core;
 mod encodings;
 mod requests;
+mod slam_poses;
 mod storage;
 #[cfg(test)]
 mod tests;
@@ -21,18 +25,19 @@ use std::time::Duration;
 
 use thiserror::Error;
 use tokio::task::JoinSet;
-use zenav_mapping::{Insertion, Mapper, MappingSettings};
+use zenav_mapping::{Insertion, MappingSettings};
 use zenav_protocol::bus::{AskError, Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
-use zenav_protocol::messages::{InfoRequest, MapInfo, MapPatch, Scan};
+use zenav_protocol::messages::{Correction, EdgeState, InfoRequest, MapInfo, MapPatch, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{
-    ALIVE_COMPONENT, EDGE_INFO, LIDAR_SCAN, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
+    ALIVE_COMPONENT, CORRECTION, EDGE_INFO, LIDAR_SCAN, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
 };
 
 use authority::Authority;
+pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
 use requests::FirstAnswers;
 
 /// Configuration of one robot's mapping.
@@ -42,6 +47,8 @@ pub struct MappingConfig {
     pub robot: String,
     /// How scans become a map.
     pub settings: MappingSettings,
+    /// From which poses scans are drawn.
+    pub poses: PoseSettings,
     /// Folder in which the map is stored as `map.pgm`, `map.yaml` and `map.json`; without it, nothing is stored.
     pub folder: Option<PathBuf>,
 }
@@ -53,6 +60,7 @@ impl MappingConfig {
         Self {
             robot: robot.into(),
             settings: MappingSettings::default(),
+            poses: PoseSettings::default(),
             folder: None,
         }
     }
@@ -90,7 +98,9 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
-        mapper: storage::begin(&config).await,
+        corrections: bus.publisher(&CORRECTION, &chunks)?,
+        core: MappingCore::new(storage::begin(&config).await, &config.poses),
+        boot_id: String::new(),
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
         published: Stamp::ZERO,
         pending: false,
@@ -101,7 +111,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
     service.publish(clock.now());
-    service.info.put(&service.mapper.info());
+    service.info.put(&service.core.mapper.info());
     let mut footprint = Box::pin(ask_footprint(&bus, &robot));
     let mut footprint_known = false;
     loop {
@@ -111,7 +121,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             biased;
             () = shutdown.wait() => break,
             state = states.next() => match state {
-                Some(state) => service.authority.hear(clock.now(), state.message.lease),
+                Some(state) => service.hear(clock.now(), state.message),
                 None => break,
             },
             request = requests.next() => match request {
@@ -123,14 +133,14 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 None => break,
             },
             scan = further_scans.next() => match scan {
-                Some(scan) => service.insert(&scan.message, clock.now()),
+                Some(scan) => service.insert_further(&scan.message, clock.now()),
                 None => break,
             },
             () = clock.sleep_until(due), if service.pending => service.publish(clock.now()),
             answer = &mut footprint, if !footprint_known => {
                 footprint_known = true;
                 if let Some(footprint) = answer {
-                    service.mapper.set_footprint(footprint);
+                    service.core.mapper.set_footprint(footprint);
                 }
             }
             Some(_) = service.encoding.join_next() => {}
@@ -161,9 +171,12 @@ async fn ask_footprint(bus: &Bus, robot: &str) -> Option<Footprint> {
 
 struct Service {
     config: MappingConfig,
-    mapper: Mapper,
+    core: MappingCore,
+    /// The robot's present boot.
+    boot_id: String,
     info: Publisher<MapInfo>,
     patches: Publisher<MapPatch>,
+    corrections: Publisher<Correction>,
     /// Least time between two patches.
     period: Duration,
     /// Time of the last patch.
@@ -177,8 +190,26 @@ struct Service {
 }
 
 impl Service {
+    fn hear(&mut self, now: Stamp, state: EdgeState) {
+        self.boot_id = state.boot_id;
+        self.authority.hear(now, state.lease);
+    }
+
     fn insert(&mut self, scan: &Scan, now: Stamp) {
-        match self.mapper.insert(scan) {
+        let mapped = self.core.insert(scan, &self.boot_id);
+        if let Some(correction) = &mapped.correction {
+            self.corrections.put(correction);
+        }
+        self.drawn(mapped.insertion, now);
+    }
+
+    fn insert_further(&mut self, scan: &Scan, now: Stamp) {
+        let insertion = self.core.insert_further(scan);
+        self.drawn(insertion, now);
+    }
+
+    fn drawn(&mut self, insertion: Insertion, now: Stamp) {
+        match insertion {
             Insertion::Inserted => {
                 self.pending = true;
                 // After a restart of the simulation its clock is before the last patch.
@@ -193,12 +224,12 @@ impl Service {
 
     fn publish(&mut self, now: Stamp) {
         self.published = now;
-        let patch = self.mapper.take_patch();
+        let patch = self.core.mapper.take_patch();
         // A map of many tiles goes out in several patches, one each period.
-        self.pending = patch.is_some() && self.mapper.has_changes();
+        self.pending = patch.is_some() && self.core.mapper.has_changes();
         if let Some(patch) = patch {
             self.patches.put(&patch);
-            self.info.put(&self.mapper.info());
+            self.info.put(&self.core.mapper.info());
         }
     }
 }

@@ -64,13 +64,13 @@ impl Service {
         match action {
             MapAction::Get => {}
             MapAction::Save => self.save().await?,
-            MapAction::Reset => self.mapper.reset(storage::new_map_id(&self.config.robot)),
-            MapAction::Resume => self.mapper.resume(),
-            MapAction::Hold => self.mapper.hold(),
-            MapAction::Forget => self.mapper.decay_now(),
+            MapAction::Reset => self.core.reset(storage::new_map_id(&self.config.robot)),
+            MapAction::Resume => self.core.mapper.resume(),
+            MapAction::Hold => self.core.mapper.hold(),
+            MapAction::Forget => self.core.mapper.decay_now(),
         }
         self.publish(now);
-        let info = self.mapper.info();
+        let info = self.core.mapper.info();
         self.info.put(&info);
         Ok(MapReply {
             info,

@@ -47,7 +47,7 @@ impl Service {
                 "the map cannot be saved: mapping was given no folder",
             ));
         };
-        let map = self.mapper.snapshot();
+        let map = self.core.mapper.snapshot();
         if map.info.spec.is_empty() {
             return Err(Refusal::rejected("the map cannot be saved: it has no cells yet"));
         }
@@ -66,7 +66,7 @@ impl Service {
         match saved.await.map_err(|error| error.to_string()) {
             Ok(Ok(path)) => {
                 tracing::info!(robot = self.config.robot, file = %path.display(), "map saved");
-                self.mapper.mark_stored();
+                self.core.mapper.mark_stored();
                 Ok(())
             }
             Ok(Err(reason)) | Err(reason) => Err(Refusal::Internal { reason }),

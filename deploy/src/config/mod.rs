@@ -14,6 +14,7 @@ mod show;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use zenav_cloud::mapping::{PoseSettings, PoseSource};
 use zenav_cloud::motion::MotionSettings;
 use zenav_edge::EdgeSettings;
 use zenav_gateway::GatewaySettings;
@@ -26,6 +27,7 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::LostPolicy;
 use zenav_protocol::settings;
 use zenav_protocol::settings::Settings as _;
+use zenav_slam::SlamSettings;
 use zenav_smoothing::SmoothingSettings;
 
 use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
@@ -51,6 +53,8 @@ settings! {
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
         pub mapping: Service<MappingSection, MappingSettings>;
+        /// Poses by SLAM, where `mapping.poses` asks for them.
+        pub slam: SlamSettings;
         /// Motion workers.
         pub planning: Service<PlanningSection, PlanningSettings>;
         /// How paths become trajectories.
@@ -122,6 +126,9 @@ settings! {
     pub struct MappingSection {
         /// Whether it runs.
         pub enabled: bool = true;
+        /// From which poses scans are drawn: `edge` (the robot's own estimate, for robots with GPS and compass) or `slam` (scans and
+        /// odometry alone; the robot is corrected).
+        pub poses: PoseSource = PoseSource::Edge;
     }
 }
 
@@ -189,6 +196,15 @@ impl Deployment {
             });
         }
         Ok(())
+    }
+
+    /// The source of poses of mapping.
+    #[must_use]
+    pub fn poses(&self) -> PoseSettings {
+        PoseSettings {
+            source: self.mapping.run.poses,
+            slam: self.slam,
+        }
     }
 
     /// Settings of the motion workers.

@@ -9,6 +9,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use zenav_cloud::mapping::{MappingCore, PoseSettings};
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_cloud::motion::{self, MotionSettings};
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
@@ -17,9 +18,10 @@ use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswe
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
-    GoalState, Heartbeat, Intent, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal,
+    Correction, GoalState, Heartbeat, Intent, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal, Scan,
 };
 use zenav_protocol::readings::Readings;
+use zenav_protocol::sensors::DEFAULT_LIDAR;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{Simulation, Truth};
@@ -27,6 +29,8 @@ use zenav_sim::{Simulation, Truth};
 use super::delay::Link;
 use crate::batch::thread_time;
 
+/// The robot's one boot.
+const BOOT: &str = "lockstep";
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
 
@@ -39,6 +43,8 @@ pub struct ClosedLoopConfig {
     pub mission: MissionConfig,
     /// The mapper's settings.
     pub mapping: MappingSettings,
+    /// Where the poses of the map come from.
+    pub poses: PoseSettings,
     /// The motion worker's settings.
     pub motion: MotionSettings,
     /// The map to begin with.
@@ -59,6 +65,7 @@ enum Up {
 enum Down {
     Plan(Box<Plan>),
     Heartbeat(Heartbeat),
+    Correction(Correction),
     Request(zenav_mission::Ticket, EdgeRequest),
 }
 
@@ -150,8 +157,8 @@ pub struct RobotLoop {
     pub pilot: Pilot,
     /// For the robot's next tick, from anybody but the mission.
     pub inbox: Inbox,
-    /// The mapper.
-    pub mapper: Mapper,
+    /// The map and its poses.
+    pub mapping: MappingCore,
     /// The mission, while one runs.
     pub mission: Option<Mission>,
     /// For the mission's next step.
@@ -186,9 +193,9 @@ impl RobotLoop {
         // Live scans go on into a known map: what moved since must be seen.
         mapper.resume();
         Self {
-            pilot: Pilot::new(config.edge, "lockstep".to_owned(), Persisted::default()),
+            pilot: Pilot::new(config.edge, BOOT.to_owned(), Persisted::default()),
             inbox: Inbox::default(),
-            mapper,
+            mapping: MappingCore::new(mapper, &config.poses),
             replica: MapReplica::new(),
             worker: MotionWorker::new(Arc::clone(&config.mission.zones), config.motion),
             mission: Some(Mission::new(config.mission, Restored::fresh())),
@@ -217,7 +224,7 @@ impl RobotLoop {
     pub fn start(&mut self, mission: Mission) {
         self.mission = Some(mission);
         self.inputs = zenav_mission::Inputs {
-            map_info: Some(self.mapper.info()),
+            map_info: Some(self.mapping.mapper.info()),
             ..zenav_mission::Inputs::default()
         };
     }
@@ -239,6 +246,7 @@ impl RobotLoop {
             match message {
                 Down::Plan(plan) => inbox.plans.push(*plan),
                 Down::Heartbeat(heartbeat) => inbox.heartbeats.push(heartbeat),
+                Down::Correction(correction) => inbox.corrections.push(correction),
                 Down::Request(ticket, request) => inbox.requests.push((zenav_edge::Ticket(ticket.0), request)),
             }
         }
@@ -263,18 +271,28 @@ impl RobotLoop {
                 Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
-                Up::Publication(Publication::Scan(_, scan)) => {
-                    self.mapper.insert(&scan);
-                }
+                Up::Publication(Publication::Scan(lidar, scan)) => self.map(now, &lidar, &scan),
                 Up::Publication(_) => {}
             }
         }
-        while let Some(patch) = self.mapper.take_patch() {
+        let mapper = &mut self.mapping.mapper;
+        while let Some(patch) = mapper.take_patch() {
             if self.replica.apply(&patch) == PatchResult::Gap {
-                self.replica.replace(&self.mapper.reply());
+                self.replica.replace(&mapper.reply());
             }
             self.inputs.map_patches.push(patch);
-            self.inputs.map_info = Some(self.mapper.info());
+            self.inputs.map_info = Some(mapper.info());
+        }
+    }
+
+    fn map(&mut self, now: Stamp, lidar: &str, scan: &Scan) {
+        if lidar == DEFAULT_LIDAR {
+            let mapped = self.mapping.insert(scan, BOOT);
+            if let Some(correction) = mapped.correction {
+                self.down.send(now, Down::Correction(correction));
+            }
+        } else {
+            self.mapping.insert_further(scan);
         }
     }
 
@@ -339,13 +357,13 @@ impl RobotLoop {
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
         match request.action {
             MapAction::Get => {}
-            MapAction::Save => self.mapper.mark_stored(),
-            MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
-            MapAction::Resume => self.mapper.resume(),
-            MapAction::Hold => self.mapper.hold(),
-            MapAction::Forget => self.mapper.decay_now(),
+            MapAction::Save => self.mapping.mapper.mark_stored(),
+            MapAction::Reset => self.mapping.reset(format!("lockstep-{}", self.ticks)),
+            MapAction::Resume => self.mapping.mapper.resume(),
+            MapAction::Hold => self.mapping.mapper.hold(),
+            MapAction::Forget => self.mapping.mapper.decay_now(),
         }
-        let mut reply = self.mapper.reply();
+        let mut reply = self.mapping.mapper.reply();
         if request.action != MapAction::Get {
             reply.values.clear();
             self.inputs.map_info = Some(reply.info.clone());

@@ -242,6 +242,7 @@ impl Scenario<'_> {
                 settings: mission,
             },
             mapping,
+            poses: deployment.poses(),
             motion: deployment.motion(),
             known_map,
             cloud_delay: 1e-3 * self.cloud_delay_ms,

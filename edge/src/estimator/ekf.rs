@@ -19,6 +19,9 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
+/// Turns that are known better than this, rad², tell nothing of one another.
+const LEAST_TURN_VARIANCE: f64 = 1e-16;
+
 /// Places in the state after x, y and yaw.
 const BIAS: usize = 3;
 const LEFT: usize = 4;
@@ -99,6 +102,22 @@ pub(super) struct Reckoned {
     pub(super) turn: f64,
     /// Time in which the turn came from the gyro, s.
     pub(super) by_gyro: f64,
+}
+
+/// A turn in one step, by gyro and by wheels.
+struct WheelTurn {
+    /// Distance rolled by the left and the right wheel, m, without their errors, and its variance, m².
+    sides: [f64; 2],
+    variances: [f64; 2],
+    /// Variance of one wheel's distance by the steps of its encoder, m².
+    step_variance: f64,
+    /// How the pose depends on what each wheel rolls, of the noise that the prediction took.
+    by_wheels: Vector3<f64>,
+    /// The turn that the prediction took from the gyro, rad.
+    turn: f64,
+    /// How the pose depends on it, and its variance, rad².
+    by_gyro: Vector3<f64>,
+    gyro_variance: f64,
 }
 
 /// The state of the filter at one stamp.
@@ -315,6 +334,52 @@ impl Ekf {
         for parameter in [LEFT, RIGHT, APART] {
             self.covariance[(parameter, parameter)] += settings.wheel_walk * secs;
         }
+        if motion.gyro.is_some() && known {
+            // Steps of the encoders do not add up, but one of them must not look like slip.
+            let step = if left == 0.0 && right == 0.0 {
+                0.0
+            } else {
+                (model.encoders.resolution * drive.wheel_radius).powi(2) / 6.0
+            };
+            let wheels = WheelTurn {
+                sides: [left, right],
+                variances,
+                step_variance: step,
+                by_wheels: 0.5 * spread(1.0, 0.0),
+                turn,
+                by_gyro,
+                gyro_variance: own_variance,
+            };
+            self.compare_turns(&wheels, apart, secs);
+        }
+    }
+
+    /// The gyro turned the robot; what its wheels say of the same turn is a measurement of it, and of the gyro's bias against the wheels'
+    /// errors. Both noises are in the prediction too: the gain counts what they share with it.
+    fn compare_turns(&mut self, wheels: &WheelTurn, apart: f64, secs: f64) {
+        let [left, right] = wheels.sides;
+        let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
+        let innovation = wheels.turn - turn;
+        // Of the innovation by the state: gyro less wheels.
+        let mut jacobian = SVector::<f64, STATES>::zeros();
+        jacobian[BIAS] = -secs;
+        (jacobian[LEFT], jacobian[RIGHT]) = (left / apart, -right / apart);
+        jacobian[APART] = turn / (1.0 + self.state[APART]);
+        let [by_left, by_right] = wheels.variances;
+        let wheel_variance = (by_left + by_right + 2.0 * wheels.step_variance) / (apart * apart);
+        let mut shared = self.covariance * jacobian;
+        let mut pose = shared.fixed_rows_mut::<3>(0);
+        pose += wheels.by_gyro * wheels.gyro_variance + wheels.by_wheels * ((by_left - by_right) / apart);
+        let variance = jacobian.dot(&(self.covariance * jacobian)) + wheels.gyro_variance + wheel_variance;
+        if variance < LEAST_TURN_VARIANCE || innovation * innovation > GATE[0] * variance {
+            return;
+        }
+        let gain = shared / variance;
+        self.state -= gain * innovation;
+        self.state[2] = wrap_angle(self.state[2]);
+        self.reckoned.turn -= gain[2] * innovation;
+        self.covariance -= gain * shared.transpose();
+        self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
     }
 
     /// Updates how long the wheels have been at rest.

@@ -82,6 +82,7 @@ fn drive(speeds: &[(f64, f64)], noise: &[f64]) -> Vec<(usize, Item)> {
                 boot_id: String::new(),
                 map_from_base: Pose2::new(pose.x + 0.1 * wobble(), pose.y + 0.1 * wobble(), pose.yaw),
                 covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
+                is_found_anew: false,
             };
             items.push((tick, Item::Correction(correction)));
         }
@@ -186,7 +187,7 @@ proptest! {
             spoiled.push((tick, Item::Gps(Gps { stamp, x: f64::NAN, y: 0.0, std_dev: 0.02 })));
             spoiled.push((tick, Item::Gps(Gps { stamp, x: 0.0, y: 0.0, std_dev: -1.0 })));
             let covariance = [1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-            spoiled.push((tick, Item::Correction(Correction { stamp, boot_id: String::new(), map_from_base: Pose2::IDENTITY, covariance })));
+            spoiled.push((tick, Item::Correction(Correction { stamp, boot_id: String::new(), map_from_base: Pose2::IDENTITY, covariance, is_found_anew: false })));
         }
         let (clean, spoiled) = (estimate(&items, |_| 0), estimate(&spoiled, |_| 0));
         prop_assert_eq!(difference(&clean, &spoiled), 0.0);
@@ -292,6 +293,7 @@ fn a_flood_of_inputs_is_bounded() {
                 boot_id: String::new(),
                 map_from_base: Pose2::IDENTITY,
                 covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
+                is_found_anew: false,
             })
             .collect();
         estimator.step(&readings(tick, [0.0; 2]), &corrections);

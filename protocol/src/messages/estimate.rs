@@ -42,6 +42,55 @@ pub struct Correction {
     pub map_from_base: Pose2,
     /// Row-major covariance of (x, y, yaw).
     pub covariance: [f64; 9],
+    /// The robot was found anew, in a search of the whole map: its belief is replaced, not corrected, and it drives no plan made before.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_found_anew: bool,
+}
+
+/// Whether the robot's place in the map can be trusted: a statement, not a covariance.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "state")]
+pub enum Health {
+    /// The scans agree with the map.
+    #[default]
+    Tracking,
+    /// They agree, but do not say where the robot is along a direction: a corridor.
+    Degraded {
+        /// That direction in the map, rad.
+        direction: f64,
+    },
+    /// The scans contradict the map, and no place was found that they agree with: the robot must not drive by this map.
+    Lost,
+    /// Several places agree with the scan about as well.
+    Ambiguous {
+        /// Those places, `map_from_base`, the best first.
+        hypotheses: Vec<Pose2>,
+    },
+}
+
+impl Health {
+    /// Whether the robot may drive by its place in the map.
+    #[must_use]
+    pub const fn is_trusted(&self) -> bool {
+        matches!(self, Self::Tracking | Self::Degraded { .. })
+    }
+}
+
+/// How well the robot is localised, by the source of poses off board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Localisation {
+    /// Stamp of the scan that it was computed from (the edge's clock).
+    pub stamp: Stamp,
+    /// Boot that the stamp belongs to.
+    pub boot_id: String,
+    /// Whether the place can be trusted.
+    pub health: Health,
+    /// Pose in the map at that stamp, the best there is.
+    pub map_from_base: Pose2,
+    /// Share of the scan's points about known cells that agree with the map, 0 to 1.
+    pub agreeing: f64,
+    /// Share of its beams that go through walls of the map, 0 to 1.
+    pub through_walls: f64,
 }
 
 /// Simulated time, where there is one.

@@ -135,6 +135,7 @@ impl OffBoard {
                 .as_slice()
                 .try_into()
                 .unwrap_or_default(),
+            is_found_anew: false,
         };
         self.waiting
             .push_back((now.plus_secs(rng.between(least, most)), correction));

@@ -228,6 +228,7 @@ fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
             about(truth.yaw, CORRECTION.1),
         ),
         covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
+        is_found_anew: false,
     }
 }
 

@@ -223,7 +223,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
 fn refused_plans_are_not_repeated_for_ever() {
     // The robot sees what the map does not tell, and cannot back up.
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8 || at.x < -0.4));
-    rig.stage.robots[0].mapper.hold();
+    rig.stage.robots[0].mapping.mapper.hold();
     rig.occupy(1.2, 0.0, 0.45);
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     let goal = rig.end_of("a", 200.0);
@@ -341,7 +341,7 @@ fn a_goal_without_a_path_is_given_up_after_some_tries_that_are_counted() {
 fn a_robot_that_by_the_map_stands_in_something_leaves_it_by_the_nearest_free_place() {
     // Something stood there when the map was made, and the map is held.
     let mut rig = Rig::with(room(|_| false), room(|at| at.coords.norm() < 0.1), 0.1);
-    rig.stage.robots[0].mapper.hold();
+    rig.stage.robots[0].mapping.mapper.hold();
     rig.submit(to(5.0, 0.0, "a")).unwrap();
     let goal = rig.success_of("a", 60.0);
     assert_eq!(goal.feedback.recoveries, 1);

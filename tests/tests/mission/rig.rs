@@ -8,6 +8,7 @@ use zenav::components::places;
 use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
 use zenav_cloud::motion::MotionSettings;
 use zenav_edge::{EdgeConfig, Persisted, Pilot, Publication, Ticket};
+use zenav_cloud::mapping::PoseSettings;
 use zenav_mapping::MappingSettings;
 use zenav_mission::store::Store;
 use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswer, Record};
@@ -151,6 +152,7 @@ impl Rig {
             edge: edge.clone(),
             mission: config.clone(),
             mapping,
+            poses: PoseSettings::default(),
             motion: MotionSettings::default(),
             known_map,
             cloud_delay: delay,
@@ -227,7 +229,7 @@ impl Rig {
     pub fn set_mapper(&mut self, is_up: bool) {
         self.mapper_up = is_up;
         self.stage.robots[0].inputs.mapper_alive = Some(is_up);
-        self.stage.robots[0].inputs.map_info = is_up.then(|| self.stage.robots[0].mapper.info());
+        self.stage.robots[0].inputs.map_info = is_up.then(|| self.stage.robots[0].mapping.mapper.info());
     }
 
     pub fn ask(&mut self, request: MissionRequest) -> Client {

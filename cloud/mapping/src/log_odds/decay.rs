@@ -70,6 +70,11 @@ impl Decay {
         }
     }
 
+    /// The same decay for a map that is drawn anew.
+    pub(super) fn restarted(&self) -> Self {
+        Self::new(self.after)
+    }
+
     /// Advances to a scan's stamp, and frees what is due. A stamp before the newest one (the robot's clock restarted) does not advance time.
     pub(super) fn advance(&mut self, stamp: Stamp, map: &mut Tiles, model: &QuantizedModel) {
         let before = self.newest.replace(stamp).unwrap_or(stamp);

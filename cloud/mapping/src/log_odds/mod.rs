@@ -159,6 +159,22 @@ impl LogOddsGrid {
         }
     }
 
+    /// A grid of the same geometry, model and decay, all unknown: to draw the same scans into from other poses.
+    #[must_use]
+    pub fn unseen(&self) -> Self {
+        Self {
+            tiles: self.tiles.unseen(),
+            decay: self.decay.as_ref().map(Decay::restarted),
+            ..self.clone()
+        }
+    }
+
+    /// Takes the place of `other`, of which it was made by [`Self::unseen`]: all that either knows counts as changed. `false`, and nothing
+    /// changes, where both together would be too large.
+    pub fn succeed(&mut self, other: &Self) -> bool {
+        self.tiles.succeed(&other.tiles)
+    }
+
     /// Geometry of the grid; it changes as the grid grows.
     #[must_use]
     pub fn spec(&self) -> GridSpec {

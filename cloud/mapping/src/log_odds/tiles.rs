@@ -51,6 +51,40 @@ impl Tiles {
         tiles
     }
 
+    /// A store of the same size in which nothing was ever seen.
+    pub(super) fn unseen(&self) -> Self {
+        Self {
+            frame: self.frame,
+            first: self.first,
+            counts: self.counts,
+            tiles: vec![None; self.tiles.len()],
+            dirty: vec![false; self.dirty.len()],
+        }
+    }
+
+    /// Takes the place of another store of the same frame: it covers that too, and whatever is known in either counts as changed.
+    /// `false`, and nothing changes, where both together would be too large.
+    pub(super) fn succeed(&mut self, other: &Self) -> bool {
+        if other.counts.contains(&0) {
+            return true;
+        }
+        let side = TILE_SIDE as f64;
+        let corner = |tile: [i64; 2]| Point2::new(tile[0] as f64 * side, tile[1] as f64 * side);
+        let last = [0, 1].map(|axis| other.first[axis] + other.counts[axis] as i64 - 1);
+        let mut bounds = Bounds::at(corner(other.first));
+        bounds.add(corner(last));
+        if !self.cover(&bounds) {
+            return false;
+        }
+        self.dirty = self.tiles.iter().map(Option::is_some).collect();
+        for (at, _) in other.known() {
+            if let Some(index) = self.index(at) {
+                self.dirty[index] = true;
+            }
+        }
+        true
+    }
+
     /// Geometry of the grid.
     pub(super) fn spec(&self) -> GridSpec {
         let CellFrame { anchor, resolution } = self.frame;

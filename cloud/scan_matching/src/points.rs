@@ -1,4 +1,4 @@
-//! Scan. Which points did a scan see, in the frame of the robot's base?
+//! Points. Which points did a scan see, in the frame of the robot's base?
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;

@@ -1,0 +1,89 @@
+//! Global search. Where in the whole map could this scan be from?
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_scan_matching::{Window, refine, search};
+
+use crate::evidence::{Evidence, evidence};
+use crate::known_map::KnownMap;
+use crate::settings::LocalisationSettings;
+
+/// A place from which the scan could be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hypothesis {
+    /// `map_from_base`.
+    pub pose: Pose2,
+    /// How much of the scan agrees with the map from there.
+    pub evidence: Evidence,
+}
+
+/// What a search found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Found {
+    /// One place, and no other is about as good.
+    Unique(Hypothesis),
+    /// Several places agree about as well; the best first.
+    Ambiguous(Vec<Hypothesis>),
+    /// No place agrees well enough, or the scan sees too little.
+    Nowhere,
+    /// The budget was used up before it was known whether there is a better place.
+    OutOfBudget,
+}
+
+/// Looks for the place of a scan in the whole map, at all headings. `laser`: where the beams begin, `points`: where they end, both in the
+/// frame of the base, m.
+#[must_use]
+pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings: &LocalisationSettings) -> Found {
+    let global = &settings.global;
+    if points.len() < settings.evidence.least_points as usize {
+        return Found::Nowhere;
+    }
+    let spec = map.spec();
+    let (width, height) = (
+        f64::from(spec.width) * spec.resolution,
+        f64::from(spec.height) * spec.resolution,
+    );
+    let center = Pose2::new(spec.origin.x + 0.5 * width, spec.origin.y + 0.5 * height, 0.0);
+    let stride = points.len().div_ceil(global.points as usize).max(1);
+    let thinned: Vec<Point2<f64>> = points.iter().copied().step_by(stride).collect();
+    let window = Window {
+        min_score: global.min_score,
+        count: global.places as usize,
+        apart: global.apart,
+        apart_turn: global.apart_turn,
+        budget: global.budget as usize,
+        ..Window::around(center, 0.5 * width.max(height), std::f64::consts::PI)
+    };
+    let searched = search(map.pyramid(), &thinned, &window);
+    let mut places: Vec<Hypothesis> = Vec::new();
+    for candidate in &searched.found {
+        let pose = refine(map.field(), points, candidate.pose, None, &settings.refine).pose;
+        let is_known = places
+            .iter()
+            .any(|place| place.pose.distance(&pose) < global.apart && turns_less(place.pose, pose, global.apart_turn));
+        if !is_known && map.knows(pose.position()) {
+            let evidence = evidence(map, laser, points, pose, &settings.evidence);
+            places.push(Hypothesis { pose, evidence });
+        }
+    }
+    places.sort_by(|a, b| b.evidence.agreeing.total_cmp(&a.evidence.agreeing));
+    let Some(best) = places.first().copied() else {
+        return if searched.is_exact { Found::Nowhere } else { Found::OutOfBudget };
+    };
+    if best.evidence.agreeing < global.agrees || best.evidence.points < settings.evidence.least_points as usize {
+        return if searched.is_exact { Found::Nowhere } else { Found::OutOfBudget };
+    }
+    places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
+    if places.len() > 1 {
+        return Found::Ambiguous(places);
+    }
+    if searched.is_exact {
+        Found::Unique(best)
+    } else {
+        Found::OutOfBudget
+    }
+}
+
+fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {
+    zenav_protocol::geometry::wrap_angle(a.yaw - b.yaw).abs() < turn
+}

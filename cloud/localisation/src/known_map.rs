@@ -1,0 +1,69 @@
+//! Known map. How near is a point to a wall, and is anything known there?
+
+use nalgebra::Point2;
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_scan_matching::{LikelihoodField, Pyramid};
+
+/// Levels of the pyramid: blocks of 64 cells.
+const LEVELS: u32 = 6;
+
+/// A map that does not change, prepared for matching.
+#[derive(Clone, Debug)]
+pub struct KnownMap {
+    pyramid: Pyramid,
+    known: Grid<bool>,
+}
+
+impl KnownMap {
+    /// Prepares a map; `sigma`: standard deviation of a point about its wall, m. Walls are the occupied cells at whose side another cell
+    /// is: the inside of a block is seen by nobody. Cost: some looks a cell.
+    #[must_use]
+    pub fn new(map: &OccupancyGrid, sigma: f64) -> Self {
+        let spec = *map.spec();
+        let is_occupied = |x: i64, y: i64| {
+            let inside = x >= 0 && y >= 0 && x < i64::from(spec.width) && y < i64::from(spec.height);
+            inside && map[Cell::new(x as u32, y as u32)] >= Occupancy::OCCUPIED_FROM
+        };
+        let mut walls = map.clone();
+        let mut known = Grid::filled(spec, false);
+        for index in 0..spec.len() {
+            let cell = spec.cell(index);
+            let (x, y) = (i64::from(cell.x), i64::from(cell.y));
+            known[cell] = Occupancy::of(map[cell]) != Occupancy::Unknown;
+            let is_inside = [(1, 0), (-1, 0), (0, 1), (0, -1)]
+                .iter()
+                .all(|(dx, dy)| is_occupied(x + dx, y + dy));
+            if is_inside {
+                walls[cell] = Occupancy::UNKNOWN;
+            }
+        }
+        Self {
+            pyramid: Pyramid::new(LikelihoodField::from_grid(&walls, sigma), LEVELS),
+            known,
+        }
+    }
+
+    /// The likelihood field of its walls.
+    #[must_use]
+    pub fn field(&self) -> &LikelihoodField {
+        self.pyramid.field()
+    }
+
+    /// The field with bounds over blocks.
+    #[must_use]
+    pub fn pyramid(&self) -> &Pyramid {
+        &self.pyramid
+    }
+
+    /// Geometry.
+    #[must_use]
+    pub fn spec(&self) -> &GridSpec {
+        self.known.spec()
+    }
+
+    /// Whether the map knows a place: free or occupied.
+    #[must_use]
+    pub fn knows(&self, point: Point2<f64>) -> bool {
+        self.known.at(point).copied().unwrap_or(false)
+    }
+}

@@ -1,0 +1,40 @@
+//! Localisation in the plane. Where is the robot in a map that is known, and can that be trusted?
+//!
+//! # The problem
+//!
+//! Given an occupancy map, and scans with the odometry at their stamps; wanted is `map_from_base` at each scan, its covariance, and a
+//! statement of health: tracking, degraded along a direction, lost, or ambiguous. A covariance alone does not say that the robot is in
+//! the wrong room; what the scan contradicts does.
+//!
+//! 1. **tracking** ([`Localiser::step`]): the pose by odometry is refined on the map's likelihood field. Where the match is doubtful, an
+//!    exact search of a window about it decides.
+//! 2. **evidence** ([`evidence()`]): of what the scan says about known cells, which share agrees with the map? Cells that the map does not
+//!    know say nothing: unmapped rooms are no contradiction.
+//! 3. **global search** ([`find`]): all positions and headings of the map, by exact branch and bound. The best places are refined and weighed
+//!    by evidence; where two agree with the scan about as well, the answer is that it is ambiguous, and all of them.
+//!
+//! Frames: `map` is the map's, `base` the robot's. Metres, radians, seconds. No clock, no chance, no files.
+//!
+//! # Use
+//!
+//! `cargo run --release -p zenav-localisation --example find_me` finds a robot in a house without a guess, and follows it.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `localiser` | where is the robot now, and is that right? |
+//! | `global` | where in the whole map could this scan be from? |
+//! | `known_map` | how near is a point to a wall, and is anything known there? |
+//! | `evidence` | how much of a scan agrees with the map? |
+//! | `settings` | what can be tuned? |
+
+mod evidence;
+mod global;
+mod known_map;
+mod localiser;
+mod settings;
+
+pub use evidence::{Evidence, evidence};
+pub use global::{Found, Hypothesis, find};
+pub use known_map::KnownMap;
+pub use localiser::{Located, Localiser};
+pub use settings::{EvidenceSettings, GlobalSettings, LocalisationSettings, TrackingSettings};

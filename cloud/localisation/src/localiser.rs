@@ -1,0 +1,260 @@
+//! Localiser. Where is the robot now, and is that right?
+
+use nalgebra::{Matrix3, Point2};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{Health, Scan};
+use zenav_protocol::time::Stamp;
+use zenav_scan_matching::{Prior, Refined, Window, floored, odometry_information, points, refine, search, turned};
+
+use crate::evidence::{Evidence, evidence};
+use crate::global::{Found, find};
+use crate::known_map::KnownMap;
+use crate::settings::LocalisationSettings;
+
+/// Points that a search about the expected place uses, at most.
+const SEARCH_POINTS: usize = 120;
+/// Time between two global searches, s.
+const SEARCH_PERIOD: f64 = 0.5;
+
+/// What a scan tells of the robot's place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Located {
+    /// `map_from_base` at the scan's stamp, the best there is.
+    pub pose: Pose2,
+    /// How well the scan knows it: covariance of x, y (m²) and yaw (rad²) along the map's axes. `None` where the scan was not matched.
+    pub covariance: Option<Matrix3<f64>>,
+    /// Whether the pose can be trusted.
+    pub health: Health,
+    /// What the scan says of the pose.
+    pub evidence: Evidence,
+    /// Whether the pose was just found by a search of the whole map: it has nothing to do with the one before.
+    pub is_found_anew: bool,
+}
+
+/// Follows a robot in a known map.
+#[derive(Clone, Debug)]
+pub struct Localiser {
+    settings: LocalisationSettings,
+    map: KnownMap,
+    last: Option<Last>,
+    health: Health,
+    /// Scans in a row that contradict the map.
+    contradictions: u32,
+    searched_at: Option<Stamp>,
+    evidence: Evidence,
+}
+
+/// The last scan.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    stamp: Stamp,
+    odom_from_base: Pose2,
+    pose: Pose2,
+    /// Odometry at the last scan that was matched.
+    matched: Pose2,
+    /// Covariance of the pose in its own frame.
+    covariance: Matrix3<f64>,
+}
+
+impl Localiser {
+    /// A robot somewhere in a map.
+    #[must_use]
+    pub fn new(settings: LocalisationSettings, map: &OccupancyGrid) -> Self {
+        Self {
+            map: KnownMap::new(map, settings.tracking.sigma),
+            settings,
+            last: None,
+            health: Health::Tracking,
+            contradictions: 0,
+            searched_at: None,
+            evidence: Evidence::default(),
+        }
+    }
+
+    /// Takes in a scan. Its `odom_from_base` is the odometry at its stamp; its `map_from_odom` is the guess with which the first scan begins,
+    /// and is not looked at later. `None` for a scan that is malformed or older than the last.
+    pub fn step(&mut self, scan: &Scan) -> Option<Located> {
+        let odometry = scan.odom_from_base;
+        if !scan.is_sane() || !odometry.is_finite() {
+            return None;
+        }
+        let last = match self.last {
+            Some(last) if scan.stamp <= last.stamp => return None,
+            Some(last) => last,
+            None => Last {
+                stamp: scan.stamp,
+                odom_from_base: odometry,
+                pose: scan.map_from_odom * odometry,
+                matched: Pose2::new(f64::INFINITY, 0.0, 0.0),
+                covariance: Matrix3::from_diagonal(&[0.25, 0.25, 0.1].into()),
+            },
+        };
+        let step = last.odom_from_base.inverse() * odometry;
+        let elapsed = scan.stamp.secs_since(last.stamp);
+        let seen = points(scan, step, elapsed, &self.settings.scan);
+        let laser = scan.base_from_laser.position();
+        let expected = last.pose * step;
+        let drift = odometry_information(step, &self.settings.odometry)
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity);
+        let mut now = Last {
+            stamp: scan.stamp,
+            odom_from_base: odometry,
+            pose: expected,
+            covariance: last.covariance + drift,
+            ..last
+        };
+        if matches!(self.health, Health::Lost | Health::Ambiguous { .. }) {
+            return Some(self.search(now, laser, &seen));
+        }
+        let since = last.matched.inverse() * odometry;
+        let tracking = &self.settings.tracking;
+        let is_near = since.x.hypot(since.y) < tracking.distance && since.yaw.abs() < tracking.turn;
+        let mut covariance = None;
+        if !is_near {
+            let refined = self.matched(&now, laser, &seen);
+            let scan_information = floored(&refined.information, tracking.floor, tracking.floor_turn);
+            let prior = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
+            now.covariance = (prior + scan_information)
+                .try_inverse()
+                .unwrap_or(now.covariance);
+            now.pose = refined.pose;
+            now.matched = odometry;
+            covariance = scan_information
+                .try_inverse()
+                .map(|covariance| turned(&covariance, refined.pose.yaw));
+            self.note(laser, &seen, &refined);
+            if self.health == Health::Lost {
+                covariance = None;
+            }
+        }
+        self.last = Some(now);
+        Some(Located {
+            pose: now.pose,
+            covariance,
+            health: self.health.clone(),
+            evidence: self.evidence,
+            is_found_anew: false,
+        })
+    }
+
+    /// The scan matched about the expected pose.
+    fn matched(&self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Refined {
+        let settings = &self.settings;
+        let information = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let prior = Prior::of_odometry(now.pose, &information);
+        let field = self.map.field();
+        let near = refine(field, seen, now.pose, Some(&prior), &settings.refine);
+        let weigh = |pose: Pose2| evidence(&self.map, laser, seen, pose, &settings.evidence);
+        let agreeing = weigh(near.pose);
+        if agreeing.agreeing >= settings.tracking.doubtful || agreeing.points < settings.evidence.least_points as usize
+        {
+            return near;
+        }
+        let stride = seen.len().div_ceil(SEARCH_POINTS).max(1);
+        let thinned: Vec<Point2<f64>> = seen.iter().copied().step_by(stride).collect();
+        let window = Window {
+            min_score: near.score,
+            budget: settings.tracking.budget as usize,
+            ..Window::around(now.pose, settings.tracking.reach, settings.tracking.search_turn)
+        };
+        let found = search(self.map.pyramid(), &thinned, &window);
+        let wide = found
+            .found
+            .first()
+            .map(|best| refine(field, seen, best.pose, None, &settings.refine));
+        wide.filter(|wide| weigh(wide.pose).agreeing > agreeing.agreeing + settings.global.margin)
+            .unwrap_or(near)
+    }
+
+    /// Notes what a match says of the robot's health.
+    fn note(&mut self, laser: Point2<f64>, seen: &[Point2<f64>], refined: &Refined) {
+        let settings = &self.settings;
+        self.evidence = evidence(&self.map, laser, seen, refined.pose, &settings.evidence);
+        let says_much = self.evidence.points >= settings.evidence.least_points as usize;
+        if says_much && self.evidence.agreeing < settings.evidence.lost_below {
+            self.contradictions += 1;
+        } else {
+            self.contradictions = 0;
+        }
+        self.health = if self.contradictions >= settings.tracking.patience {
+            Health::Lost
+        } else {
+            match refined.degenerate {
+                Some(along) => Health::Degraded {
+                    direction: along.y.atan2(along.x),
+                },
+                None => Health::Tracking,
+            }
+        };
+    }
+
+    /// Looks for a robot that is lost.
+    fn search(&mut self, now: Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Located {
+        let mut located = Located {
+            pose: now.pose,
+            covariance: None,
+            health: self.health.clone(),
+            evidence: self.evidence,
+            is_found_anew: false,
+        };
+        self.last = Some(now);
+        if self
+            .searched_at
+            .is_some_and(|then| now.stamp.secs_since(then) < SEARCH_PERIOD)
+        {
+            return located;
+        }
+        self.searched_at = Some(now.stamp);
+        match find(&self.map, laser, seen, &self.settings) {
+            Found::Unique(place) => {
+                self.health = Health::Tracking;
+                self.contradictions = 0;
+                self.evidence = place.evidence;
+                self.last = Some(Last {
+                    pose: place.pose,
+                    matched: now.odom_from_base,
+                    covariance: Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into()),
+                    ..now
+                });
+                located.pose = place.pose;
+                located.covariance = Some(Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into()));
+                located.is_found_anew = true;
+            }
+            Found::Ambiguous(places) => {
+                self.health = Health::Ambiguous {
+                    hypotheses: places.iter().map(|place| place.pose).collect(),
+                };
+            }
+            Found::Nowhere | Found::OutOfBudget => self.health = Health::Lost,
+        }
+        located.health = self.health.clone();
+        located.evidence = self.evidence;
+        located
+    }
+
+    /// The robot is somewhere else, or its odometry begins anew: it is looked for in the whole map with the next scan.
+    pub fn lose(&mut self) {
+        self.last = None;
+        self.health = Health::Lost;
+        self.searched_at = None;
+    }
+
+    /// The robot's place is told, `map_from_base` at its last scan or, before the first, at that.
+    pub fn place(&mut self, map_from_base: Pose2) {
+        self.health = Health::Tracking;
+        self.contradictions = 0;
+        if let Some(last) = &mut self.last {
+            last.pose = map_from_base;
+            last.matched = Pose2::new(f64::INFINITY, 0.0, 0.0);
+            last.covariance = Matrix3::from_diagonal(&[0.25, 0.25, 0.1].into());
+        }
+    }
+
+    /// Whether the last pose can be trusted.
+    #[must_use]
+    pub fn health(&self) -> &Health {
+        &self.health
+    }
+}

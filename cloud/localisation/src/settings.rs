@@ -1,0 +1,89 @@
+//! Settings. Which numbers of localisation can be tuned?
+
+use zenav_scan_matching::{OdometrySettings, RefineSettings, ScanSettings};
+
+zenav_protocol::settings! {
+    /// How a robot is found in a known map.
+    #[derive(Copy)]
+    pub struct LocalisationSettings {
+        /// Which points of a scan count.
+        pub scan: ScanSettings;
+        /// How well odometry is known.
+        pub odometry: OdometrySettings;
+        /// Following the robot.
+        pub tracking: TrackingSettings;
+        /// When a scan agrees with the map.
+        pub evidence: EvidenceSettings;
+        /// Finding the robot without a guess.
+        pub global: GlobalSettings;
+        /// Refinement beyond cells.
+        pub refine: RefineSettings;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Following the robot.
+    #[derive(Copy)]
+    pub struct TrackingSettings {
+        /// Standard deviation of a point about its wall: the likelihood falls off with it.
+        pub sigma: f64 = 0.08, "m", 0.005..=2.0;
+        /// A scan is matched after so much way.
+        pub distance: f64 = 0.02, "m", 0.0..=5.0;
+        /// A scan is matched after so much turning.
+        pub turn: f64 = 0.01, "rad", 0.0..=3.0;
+        /// A match of which less agrees with the map is doubtful: it is searched for about the expected place.
+        pub doubtful: f64 = 0.6, "", 0.0..=1.0;
+        /// Window of that search, to each side.
+        pub reach: f64 = 0.4, "m", 0.0..=5.0;
+        /// Window of that search, to each side.
+        pub search_turn: f64 = 0.3, "rad", 0.0..=3.15;
+        /// Blocks that this search may score.
+        pub budget: u32 = 60_000, "", 100..=100_000_000;
+        /// Standard deviation that a match has at least: the map is not exact.
+        pub floor: f64 = 0.01, "m", 0.0001..=1.0;
+        /// Standard deviation of the heading that a match has at least.
+        pub floor_turn: f64 = 0.003, "rad", 0.0001..=1.0;
+        /// Scans in a row that contradict the map before the robot is lost.
+        pub patience: u32 = 4, "", 1..=1000;
+    }
+}
+
+zenav_protocol::settings! {
+    /// When a scan agrees with the map.
+    #[derive(Copy)]
+    pub struct EvidenceSettings {
+        /// A point agrees where the likelihood of a wall is at least this.
+        pub explained: f64 = 0.5, "", 0.0..=1.0;
+        /// A beam goes through a wall where the likelihood on its way is at least this.
+        pub wall: f64 = 0.9, "", 0.0..=1.0;
+        /// The last stretch of a beam in which a wall is its own end.
+        pub own_end: f64 = 0.3, "m", 0.0..=5.0;
+        /// With a smaller share of agreeing points the scan contradicts the map.
+        pub lost_below: f64 = 0.4, "", 0.0..=1.0;
+        /// With fewer points about known cells the scan says nothing.
+        pub least_points: u32 = 20, "", 1..=10_000;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Finding the robot without a guess.
+    #[derive(Copy)]
+    pub struct GlobalSettings {
+        /// Places that score less are of no interest.
+        pub min_score: f64 = 0.45, "", 0.0..=1.0;
+        /// Places that are looked at closely, best first.
+        pub places: u32 = 12, "", 1..=1000;
+        /// Places nearer than this are one.
+        pub apart: f64 = 0.5, "m", 0.01..=100.0;
+        /// Headings nearer than this are one.
+        pub apart_turn: f64 = 0.3, "rad", 0.001..=3.15;
+        /// Points that the search uses, at most.
+        pub points: u32 = 120, "", 10..=10_000;
+        /// Blocks that the search may score.
+        pub budget: u32 = 8_000_000, "", 1000..=1_000_000_000;
+        /// The best place is the answer where at least this share of its points agrees with the map, ...
+        pub agrees: f64 = 0.75, "", 0.0..=1.0;
+        /// ... and no other place agrees but for less than this.
+        pub margin: f64 = 0.08, "", 0.0..=1.0;
+    }
+}

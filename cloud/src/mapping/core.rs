@@ -1,0 +1,140 @@
+//! Mapping core. From which pose is a scan drawn into the map, and what is the robot told of where it is? No network, no clock.
+
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+use zenav_mapping::{Insertion, Mapper};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::messages::{Correction, Scan};
+use zenav_protocol::time::Stamp;
+use zenav_slam::SlamSettings;
+
+use super::slam_poses::SlamPoses;
+
+/// A correction goes out after so much way, m, and turning, rad, and not more often than in so many seconds at rest: errors of one place
+/// against one map are the same each time, and sending them again would make the robot too sure.
+const PACE: (f64, f64, f64) = (0.2, 0.17, 10.0);
+/// Standard deviation of the map itself, m and rad: matches against it share its error.
+const MAP_FLOOR: (f64, f64) = (0.01, 0.003);
+
+/// Where the poses come from from which scans are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// The robot's own estimate, by wheels, gyro, and what else it has: GPS, compass.
+    #[default]
+    Edge,
+    /// SLAM from scans and odometry alone; the robot's estimate is corrected by it.
+    Slam,
+}
+
+/// Which source of poses, with its settings.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseSettings {
+    /// Which one.
+    pub source: PoseSource,
+    /// SLAM.
+    pub slam: SlamSettings,
+}
+
+/// A measured pose of the robot, and its covariance along the map's axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Measured {
+    pub(super) map_from_base: Pose2,
+    pub(super) covariance: Matrix3<f64>,
+}
+
+/// When was the robot told last, and where was it then?
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pace(Option<(Stamp, Pose2)>);
+
+impl Pace {
+    /// Whether it is time to tell again; it then counts as told.
+    pub(super) fn is_due(&mut self, now: Stamp, map_from_base: Pose2) -> bool {
+        let is_due = self.0.is_none_or(|(then, last)| {
+            last.distance(&map_from_base) >= PACE.0
+                || wrap_angle(map_from_base.yaw - last.yaw).abs() >= PACE.1
+                || now.secs_since(then) >= PACE.2
+                || now < then
+        });
+        if is_due {
+            self.0 = Some((now, map_from_base));
+        }
+        is_due
+    }
+}
+
+#[derive(Debug)]
+enum Poses {
+    Edge,
+    Slam(Box<SlamPoses>),
+}
+
+/// The map of a robot, and where its poses come from.
+#[derive(Debug)]
+pub struct MappingCore {
+    /// The map.
+    pub mapper: Mapper,
+    poses: Poses,
+}
+
+/// What became of a scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mapped {
+    /// Whether it is in the map.
+    pub insertion: Insertion,
+    /// What the robot is to be told.
+    pub correction: Option<Correction>,
+}
+
+impl MappingCore {
+    /// A map, and the source of the poses from which scans will be drawn into it.
+    #[must_use]
+    pub fn new(mapper: Mapper, settings: &PoseSettings) -> Self {
+        let poses = match settings.source {
+            PoseSource::Edge => Poses::Edge,
+            PoseSource::Slam => Poses::Slam(Box::new(SlamPoses::new(settings.slam))),
+        };
+        Self { mapper, poses }
+    }
+
+    /// Draws a scan of the main lidar, made by the robot in its `boot_id`.
+    pub fn insert(&mut self, scan: &Scan, boot_id: &str) -> Mapped {
+        let (insertion, measured) = match &mut self.poses {
+            Poses::Edge => (self.mapper.insert(scan), None),
+            Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id),
+        };
+        Mapped {
+            insertion,
+            correction: measured.map(|measured| correction(scan.stamp, boot_id, &measured)),
+        }
+    }
+
+    /// Draws a scan of a further lidar.
+    pub fn insert_further(&mut self, scan: &Scan) -> Insertion {
+        match &self.poses {
+            Poses::Edge => self.mapper.insert(scan),
+            Poses::Slam(slam) => self.mapper.insert(&slam.placed(scan)),
+        }
+    }
+
+    /// Begins a new map.
+    pub fn reset(&mut self, map_id: impl Into<String>) {
+        self.mapper.reset(map_id);
+        if let Poses::Slam(slam) = &mut self.poses {
+            slam.reset();
+        }
+    }
+}
+
+fn correction(stamp: Stamp, boot_id: &str, measured: &Measured) -> Correction {
+    let (way, turn) = MAP_FLOOR;
+    let floor = Matrix3::from_diagonal(&[way * way, way * way, turn * turn].into());
+    let covariance = measured.covariance + floor;
+    Correction {
+        stamp,
+        boot_id: boot_id.to_owned(),
+        map_from_base: measured.map_from_base,
+        covariance: std::array::from_fn(|index| covariance[(index / 3, index % 3)]),
+        is_found_anew: false,
+    }
+}
