@@ -51,6 +51,8 @@ enum Command {
     Resume(operator::StopArgs),
     /// Drive a robot from the keyboard
     Teleop(operator::TeleopArgs),
+    /// Show a robot's pose, tell it where it is, or have it looked for in the map
+    Pose(operator::PoseArgs),
     /// Show, acquire or release the command lease of a robot
     Lease(operator::LeaseArgs),
     /// List, print and measure topics
@@ -125,6 +127,7 @@ fn run(command: Command) -> Outcome {
         Command::Stop(args) => operator::stop(&args),
         Command::Resume(args) => operator::resume(&args),
         Command::Teleop(args) => operator::teleop(&args),
+        Command::Pose(args) => operator::pose(&args),
         Command::Lease(args) => operator::lease(&args),
         Command::Topic(args) => inspect::topic(&args),
         Command::Map(args) => inspect::map(&args),

@@ -43,6 +43,9 @@ pub enum Rejection {
     /// The stop is latched.
     #[error("the robot is stopped")]
     Stopped,
+    /// Its place in the map is not known.
+    #[error("it is not known where the robot is")]
+    NotLocalised,
     /// A maneuver is running.
     #[error("maneuver {0} is running")]
     Busy(String),

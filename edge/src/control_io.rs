@@ -3,8 +3,8 @@
 use std::mem::discriminant;
 
 use zenav_protocol::messages::{
-    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Intent, Leader, Marker, Obstacles, Odometry, Plan,
-    PoseEstimate, Refusal, Scan, Teleop,
+    Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Intent, Leader, Localisation, Marker, Obstacles,
+    Odometry, Plan, PoseEstimate, Refusal, Scan, Teleop,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
@@ -24,6 +24,8 @@ pub struct Inbox {
     pub teleops: Vec<Teleop>,
     /// Pose measurements made off board.
     pub corrections: Vec<Correction>,
+    /// Whether its place in the map can be trusted, as seen from off board.
+    pub localisations: Vec<Localisation>,
     /// What other robots are about to do.
     pub intents: Vec<Intent>,
     /// Requests that wait for a reply.

@@ -105,6 +105,9 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     hear(&mut intake, &bus, &handoff, &topics::CORRECTION, &robot, |inbox| {
         &mut inbox.corrections
     })?;
+    hear(&mut intake, &bus, &handoff, &topics::LOCALISATION, &robot, |inbox| {
+        &mut inbox.localisations
+    })?;
     hear(&mut intake, &bus, &handoff, &topics::INTENT, "*", |inbox| {
         &mut inbox.intents
     })?;

@@ -366,6 +366,8 @@ zenav_protocol::settings! {
         pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;
         /// Share of the forward variance that acts sideways.
         pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
+        /// Standard deviation of the gyro's bias at the start, at least: what the robot file says of it was measured on another day.
+        pub bias_std: f64 = 0.01, "rad/s", 0.0..=1.0;
         /// Random walk of the gyro's bias (fitted to constant biases, NEES 3).
         pub bias_walk: f64 = 1e-11, "(rad/s)²/s", 0.0..=0.01;
         /// Standard deviation of a wheel's radius from its stated value, as a share.

@@ -202,6 +202,7 @@ impl Footprint {
 pub const OPTIONS: &[(&str, &str)] = &[
     ("rear_lidar", include_str!("../robots/options/rear_lidar.toml")),
     ("indoor", include_str!("../robots/options/indoor.toml")),
+    ("worn", include_str!("../robots/options/worn.toml")),
 ];
 
 /// Key of an option file: what the robot goes without, each a key or a dotted path to one.
@@ -340,9 +341,12 @@ fn take_away(table: &mut toml::Table, keys: toml::Value) -> Result<(), String> {
         .map_err(|_| "expected a list of keys, as in [\"gps\", \"imu.compass_noise\"]".to_owned())?;
     for key in keys {
         let (path, last) = key.rsplit_once('.').unwrap_or(("", &key));
-        let inner = path.split('.').filter(|name| !name.is_empty()).try_fold(&mut *table, |table, name| {
-            table.get_mut(name).and_then(toml::Value::as_table_mut)
-        });
+        let inner = path
+            .split('.')
+            .filter(|name| !name.is_empty())
+            .try_fold(&mut *table, |table, name| {
+                table.get_mut(name).and_then(toml::Value::as_table_mut)
+            });
         if let Some(inner) = inner {
             inner.remove(last);
         }

@@ -16,10 +16,10 @@ use crate::codec::Encoding;
 use crate::messages::{
     AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
-    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, Localisation, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
-    ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan,
-    SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, Localisation, LocaliseReply,
+    LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest,
+    MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate,
+    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -343,6 +343,7 @@ crate::sensor_kinds!(key_table [
     asks {
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
         MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
+        LOCALISE: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Mapping, 4 * KIB;
         MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }

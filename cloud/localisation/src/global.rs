@@ -1,18 +1,23 @@
 //! Global search. Where in the whole map could this scan be from?
 
-use nalgebra::Point2;
-use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{Window, refine, search};
+use nalgebra::{Matrix3, Point2};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_scan_matching::{Window, floored, refine, search, turned};
 
 use crate::evidence::{Evidence, evidence};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
+
+/// Standard deviation of a place that was found, at least, m and rad: one scan says no more.
+const FOUND: (f64, f64) = (0.05, 0.02);
 
 /// A place from which the scan could be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     /// `map_from_base`.
     pub pose: Pose2,
+    /// Covariance of x, y (m²) and yaw (rad²) along the map's axes: large along a corridor.
+    pub covariance: Matrix3<f64>,
     /// How much of the scan agrees with the map from there.
     pub evidence: Evidence,
 }
@@ -57,21 +62,36 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     let searched = search(map.pyramid(), &thinned, &window);
     let mut places: Vec<Hypothesis> = Vec::new();
     for candidate in &searched.found {
-        let pose = refine(map.field(), points, candidate.pose, None, &settings.refine).pose;
+        let refined = refine(map.field(), points, candidate.pose, None, &settings.refine);
+        let pose = refined.pose;
         let is_known = places
             .iter()
             .any(|place| place.pose.distance(&pose) < global.apart && turns_less(place.pose, pose, global.apart_turn));
         if !is_known && map.knows(pose.position()) {
             let evidence = evidence(map, laser, points, pose, &settings.evidence);
-            places.push(Hypothesis { pose, evidence });
+            let known = floored(&refined.information, FOUND.0, FOUND.1);
+            let covariance = known.try_inverse().unwrap_or_else(Matrix3::identity);
+            places.push(Hypothesis {
+                pose,
+                covariance: turned(&covariance, pose.yaw),
+                evidence,
+            });
         }
     }
     places.sort_by(|a, b| b.evidence.agreeing.total_cmp(&a.evidence.agreeing));
     let Some(best) = places.first().copied() else {
-        return if searched.is_exact { Found::Nowhere } else { Found::OutOfBudget };
+        return if searched.is_exact {
+            Found::Nowhere
+        } else {
+            Found::OutOfBudget
+        };
     };
     if best.evidence.agreeing < global.agrees || best.evidence.points < settings.evidence.least_points as usize {
-        return if searched.is_exact { Found::Nowhere } else { Found::OutOfBudget };
+        return if searched.is_exact {
+            Found::Nowhere
+        } else {
+            Found::OutOfBudget
+        };
     }
     places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
     if places.len() > 1 {
@@ -85,5 +105,5 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
 }
 
 fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {
-    zenav_protocol::geometry::wrap_angle(a.yaw - b.yaw).abs() < turn
+    wrap_angle(a.yaw - b.yaw).abs() < turn
 }

@@ -36,5 +36,5 @@ mod settings;
 pub use evidence::{Evidence, evidence};
 pub use global::{Found, Hypothesis, find};
 pub use known_map::KnownMap;
-pub use localiser::{Located, Localiser};
+pub use localiser::{Localiser, Located};
 pub use settings::{EvidenceSettings, GlobalSettings, LocalisationSettings, TrackingSettings};

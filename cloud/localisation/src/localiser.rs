@@ -14,6 +14,8 @@ use crate::settings::LocalisationSettings;
 
 /// Points that a search about the expected place uses, at most.
 const SEARCH_POINTS: usize = 120;
+/// Variance of a pose that somebody told, m² and rad².
+const GUESSED: [f64; 3] = [0.25, 0.25, 0.1];
 /// Time between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
 
@@ -87,7 +89,7 @@ impl Localiser {
                 odom_from_base: odometry,
                 pose: scan.map_from_odom * odometry,
                 matched: Pose2::new(f64::INFINITY, 0.0, 0.0),
-                covariance: Matrix3::from_diagonal(&[0.25, 0.25, 0.1].into()),
+                covariance: Matrix3::from_diagonal(&GUESSED.into()),
             },
         };
         let step = last.odom_from_base.inverse() * odometry;
@@ -116,9 +118,7 @@ impl Localiser {
             let refined = self.matched(&now, laser, &seen);
             let scan_information = floored(&refined.information, tracking.floor, tracking.floor_turn);
             let prior = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
-            now.covariance = (prior + scan_information)
-                .try_inverse()
-                .unwrap_or(now.covariance);
+            now.covariance = (prior + scan_information).try_inverse().unwrap_or(now.covariance);
             now.pose = refined.pose;
             now.matched = odometry;
             covariance = scan_information
@@ -215,11 +215,11 @@ impl Localiser {
                 self.last = Some(Last {
                     pose: place.pose,
                     matched: now.odom_from_base,
-                    covariance: Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into()),
+                    covariance: turned(&place.covariance, -place.pose.yaw),
                     ..now
                 });
                 located.pose = place.pose;
-                located.covariance = Some(Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into()));
+                located.covariance = Some(place.covariance);
                 located.is_found_anew = true;
             }
             Found::Ambiguous(places) => {
@@ -248,7 +248,7 @@ impl Localiser {
         if let Some(last) = &mut self.last {
             last.pose = map_from_base;
             last.matched = Pose2::new(f64::INFINITY, 0.0, 0.0);
-            last.covariance = Matrix3::from_diagonal(&[0.25, 0.25, 0.1].into());
+            last.covariance = Matrix3::from_diagonal(&GUESSED.into());
         }
     }
 

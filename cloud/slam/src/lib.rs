@@ -37,6 +37,7 @@
 //! | `slam` | where is the robot? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
+//! | `odometry` | how good is odometry, as far as matches have shown? |
 //! | `back_end` | which poses agree best? |
 //! | `finish` | where does each scan lie once all are known? |
 //! | `metric` | how far is a trajectory from reference relations? |
@@ -46,6 +47,7 @@ mod back_end;
 mod closure;
 mod finish;
 mod metric;
+mod odometry;
 mod settings;
 mod slam;
 mod submap;

@@ -5,11 +5,12 @@ use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refined, Window, floored, odometry_information, points, refine, search, turned};
+use zenav_scan_matching::{Prior, Refined, Window, floored, points, refine, search, turned};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
+use crate::odometry::Odometry;
 use crate::settings::SlamSettings;
 use crate::submap::{Submap, thinned};
 
@@ -100,6 +101,7 @@ pub struct Slam {
     /// Time, s, and odometry of the last scan.
     last: Option<(f64, Pose2)>,
     last_node_odometry: Pose2,
+    odometry: Odometry,
     /// Whether odometry begins anew with the next scan.
     is_interrupted: bool,
     /// Whether the next match is searched for widely, however well it scores.
@@ -128,6 +130,7 @@ impl Slam {
             stands: Vec::new(),
             last: None,
             last_node_odometry: Pose2::IDENTITY,
+            odometry: Odometry::UNSEEN,
             is_interrupted: false,
             is_doubted: false,
             keeps_all: true,
@@ -198,8 +201,8 @@ impl Slam {
         let poses = self.back_end.poses();
         let last = self.scans.len() - 1;
         let submap = &self.submaps[self.submaps.len().saturating_sub(2)];
-        let expected = poses[submap.anchor].inverse() * poses[last] * step;
-        let prior = Prior::of_odometry(expected, &odometry_information(step, &settings.odometry));
+        let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
+        let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = !self.is_doubted && refined.score >= least;
@@ -259,7 +262,8 @@ impl Slam {
     ) -> Result<Effects, SlamError> {
         let settings = self.settings;
         let last = self.scans.len() - 1;
-        let information = odometry_information(step, &settings.odometry);
+        let information = self.odometry.information(step, &settings.odometry);
+        let corrected = self.odometry.corrected(step);
         // The older of the two submaps that grow has seen more.
         let half = (settings.front.submap_scans / 2).max(1) as usize;
         let active = self.submaps.len().saturating_sub(2);
@@ -269,14 +273,14 @@ impl Slam {
         };
         let anchor = self.submaps[active].anchor;
         let map_from_anchor = self.back_end.poses()[anchor];
-        let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * step;
+        let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
         let matched = self.matched(active, expected, &information, &seen, &mut effects);
         let anchor_from_scan = matched.as_ref().map_or(expected, |refined| refined.pose);
         let node = self.back_end.add_node(map_from_anchor * anchor_from_scan)?;
         self.back_end.add_edge(Edge {
             from: last,
             to: node,
-            measurement: step,
+            measurement: corrected,
             information,
             kind: EdgeKind::Odometry,
         })?;
@@ -288,6 +292,14 @@ impl Slam {
                 information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
                 kind: EdgeKind::Odometry,
             })?;
+            self.odometry.learn(
+                step,
+                expected,
+                &information,
+                refined.pose,
+                &refined.information,
+                &settings.odometry,
+            );
             effects.score = Some(refined.score);
             effects.degenerate = refined
                 .degenerate

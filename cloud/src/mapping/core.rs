@@ -2,12 +2,14 @@
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
+use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{Correction, Scan};
+use zenav_protocol::messages::{Correction, Health, Localisation, Refusal, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_slam::SlamSettings;
 
+use super::localised_poses::LocalisedPoses;
 use super::slam_poses::SlamPoses;
 
 /// A correction goes out after so much way, m, and turning, rad, and not more often than in so many seconds at rest: errors of one place
@@ -15,6 +17,9 @@ use super::slam_poses::SlamPoses;
 const PACE: (f64, f64, f64) = (0.2, 0.17, 10.0);
 /// Standard deviation of the map itself, m and rad: matches against it share its error.
 const MAP_FLOOR: (f64, f64) = (0.01, 0.003);
+
+/// Variance of a place that somebody told, m² and rad².
+const TOLD: [f64; 3] = [0.04, 0.04, 0.02];
 
 /// Where the poses come from from which scans are drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,6 +30,21 @@ pub enum PoseSource {
     Edge,
     /// SLAM from scans and odometry alone; the robot's estimate is corrected by it.
     Slam,
+    /// Localisation in the map that mapping began with; the robot's estimate is corrected by it.
+    Localise,
+}
+
+impl std::str::FromStr for PoseSource {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "edge" => Ok(Self::Edge),
+            "slam" => Ok(Self::Slam),
+            "localise" => Ok(Self::Localise),
+            _ => Err(format!("`{name}`: expected edge, slam or localise")),
+        }
+    }
 }
 
 /// Which source of poses, with its settings.
@@ -34,6 +54,8 @@ pub struct PoseSettings {
     pub source: PoseSource,
     /// SLAM.
     pub slam: SlamSettings,
+    /// Localisation.
+    pub localisation: LocalisationSettings,
 }
 
 /// A measured pose of the robot, and its covariance along the map's axes.
@@ -41,6 +63,26 @@ pub struct PoseSettings {
 pub(super) struct Measured {
     pub(super) map_from_base: Pose2,
     pub(super) covariance: Matrix3<f64>,
+    /// Found by a search of the whole map: it has nothing to do with what was believed before.
+    pub(super) is_found_anew: bool,
+}
+
+/// What a source of poses makes of a scan.
+#[derive(Clone, Debug)]
+pub(super) struct Posed {
+    pub(super) insertion: Insertion,
+    pub(super) measured: Option<Measured>,
+    pub(super) localisation: Option<Localisation>,
+}
+
+impl Posed {
+    pub(super) const fn only(insertion: Insertion) -> Self {
+        Self {
+            insertion,
+            measured: None,
+            localisation: None,
+        }
+    }
 }
 
 /// When was the robot told last, and where was it then?
@@ -67,6 +109,7 @@ impl Pace {
 enum Poses {
     Edge,
     Slam(Box<SlamPoses>),
+    Localised(Box<LocalisedPoses>),
 }
 
 /// The map of a robot, and where its poses come from.
@@ -75,6 +118,8 @@ pub struct MappingCore {
     /// The map.
     pub mapper: Mapper,
     poses: Poses,
+    /// Stamp and boot of the newest scan.
+    last: Option<(Stamp, String)>,
 }
 
 /// What became of a scan.
@@ -84,6 +129,8 @@ pub struct Mapped {
     pub insertion: Insertion,
     /// What the robot is to be told.
     pub correction: Option<Correction>,
+    /// How well it is localised, where that changed or is due.
+    pub localisation: Option<Localisation>,
 }
 
 impl MappingCore {
@@ -93,19 +140,31 @@ impl MappingCore {
         let poses = match settings.source {
             PoseSource::Edge => Poses::Edge,
             PoseSource::Slam => Poses::Slam(Box::new(SlamPoses::new(settings.slam))),
+            PoseSource::Localise => {
+                Poses::Localised(Box::new(LocalisedPoses::new(settings.localisation, &mapper.grid())))
+            }
         };
-        Self { mapper, poses }
+        Self {
+            mapper,
+            poses,
+            last: None,
+        }
     }
 
     /// Draws a scan of the main lidar, made by the robot in its `boot_id`.
     pub fn insert(&mut self, scan: &Scan, boot_id: &str) -> Mapped {
-        let (insertion, measured) = match &mut self.poses {
-            Poses::Edge => (self.mapper.insert(scan), None),
+        self.last = Some((scan.stamp, boot_id.to_owned()));
+        let posed = match &mut self.poses {
+            Poses::Edge => Posed::only(self.mapper.insert(scan)),
             Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id),
+            Poses::Localised(localised) => localised.insert(&mut self.mapper, scan, boot_id),
         };
         Mapped {
-            insertion,
-            correction: measured.map(|measured| correction(scan.stamp, boot_id, &measured)),
+            insertion: posed.insertion,
+            correction: posed
+                .measured
+                .map(|measured| correction(scan.stamp, boot_id, &measured)),
+            localisation: posed.localisation,
         }
     }
 
@@ -114,6 +173,8 @@ impl MappingCore {
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
             Poses::Slam(slam) => self.mapper.insert(&slam.placed(scan)),
+            Poses::Localised(localised) if localised.is_trusted() => self.mapper.insert(&localised.placed(scan)),
+            Poses::Localised(_) => Insertion::Held,
         }
     }
 
@@ -122,6 +183,56 @@ impl MappingCore {
         self.mapper.reset(map_id);
         if let Poses::Slam(slam) = &mut self.poses {
             slam.reset();
+        }
+    }
+
+    /// The robot's place is told, `map_from_base` at its last scan. Returns what the robot is to be told.
+    ///
+    /// # Errors
+    /// [`Refusal::Rejected`] by SLAM, which made the map from where the robot is, and before the first scan.
+    pub fn place(&mut self, map_from_base: Pose2) -> Result<Correction, Refusal> {
+        let Some((stamp, boot_id)) = self.last.clone() else {
+            return Err(Refusal::rejected("the robot has sent no scan yet"));
+        };
+        match &mut self.poses {
+            Poses::Edge => {}
+            Poses::Slam(_) => {
+                return Err(Refusal::rejected(
+                    "the map is made by SLAM from where the robot is (`mapping.poses = \"slam\"`): its place cannot be told",
+                ));
+            }
+            Poses::Localised(localised) => localised.place(map_from_base),
+        }
+        let measured = Measured {
+            map_from_base,
+            covariance: Matrix3::from_diagonal(&TOLD.into()),
+            is_found_anew: true,
+        };
+        Ok(correction(stamp, &boot_id, &measured))
+    }
+
+    /// Has the robot looked for in the whole map.
+    ///
+    /// # Errors
+    /// [`Refusal::Rejected`] where there is no localisation.
+    pub fn look_everywhere(&mut self) -> Result<(), Refusal> {
+        match &mut self.poses {
+            Poses::Localised(localised) => {
+                localised.look_everywhere();
+                Ok(())
+            }
+            Poses::Edge | Poses::Slam(_) => Err(Refusal::rejected(
+                "nothing looks for the robot: expected `mapping.poses = \"localise\"`",
+            )),
+        }
+    }
+
+    /// Whether the robot's place is trusted.
+    #[must_use]
+    pub fn health(&self) -> Health {
+        match &self.poses {
+            Poses::Edge | Poses::Slam(_) => Health::Tracking,
+            Poses::Localised(localised) => localised.health().clone(),
         }
     }
 }
@@ -135,6 +246,6 @@ fn correction(stamp: Stamp, boot_id: &str, measured: &Measured) -> Correction {
         boot_id: boot_id.to_owned(),
         map_from_base: measured.map_from_base,
         covariance: std::array::from_fn(|index| covariance[(index / 3, index % 3)]),
-        is_found_anew: false,
+        is_found_anew: measured.is_found_anew,
     }
 }

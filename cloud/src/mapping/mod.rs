@@ -5,7 +5,7 @@
 //! | file | subject |
 //! |---|---|
 //! | `core` | from which poses are scans drawn, and what is the robot told? |
-//! | `slam_poses` | the same by SLAM |
+//! | `slam_poses`, `localised_poses` | the same by SLAM, by localisation in a known map |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers, each change once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
@@ -14,6 +14,7 @@
 mod authority;
 mod core;
 mod encodings;
+mod localised_poses;
 mod requests;
 mod slam_poses;
 mod storage;
@@ -28,12 +29,13 @@ use tokio::task::JoinSet;
 use zenav_mapping::{Insertion, MappingSettings};
 use zenav_protocol::bus::{AskError, Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
-use zenav_protocol::messages::{Correction, EdgeState, InfoRequest, MapInfo, MapPatch, Scan};
+use zenav_protocol::messages::{Correction, EdgeState, InfoRequest, Localisation, MapInfo, MapPatch, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{
-    ALIVE_COMPONENT, CORRECTION, EDGE_INFO, LIDAR_SCAN, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
+    ALIVE_COMPONENT, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE,
+    alive_key,
 };
 
 use authority::Authority;
@@ -72,6 +74,9 @@ pub enum MappingError {
     /// A setting is out of bounds.
     #[error("mapping: {0}")]
     Settings(#[from] OutOfBounds),
+    /// There is no stored map to localise in.
+    #[error("mapping: `poses = \"localise\"` needs a stored map, and {0} has none: store one, or take `slam`")]
+    NoMap(String),
     /// The bus was closed, or a key could not be declared.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -95,11 +100,21 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut further_scans = bus.latest(&LIDAR_SCAN, &[robot.as_str(), "*"])?;
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
+    let mut places = bus.serve(&LOCALISE, &chunks)?;
+    let mapper = storage::begin(&config).await;
+    if config.poses.source == PoseSource::Localise && !mapper.is_stored() {
+        let folder = config.folder.as_ref();
+        return Err(MappingError::NoMap(folder.map_or_else(
+            || "a robot without a folder".to_owned(),
+            |folder| folder.display().to_string(),
+        )));
+    }
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
         corrections: bus.publisher(&CORRECTION, &chunks)?,
-        core: MappingCore::new(storage::begin(&config).await, &config.poses),
+        localisation: bus.publisher(&LOCALISATION, &chunks)?,
+        core: MappingCore::new(mapper, &config.poses),
         boot_id: String::new(),
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
         published: Stamp::ZERO,
@@ -126,6 +141,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             },
             request = requests.next() => match request {
                 Some(request) => service.answer(request, clock.now()).await,
+                None => break,
+            },
+            request = places.next() => match request {
+                Some(request) => service.answer_place(request, clock.now()),
                 None => break,
             },
             scan = scans.next() => match scan {
@@ -177,6 +196,7 @@ struct Service {
     info: Publisher<MapInfo>,
     patches: Publisher<MapPatch>,
     corrections: Publisher<Correction>,
+    localisation: Publisher<Localisation>,
     /// Least time between two patches.
     period: Duration,
     /// Time of the last patch.
@@ -199,6 +219,9 @@ impl Service {
         let mapped = self.core.insert(scan, &self.boot_id);
         if let Some(correction) = &mapped.correction {
             self.corrections.put(correction);
+        }
+        if let Some(localisation) = &mapped.localisation {
+            self.localisation.put(localisation);
         }
         self.drawn(mapped.insertion, now);
     }

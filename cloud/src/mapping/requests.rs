@@ -3,7 +3,10 @@
 use std::collections::VecDeque;
 
 use zenav_protocol::bus::Request;
-use zenav_protocol::messages::{MapAction, MapReply, MapRequest, Refusal};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{
+    LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal,
+};
 use zenav_protocol::time::Stamp;
 
 use super::{Service, storage};
@@ -58,6 +61,37 @@ impl Service {
             Ok(reply) => request.reply(&reply),
             Err(refusal) => request.refuse(&refusal),
         }
+    }
+
+    /// Answers how well the robot is localised, after it was told or is looked for.
+    pub(super) fn answer_place(&mut self, request: Request<LocaliseRequest, LocaliseReply>, now: Stamp) {
+        let LocaliseRequest { action, pose, epoch } = request.body.clone();
+        let done = match action {
+            LocaliseAction::Report => Ok(()),
+            LocaliseAction::At | LocaliseAction::Global => {
+                self.authority.admit(now, epoch).and_then(|()| match action {
+                    LocaliseAction::Global => self.core.look_everywhere(),
+                    _ => self.place(pose),
+                })
+            }
+        };
+        match done {
+            Ok(()) => request.reply(&LocaliseReply {
+                health: self.core.health(),
+            }),
+            Err(refusal) => request.refuse(&refusal),
+        }
+    }
+
+    fn place(&mut self, pose: Option<Pose2>) -> Result<(), Refusal> {
+        let Some(pose) = pose.filter(Pose2::is_finite) else {
+            return Err(Refusal::rejected(
+                "expected `pose` with finite numbers, as in {\"action\": \"at\", \"pose\": {\"x\": 1.0, \"y\": 2.0, \"yaw\": 0.0}}",
+            ));
+        };
+        let correction = self.core.place(pose)?;
+        self.corrections.put(&correction);
+        Ok(())
     }
 
     async fn act(&mut self, action: MapAction, now: Stamp) -> Answer {

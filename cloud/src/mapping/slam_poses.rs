@@ -8,7 +8,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_slam::{Effects, Slam, SlamSettings};
 
-use super::core::{Measured, Pace};
+use super::core::{Measured, Pace, Posed};
 
 /// Scans of the old map that are drawn anew with each new scan.
 const REDRAWN_A_STEP: usize = 200;
@@ -35,7 +35,7 @@ pub(super) struct SlamPoses {
     new_from_drawn: Pose2,
     /// The correction of odometry by the last scan, in the drawn map.
     map_from_odom: Pose2,
-    /// Scans that wait for the first of the main lidar.
+    /// The robot's boot that odometry belongs to.
     boot_id: String,
     pace: Pace,
 }
@@ -60,13 +60,13 @@ impl SlamPoses {
     }
 
     /// Takes in a scan of the main lidar.
-    pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> (Insertion, Option<Measured>) {
+    pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> Posed {
         if mapper.is_held() {
-            return (Insertion::Held, None);
+            return Posed::only(Insertion::Held);
         }
-        let slam = self.slam.get_or_insert_with(|| {
-            Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base)
-        });
+        let slam = self
+            .slam
+            .get_or_insert_with(|| Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base));
         if self.boot_id != boot_id {
             boot_id.clone_into(&mut self.boot_id);
             slam.interrupt();
@@ -75,7 +75,7 @@ impl SlamPoses {
             Ok(effects) => effects,
             Err(error) => {
                 tracing::debug!(%error, "scan left out");
-                return (Insertion::NotSane, None);
+                return Posed::only(Insertion::NotSane);
             }
         };
         if effects.is_inserted {
@@ -89,7 +89,10 @@ impl SlamPoses {
         let insertion = mapper.insert(&self.placed(scan));
         let was_redrawn = self.draw_on(mapper);
         let measured = self.measured(scan, &effects, was_redrawn);
-        (insertion, measured)
+        Posed {
+            measured,
+            ..Posed::only(insertion)
+        }
     }
 
     /// The scan from the pose that SLAM gives the robot: those of further lidars, too.
@@ -117,7 +120,10 @@ impl SlamPoses {
             return false;
         };
         let end = (redraw.drawn + REDRAWN_A_STEP).min(self.scans.len());
-        for (scan, pose) in self.scans[redraw.drawn..end].iter().zip(&slam.nodes()[redraw.drawn..end]) {
+        for (scan, pose) in self.scans[redraw.drawn..end]
+            .iter()
+            .zip(&slam.nodes()[redraw.drawn..end])
+        {
             redraw.mapper.insert(&Scan {
                 map_from_odom: *pose * scan.odom_from_base.inverse(),
                 ..scan.clone()
@@ -141,8 +147,10 @@ impl SlamPoses {
         if was_redrawn {
             self.pace = Pace::default();
         }
-        self.pace
-            .is_due(scan.stamp, map_from_base)
-            .then_some(Measured { map_from_base, covariance })
+        self.pace.is_due(scan.stamp, map_from_base).then_some(Measured {
+            map_from_base,
+            covariance,
+            is_found_anew: false,
+        })
     }
 }

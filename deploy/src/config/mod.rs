@@ -18,6 +18,7 @@ use zenav_cloud::mapping::{PoseSettings, PoseSource};
 use zenav_cloud::motion::MotionSettings;
 use zenav_edge::EdgeSettings;
 use zenav_gateway::GatewaySettings;
+use zenav_localisation::LocalisationSettings;
 use zenav_mapping::MappingSettings;
 use zenav_mission::MissionSettings;
 use zenav_planning::PlanningSettings;
@@ -55,6 +56,8 @@ settings! {
         pub mapping: Service<MappingSection, MappingSettings>;
         /// Poses by SLAM, where `mapping.poses` asks for them.
         pub slam: SlamSettings;
+        /// Poses by localisation, where `mapping.poses` asks for them.
+        pub localisation: LocalisationSettings;
         /// Motion workers.
         pub planning: Service<PlanningSection, PlanningSettings>;
         /// How paths become trajectories.
@@ -126,8 +129,8 @@ settings! {
     pub struct MappingSection {
         /// Whether it runs.
         pub enabled: bool = true;
-        /// From which poses scans are drawn: `edge` (the robot's own estimate, for robots with GPS and compass) or `slam` (scans and
-        /// odometry alone; the robot is corrected).
+        /// From which poses scans are drawn: `edge` (the robot's own estimate, for robots with GPS and compass), `slam` (scans and
+        /// odometry alone) or `localise` (in the map that mapping begins with); the robot is then corrected.
         pub poses: PoseSource = PoseSource::Edge;
     }
 }
@@ -204,6 +207,7 @@ impl Deployment {
         PoseSettings {
             source: self.mapping.run.poses,
             slam: self.slam,
+            localisation: self.localisation,
         }
     }
 

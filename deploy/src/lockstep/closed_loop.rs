@@ -18,7 +18,8 @@ use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswe
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
-    Correction, GoalState, Heartbeat, Intent, MapAction, MapRef, MapRequest, MotionRequest, Plan, Refusal, Scan,
+    Correction, GoalState, Heartbeat, Intent, Localisation, MapAction, MapRef, MapRequest, MotionRequest, Plan,
+    Refusal, Scan,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::sensors::DEFAULT_LIDAR;
@@ -66,6 +67,7 @@ enum Down {
     Plan(Box<Plan>),
     Heartbeat(Heartbeat),
     Correction(Correction),
+    Localisation(Localisation),
     Request(zenav_mission::Ticket, EdgeRequest),
 }
 
@@ -247,6 +249,7 @@ impl RobotLoop {
                 Down::Plan(plan) => inbox.plans.push(*plan),
                 Down::Heartbeat(heartbeat) => inbox.heartbeats.push(heartbeat),
                 Down::Correction(correction) => inbox.corrections.push(correction),
+                Down::Localisation(localisation) => inbox.localisations.push(localisation),
                 Down::Request(ticket, request) => inbox.requests.push((zenav_edge::Ticket(ticket.0), request)),
             }
         }
@@ -290,6 +293,9 @@ impl RobotLoop {
             let mapped = self.mapping.insert(scan, BOOT);
             if let Some(correction) = mapped.correction {
                 self.down.send(now, Down::Correction(correction));
+            }
+            if let Some(localisation) = mapped.localisation {
+                self.down.send(now, Down::Localisation(localisation));
             }
         } else {
             self.mapping.insert_further(scan);

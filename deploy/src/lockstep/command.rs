@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
+use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
@@ -49,6 +50,9 @@ pub struct RunArgs {
     /// Start with the true map
     #[arg(long)]
     known_map: bool,
+    /// Where the poses of the map come from, `edge`, `slam` or `localise` (with --known-map), instead of the deployment's
+    #[arg(long, value_name = "SOURCE")]
+    poses: Option<PoseSource>,
     /// File of keep-out and speed zones, instead of the deployment's
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
@@ -155,6 +159,7 @@ pub fn run(args: &RunArgs) -> Outcome {
         entrants: entrants(args)?,
         seed: args.seed,
         known_map: args.known_map,
+        poses: args.poses,
         zones: args.zones.as_deref(),
         cloud_delay_ms: args.cloud_delay_ms,
         tolerance: args.tolerance,
@@ -202,6 +207,11 @@ pub fn run(args: &RunArgs) -> Outcome {
 }
 
 fn check(args: &RunArgs) -> Result<(), Failure> {
+    if args.poses == Some(PoseSource::Localise) && !args.known_map {
+        return Err(Failure::usage(
+            "--poses localise: expected --known-map, the map to localise in",
+        ));
+    }
     let places = args.goal.iter().map(|number| ("--goal", *number));
     let starts = args.start.iter().map(|number| ("--start", *number));
     for (name, number) in places.chain(starts).chain([

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
+use zenav_cloud::mapping::{PoseSettings, PoseSource};
 use zenav_mission::MissionConfig;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
@@ -50,6 +51,8 @@ pub(crate) struct Scenario<'a> {
     pub seed: Option<u64>,
     /// Whether it starts with the true map.
     pub known_map: bool,
+    /// Where the poses of the map come from.
+    pub poses: Option<PoseSource>,
     pub zones: Option<&'a Path>,
     /// Mean delay from scan to plan, ms.
     pub cloud_delay_ms: f64,
@@ -242,7 +245,10 @@ impl Scenario<'_> {
                 settings: mission,
             },
             mapping,
-            poses: deployment.poses(),
+            poses: PoseSettings {
+                source: self.poses.unwrap_or(deployment.mapping.run.poses),
+                ..deployment.poses()
+            },
             motion: deployment.motion(),
             known_map,
             cloud_delay: 1e-3 * self.cloud_delay_ms,
@@ -350,6 +356,7 @@ mod tests {
             entrants: vec![entrant(1.0, 0.0), entrant(6.0, std::f64::consts::PI)],
             seed: Some(1),
             known_map: false,
+            poses: None,
             zones: None,
             cloud_delay_ms: 100.0,
             tolerance: None,

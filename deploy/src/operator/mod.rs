@@ -8,16 +8,19 @@
 //! | `lease_session` | keeping the operator's lease while it is needed |
 //! | `keyboard` | which key means which motion, and for how long (pure) |
 //! | `status` | who commands now, and what is shown of it (pure) |
+//! | `pose` | where the robot is, told or looked for |
 //! | `teleop` | driving in the terminal |
 
 mod keyboard;
 mod lease;
 mod lease_session;
+mod pose;
 mod status;
 mod stop;
 mod teleop;
 
 pub use lease::{LeaseArgs, lease};
+pub use pose::{PoseArgs, pose};
 pub use stop::{StopArgs, resume, stop};
 pub use teleop::{TeleopArgs, teleop};
 

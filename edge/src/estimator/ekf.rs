@@ -48,6 +48,8 @@ pub(super) enum Input {
     Gps(Vector2<f64>, f64),
     /// Pose, made off board, and its covariance.
     Correction(Pose2, Matrix3<f64>),
+    /// Pose where the robot was found, whatever was believed before, and its covariance.
+    Found(Pose2, Matrix3<f64>),
 }
 
 impl Input {
@@ -57,7 +59,9 @@ impl Input {
             Self::Gyro(value) | Self::Compass(value) => value.is_finite(),
             Self::Wheels(_) => true,
             Self::Gps(position, variance) => position.iter().chain([variance]).all(|value| value.is_finite()),
-            Self::Correction(pose, noise) => pose.is_finite() && noise.iter().all(|value| value.is_finite()),
+            Self::Correction(pose, noise) | Self::Found(pose, noise) => {
+                pose.is_finite() && noise.iter().all(|value| value.is_finite())
+            }
         }
     }
 
@@ -69,6 +73,7 @@ impl Input {
             Self::Compass(_) => 2,
             Self::Gps(..) => 3,
             Self::Correction(..) => 4,
+            Self::Found(..) => 5,
         }
     }
 }
@@ -137,7 +142,7 @@ pub(super) struct Ekf {
 impl Ekf {
     /// A robot that stands at `start` in the map.
     pub(super) fn new(model: &RobotModel, start: Pose2, settings: &EstimatorSettings) -> Self {
-        let bias_std = model.imu.gyro_bias.abs().max(0.5 * model.imu.gyro_noise).max(1e-5);
+        let bias_std = model.imu.gyro_bias.abs().max(settings.bias_std).max(1e-5);
         let std = State::from([
             settings.start_std,
             settings.start_std,
@@ -243,6 +248,15 @@ impl Ekf {
                     wrap_angle(pose.yaw - self.state[2]),
                 );
                 Some(self.gated(settings, 2, innovation, SMatrix::<f64, 3, STATES>::identity(), *noise))
+            }
+            Input::Found(pose, noise) => {
+                (self.state[0], self.state[1], self.state[2]) = (pose.x, pose.y, pose.yaw);
+                // The pose has nothing in common with what led to the one before.
+                self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
+                self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
+                self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
+                self.rejected = [0; 3];
+                None
             }
         }
     }

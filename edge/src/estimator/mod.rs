@@ -205,7 +205,12 @@ impl Estimator {
             self.tally.broken += 1;
             return;
         }
-        self.admit(correction.stamp, Input::Correction(correction.map_from_base, noise));
+        let input = if correction.is_found_anew {
+            Input::Found(correction.map_from_base, noise)
+        } else {
+            Input::Correction(correction.map_from_base, noise)
+        };
+        self.admit(correction.stamp, input);
     }
 
     fn admit(&mut self, stamp: Stamp, input: Input) -> Option<Admission> {

@@ -301,3 +301,56 @@ fn a_flood_of_inputs_is_bounded() {
     assert!(estimator.map_from_base().is_finite());
     assert!(estimator.buffer.as_ref().is_some_and(|buffer| buffer.len() <= 1024));
 }
+
+#[test]
+fn a_gyro_that_turns_by_itself_is_learned_by_the_wheels_while_the_robot_drives() {
+    let settings = EstimatorSettings::default();
+    let mut model = model();
+    (model.gps, model.imu.compass_noise) = (None, None);
+    let mut estimator = Estimator::new(&model, Pose2::IDENTITY, &settings);
+    let speed = 4.0;
+    for tick in 0..3_000 {
+        let angle = 0.02 * speed * tick as f64;
+        let mut readings = readings(tick, [angle; 2]);
+        readings.imu = Some(Imu {
+            stamp: stamp(tick),
+            yaw_rate: 0.01,
+            yaw: None,
+        });
+        estimator.step(&readings, []);
+    }
+    // The gyro alone would have turned by 0.6 rad in this minute.
+    assert!(
+        estimator.map_from_base().yaw.abs() < 0.15,
+        "{:?}",
+        estimator.map_from_base()
+    );
+    assert!(estimator.odom_from_base().yaw.abs() < 0.15);
+}
+
+#[test]
+fn where_it_was_found_replaces_what_was_believed_at_its_own_time() {
+    let mut estimator = estimator(Pose2::IDENTITY, 0.01);
+    let mut found = Correction {
+        stamp: stamp(20),
+        boot_id: String::new(),
+        map_from_base: Pose2::new(7.0, -3.0, 2.0),
+        covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
+        is_found_anew: false,
+    };
+    for tick in 0..40 {
+        estimator.step(&readings(tick, [0.1 * tick as f64; 2]), []);
+    }
+    let believed = estimator.map_from_base();
+    estimator.step(&readings(40, [4.0; 2]), [&found]);
+    assert!(estimator.map_from_base().distance(&believed) < 0.1, "an outlier");
+    (found.is_found_anew, found.stamp) = (true, stamp(21));
+    estimator.step(&readings(41, [4.1; 2]), [&found]);
+    let way = 2.0 * model().drive.wheel_radius;
+    let expected = found.map_from_base.advance(Twist2::new(way, 0.0), 1.0);
+    assert!(
+        estimator.map_from_base().distance(&expected) < 0.02,
+        "{:?}",
+        estimator.map_from_base()
+    );
+}

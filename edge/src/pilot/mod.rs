@@ -8,11 +8,13 @@
 //! | `sense` | what do the readings of a tick change? |
 //! | `plans` | which plan drives the robot? |
 //! | `arbitrate` | which twist does the source that may move the robot want? |
+//! | `localised` | does the robot know where it is, and what if it does not? |
 //! | `report` | what is published at the end of a tick? |
 //! | `intent` | what do other robots learn of its course? |
 
 mod arbitrate;
 mod intent;
+mod localised;
 mod plans;
 mod report;
 mod sense;
@@ -20,7 +22,7 @@ mod sense;
 use std::collections::VecDeque;
 
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{EventKind, Intent, LostPolicy, Mode, Revision, WallFollowerState};
+use zenav_protocol::messages::{EventKind, Health, Intent, LostPolicy, Mode, Revision, WallFollowerState};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::time::Stamp;
@@ -93,6 +95,8 @@ pub struct Pilot {
     tracked: bool,
     battery_is_low: bool,
     mode: Mode,
+    /// Whether its place in the map can be trusted, as was last said.
+    health: Health,
     missed_ticks: u64,
     pub(crate) loop_timing: LoopTiming,
 }
@@ -138,6 +142,7 @@ impl Pilot {
             tracked: false,
             battery_is_low: false,
             mode: Mode::Idle,
+            health: Health::default(),
             missed_ticks: 0,
             loop_timing: LoopTiming::default(),
             config,
@@ -174,6 +179,7 @@ impl Pilot {
         self.obstacles
             .set_robots(self.other_robots.tracks(now, &self.intent, odom_from_map));
         self.sense(now, readings, &inbox.corrections, &mut out.publications);
+        self.receive_health(now, inbox.localisations, &inbox.corrections);
         for (ticket, request) in inbox.requests {
             let reply = self.answer(now, request);
             out.replies.push((ticket, reply));

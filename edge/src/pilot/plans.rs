@@ -81,6 +81,9 @@ impl Pilot {
             max_validity: self.config.settings.acceptance.max_validity,
         };
         let expiry = judge_head(&plan, &grant)?;
+        if !self.is_localised() {
+            return Err(Rejection::NotLocalised);
+        }
         if self.discarded.contains(&plan.trajectory_id) {
             return Err(Rejection::Discarded(plan.trajectory_id));
         }

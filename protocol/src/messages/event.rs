@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{BehaviourReport, GuardZone, Link, Revision};
+use super::{BehaviourReport, GuardZone, Health, Link, Revision};
 use crate::time::Stamp;
 
 /// One entry of the robot's event log.
@@ -77,6 +77,11 @@ pub enum EventKind {
         too_late: u64,
         /// Measurements since the start that were not finite, had no covariance, or came from the future.
         broken: u64,
+    },
+    /// The statement from off board on the robot's place in the map changed; without trust in it the robot brakes and takes no plan.
+    Localisation {
+        /// From now on.
+        health: Health,
     },
     /// A teleop command was dropped; reported every ten seconds at most for each cause.
     TeleopDropped {

@@ -10,6 +10,7 @@
 //! | file | subject |
 //! |---|---|
 //! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
+//! | `localise` | where the robot is said to be, and whether it is to be looked for |
 //! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `obstacles` | the moving obstacles that the robot tracks |
@@ -34,6 +35,7 @@ mod goal;
 mod intent;
 mod journal;
 mod lease;
+mod localise;
 mod map;
 mod mission;
 mod motion;
@@ -52,6 +54,7 @@ pub use goal::*;
 pub use intent::*;
 pub use journal::*;
 pub use lease::*;
+pub use localise::*;
 pub use map::*;
 pub use mission::*;
 pub use motion::*;

@@ -23,6 +23,11 @@ const ARROWS: &[Arrows] = &[
     ("zenav-pose-graph", &["zenav-protocol"], &[]),
     ("zenav-scan-matching", &["zenav-protocol"], &[]),
     (
+        "zenav-localisation",
+        &["zenav-protocol", "zenav-scan-matching"],
+        &["zenav-fixtures"],
+    ),
+    (
         "zenav-slam",
         &["zenav-protocol", "zenav-pose-graph", "zenav-scan-matching"],
         &["zenav-mapping"],
@@ -49,9 +54,11 @@ const ARROWS: &[Arrows] = &[
             "zenav-protocol",
             "zenav-behaviour-tree",
             "zenav-gateway",
+            "zenav-localisation",
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
+            "zenav-slam",
             "zenav-smoothing",
             "zenav-space",
         ],
@@ -66,6 +73,7 @@ const ARROWS: &[Arrows] = &[
             "zenav-cloud",
             "zenav-behaviour-tree",
             "zenav-gateway",
+            "zenav-localisation",
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
@@ -110,6 +118,10 @@ const WALLS: &[(&str, &[&str])] = &[
     ),
     (
         "zenav-scan-matching",
+        &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
+    ),
+    (
+        "zenav-localisation",
         &["zenoh", "tokio", "redb", "clarabel", "roxmltree", "parry2d-f64"],
     ),
     ("zenav-slam", &["zenoh", "tokio", "redb", "roxmltree", "parry2d-f64"]),

@@ -62,6 +62,8 @@ pub(super) struct Run {
     pub(super) length_m: f64,
     pub(super) min_clearance_m: f64,
     pub(super) contacts: Vec<ContactReport>,
+    /// Where it is asked whether the robot knows its place: its distance from the goal at the end.
+    pub(super) final_error_m: Option<f64>,
     /// Of zenav: the estimate against the truth at the end.
     pub(super) pose_error_m: Option<f64>,
     pub(super) recoveries: Option<u64>,
@@ -172,6 +174,7 @@ fn zenav(
         entrants,
         seed: Some(case.seed),
         known_map: case.known_map,
+        poses: case.poses,
         zones: None,
         cloud_delay_ms: DELAY_MS,
         tolerance: case.tolerance,
@@ -213,6 +216,7 @@ fn zenav(
             .iter()
             .map(|report| report.min_clearance_m)
             .fold(f64::INFINITY, f64::min),
+        final_error_m: case.poses.map(|_| most(|report| report.final_error_m)),
         pose_error_m: Some(most(|report| report.pose_error_m)),
         recoveries: Some(reports.iter().map(|report| report.recoveries).sum()),
         cpu_s,
@@ -270,6 +274,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
             length_m: driven.truth.length,
             min_clearance_m: driven.truth.min_clearance,
             contacts: driven.referee.contacts().to_vec(),
+            final_error_m: None,
             pose_error_m: None,
             recoveries: None,
             cpu_s: None,

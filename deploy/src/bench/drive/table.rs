@@ -21,6 +21,8 @@ pub(super) struct Row {
     contacts_at_rest: usize,
     /// Median of the reached runs.
     time_over_ideal: Option<f64>,
+    /// Median distance from the goal at the end, however the run ended, m.
+    final_error_m: Option<f64>,
     /// Mean.
     close_share: Option<f64>,
     /// Median of the runs that were reached with the fault and without it.
@@ -38,7 +40,8 @@ pub(super) struct Row {
 /// A column that only some suites have.
 pub(super) type Extra = (&'static str, fn(&Row) -> Option<f64>);
 
-pub(super) const EXTRAS: [Extra; 5] = [
+pub(super) const EXTRAS: [Extra; 6] = [
+    ("OFF M", |row| row.final_error_m),
     ("< 0.45 M", |row| row.close_share),
     ("/ NO FAULT", |row| row.over_faultless),
     ("REST S", |row| row.rest_after_s),
@@ -72,6 +75,7 @@ impl Row {
             contacts_after_own_motion: contacts(ContactKind::AfterOwnMotion),
             contacts_at_rest: contacts(ContactKind::AtRest),
             time_over_ideal: (!reached.is_empty()).then(|| median(reached)),
+            final_error_m: some(|run| run.final_error_m).map(median),
             close_share: some(|run| run.close_share).map(mean),
             over_faultless: some(|run| run.over_faultless).map(median),
             rest_after_s: some(|run| run.rest_after_s).map(|all| all.into_iter().fold(0.0, f64::max)),

@@ -7,6 +7,7 @@
 //! | `people` | who walks about? (S2, S3, S4) |
 //! | `places` | how tight and how crooked is it? (S5, S6) |
 //! | `patience` | who leaves again? (S7) |
+//! | `whereabouts` | does it know where it is? (S8) |
 //! | `broken` | which sensor is broken? (S9) |
 //! | `cost` | what does a long way cost? (S12) |
 //! | `robots` | which other robots are on their way? (S11) |
@@ -19,6 +20,7 @@ mod patience;
 mod people;
 mod places;
 mod robots;
+mod whereabouts;
 
 use std::path::Path;
 
@@ -26,6 +28,7 @@ use clap::ValueEnum;
 use nalgebra::Point2;
 use rand::SeedableRng as _;
 use rand_pcg::Pcg64Mcg;
+use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
@@ -58,6 +61,8 @@ pub(super) enum Suite {
     S6,
     /// What leaves again: a stander, a door, a taken goal, a slow one ahead
     S7,
+    /// Without GPS and compass: an office and a hall, known and unknown
+    S8,
     /// Broken sensors: lost, late, noisy, dead
     S9,
     /// Processor time on long ways with the map known
@@ -84,6 +89,7 @@ impl Suite {
             Self::S6 => places::rooms(seeds.unwrap_or(3)),
             Self::S4 => people::manners(seeds.unwrap_or(4)),
             Self::S7 => patience::patience(seeds.unwrap_or(3)),
+            Self::S8 => whereabouts::whereabouts(seeds.unwrap_or(3)),
             Self::S9 => broken::broken(seeds.unwrap_or(2)),
             Self::S12 => cost::cost(seeds.unwrap_or(1)),
             Self::S11 => robots::robots(seeds.unwrap_or(1)),
@@ -120,6 +126,8 @@ pub(super) struct Case {
     pub tolerance: Option<f64>,
     /// Whether the robot starts with the true map.
     pub known_map: bool,
+    /// Where the poses of the map come from; the deployment's where it is `None`.
+    pub poses: Option<PoseSource>,
     /// Of all noise.
     pub seed: u64,
     /// Who drives it too: where discs walk about.
@@ -170,6 +178,7 @@ impl Case {
             others: Vec::new(),
             tolerance: None,
             known_map: false,
+            poses: None,
             seed,
             anchors: match scenario.split(' ').next() {
                 Some("S2" | "S3") => &Anchor::ALL,
@@ -208,6 +217,12 @@ impl Case {
             .tolerance
             .map_or_else(String::new, |metres| format!(" --tolerance {metres}"));
         let known = if self.known_map { " --known-map" } else { "" };
+        let poses = match self.poses {
+            None => "",
+            Some(PoseSource::Edge) => " --poses edge",
+            Some(PoseSource::Slam) => " --poses slam",
+            Some(PoseSource::Localise) => " --poses localise",
+        };
         let mut goals = format!("--goal {} {}", goal.x, goal.y);
         if !self.others.is_empty() {
             let start = self.world.start();
@@ -221,7 +236,7 @@ impl Case {
             goals.push_str(&other);
         }
         format!(
-            "zenav run --world {name}.toml --robot {robot} {goals} --seed {seed} --timeout {timeout}{tolerance}{known}"
+            "zenav run --world {name}.toml --robot {robot} {goals} --seed {seed} --timeout {timeout}{tolerance}{known}{poses}"
         )
     }
 

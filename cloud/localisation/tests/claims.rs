@@ -1,0 +1,145 @@
+//! What localisation claims, each claim as a test.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use nalgebra::Point2;
+use zenav_fixtures::{map_where, spec};
+use zenav_localisation::{Found, KnownMap, LocalisationSettings, Localiser, evidence, find};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::messages::Health;
+use zenav_scan_matching::{ScanSettings, points};
+
+mod house;
+
+use house::{drive, house, look};
+
+fn is_near(a: Pose2, b: Pose2) -> bool {
+    a.distance(&b) < 0.1 && wrap_angle(a.yaw - b.yaw).abs() < 0.035
+}
+
+#[test]
+fn a_robot_is_followed_with_odometry_that_is_wrong_all_the_time() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let guess = Pose2::new(1.1, 1.95, 0.65);
+    let mut worst = 0.0_f64;
+    for (number, (truth, odometry)) in drive().into_iter().enumerate() {
+        let scan = look(&map, 100 + number as u64, truth, odometry, guess);
+        let located = localiser.step(&scan).unwrap();
+        assert!(located.health.is_trusted(), "scan {number}: {located:?}");
+        worst = worst.max(located.pose.distance(&truth));
+    }
+    assert!(worst < 0.06, "off by {worst} m");
+}
+
+#[test]
+fn a_robot_is_found_in_the_whole_map_without_a_guess_and_the_place_is_the_only_one() {
+    let map = house();
+    let settings = LocalisationSettings::default();
+    let known = KnownMap::new(&map, settings.tracking.sigma);
+    for truth in [
+        Pose2::new(1.5, 2.5, 2.0),
+        Pose2::new(6.5, 1.5, -1.0),
+        Pose2::new(10.5, 6.0, 3.0),
+    ] {
+        let scan = look(&map, 1, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+        let seen = points(&scan, Pose2::IDENTITY, 0.1, &ScanSettings::default());
+        match find(&known, Point2::origin(), &seen, &settings) {
+            Found::Unique(place) => assert!(is_near(place.pose, truth), "{truth:?}: {place:?}"),
+            other => panic!("{truth:?}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn in_two_rooms_that_look_alike_the_answer_is_that_it_is_ambiguous() {
+    let room = |at: Point2<f64>, x: f64| {
+        let (dx, dy) = ((at.x - x - 2.0).abs(), (at.y - 2.0).abs());
+        (dx < 2.0 && dy < 1.5) && (dx > 1.9 || dy > 1.4 || (at.x - x < 0.8 && at.y < 1.2))
+    };
+    let map = map_where(spec(220, 80, 0.05), |at| room(at, 0.5) || room(at, 5.5));
+    let settings = LocalisationSettings::default();
+    let known = KnownMap::new(&map, settings.tracking.sigma);
+    let truth = Pose2::new(2.6, 2.2, 0.4);
+    let scan = look(&map, 1, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+    let seen = points(&scan, Pose2::IDENTITY, 0.1, &ScanSettings::default());
+    let Found::Ambiguous(places) = find(&known, Point2::origin(), &seen, &settings) else {
+        panic!("not ambiguous");
+    };
+    assert!(places.iter().any(|place| is_near(place.pose, truth)), "{places:?}");
+    let other = Pose2::new(truth.x + 5.0, truth.y, truth.yaw);
+    assert!(places.iter().any(|place| is_near(place.pose, other)), "{places:?}");
+}
+
+#[test]
+fn a_robot_that_was_carried_away_is_lost_at_once_and_found_again() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let first = Pose2::new(1.5, 2.5, 0.3);
+    let second = 100_000_000;
+    for number in 0..5 {
+        let step = Pose2::new(0.05 * number as f64, 0.0, 0.0);
+        let scan = look(&map, (number + 1) * second, first * step, step, first);
+        assert!(localiser.step(&scan).unwrap().health.is_trusted());
+    }
+    // Odometry knows nothing of being carried.
+    let elsewhere = Pose2::new(9.5, 6.0, 1.0);
+    let (mut lost_after, mut found_after) = (None, None);
+    for number in 0..30_u64 {
+        let step = Pose2::new(0.05 * number as f64, 0.0, 0.0);
+        let odometry = Pose2::new(0.2, 0.0, 0.0) * step;
+        let truth = elsewhere * Pose2::new(0.02 * number as f64, 0.0, 0.0);
+        let odometry = Pose2::new(odometry.x - 0.03 * number as f64, 0.0, 0.0);
+        let located = localiser
+            .step(&look(&map, (number + 6) * second, truth, odometry, first))
+            .unwrap();
+        if located.health == Health::Lost {
+            lost_after.get_or_insert(number);
+        }
+        if located.is_found_anew {
+            assert!(is_near(located.pose, truth), "{located:?} instead of {truth:?}");
+            found_after.get_or_insert(number);
+        }
+    }
+    assert!(
+        lost_after.is_some_and(|scans| scans < 10),
+        "lost after {lost_after:?} scans"
+    );
+    assert!(
+        found_after.is_some_and(|scans| scans < 30),
+        "found after {found_after:?} scans"
+    );
+}
+
+#[test]
+fn rooms_that_the_map_does_not_know_are_no_contradiction_and_walls_in_the_way_are() {
+    let mut map = house();
+    let settings = LocalisationSettings::default();
+    let truth = Pose2::new(4.0, 3.5, 0.0);
+    let scan = look(&map, 1, truth, Pose2::IDENTITY, Pose2::IDENTITY);
+    let seen = points(&scan, Pose2::IDENTITY, 0.1, &ScanSettings::default());
+    for index in 0..map.spec().len() {
+        let cell = map.spec().cell(index);
+        if map.spec().center(cell).x > 5.2 {
+            map[cell] = -1;
+        }
+    }
+    let known = KnownMap::new(&map, settings.tracking.sigma);
+    let weigh = |pose| evidence(&known, Point2::origin(), &seen, pose, &settings.evidence);
+    let (right, wrong) = (weigh(truth), weigh(Pose2::new(2.0, 6.0, 1.0)));
+    assert!(right.agreeing > 0.95 && right.points < seen.len(), "{right:?}");
+    assert!(wrong.agreeing < 0.5 && wrong.through_walls > 0.1, "{wrong:?}");
+}
+
+#[test]
+fn malformed_and_late_scans_change_nothing() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let truth = Pose2::new(1.5, 2.5, 0.3);
+    let scan = look(&map, 10, truth, Pose2::IDENTITY, truth);
+    assert!(localiser.step(&scan).is_some());
+    assert_eq!(localiser.step(&scan), None);
+    let mut malformed = look(&map, 11, truth, Pose2::IDENTITY, truth);
+    malformed.odom_from_base.x = f64::NAN;
+    assert_eq!(localiser.step(&malformed), None);
+}

@@ -1,0 +1,42 @@
+//! Localised. Does the robot know where it is in the map, and what does it do when it does not?
+//!
+//! Off board the scans are compared with the map. While they contradict it, or agree with several places, no plan made in the map may move
+//! the robot: it brakes, drops its plan and takes no other. Teleop and maneuvers, which need no map, go on. A robot that was found anew
+//! somewhere else drops its plan, too: it was made for another place.
+
+use std::mem::discriminant;
+
+use zenav_protocol::messages::{Correction, EventKind, Health, Localisation};
+use zenav_protocol::time::Stamp;
+
+use super::Pilot;
+
+impl Pilot {
+    /// Takes in what was said of its place since the last tick.
+    pub(super) fn receive_health(&mut self, now: Stamp, said: Vec<Localisation>, corrections: &[Correction]) {
+        let boot_id = self.events.boot_id();
+        let newest = said.into_iter().filter(|said| said.boot_id == boot_id).next_back();
+        let is_found_anew = corrections
+            .iter()
+            .any(|correction| correction.is_found_anew && correction.boot_id == boot_id);
+        if let Some(Localisation { health, .. }) = newest {
+            if discriminant(&health) != discriminant(&self.health)
+                && (health.is_trusted() != self.health.is_trusted() || !health.is_trusted())
+            {
+                self.events
+                    .record(now, EventKind::Localisation { health: health.clone() });
+            }
+            self.health = health;
+        }
+        if !self.health.is_trusted() {
+            self.discard_plan(now, "it is not known where the robot is");
+        } else if is_found_anew {
+            self.discard_plan(now, "the robot was found somewhere else");
+        }
+    }
+
+    /// Whether plans made in the map may move the robot.
+    pub(super) fn is_localised(&self) -> bool {
+        matches!(self.health, Health::Tracking | Health::Degraded { .. })
+    }
+}

@@ -1,0 +1,98 @@
+//! A robot that does not know where it is.
+
+use nalgebra::Matrix3;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{BasedOn, Correction, EventKind, Health, Localisation, Plan, Revision};
+
+use super::driving;
+use super::rig::Rig;
+
+fn say(rig: &mut Rig, boot_id: &str, health: Health) {
+    let said = Localisation {
+        stamp: rig.now,
+        boot_id: boot_id.to_owned(),
+        health,
+        map_from_base: rig.pose,
+        agreeing: 0.5,
+        through_walls: 0.0,
+    };
+    rig.inbox.localisations.push(said);
+}
+
+fn again(rig: &Rig, plan: &Plan, counter: u64, trajectory_id: u64) -> Plan {
+    Plan {
+        based_on: BasedOn {
+            stamp: rig.now,
+            ..plan.based_on.clone()
+        },
+        revision: Revision {
+            incarnation: plan.revision.incarnation,
+            counter,
+        },
+        trajectory_id,
+        ..plan.clone()
+    }
+}
+
+#[test]
+fn a_robot_that_is_lost_brakes_and_takes_no_plan_until_it_is_found() {
+    for lost in [
+        Health::Lost,
+        Health::Ambiguous {
+            hypotheses: vec![Pose2::IDENTITY; 2],
+        },
+    ] {
+        let (mut rig, epoch, plan) = driving();
+        say(&mut rig, "boot-1", lost);
+        rig.run(1.5);
+        assert!(rig.at_rest(), "{:?}", rig.velocity);
+        let refused = again(&rig, &plan, 2, 8);
+        rig.send(refused);
+        assert!(rig.rejection().is_some_and(|reason| reason.contains("not known where")));
+        rig.run(1.0);
+        assert!(rig.at_rest());
+        say(&mut rig, "boot-1", Health::Degraded { direction: 0.0 });
+        rig.run(0.1);
+        let mut ahead = rig.ahead(epoch, 3, 9, 3.0);
+        ahead.based_on.stamp = rig.now;
+        rig.events.clear();
+        rig.send(ahead);
+        assert_eq!(rig.rejection(), None);
+        rig.run(1.0);
+        assert!(rig.velocity.v > 0.2, "{:?}", rig.velocity);
+    }
+}
+
+#[test]
+fn what_is_said_of_another_boot_or_of_a_corridor_stops_nothing() {
+    let (mut rig, ..) = driving();
+    say(&mut rig, "boot-0", Health::Lost);
+    say(&mut rig, "boot-1", Health::Degraded { direction: 1.0 });
+    rig.run(0.5);
+    assert!(rig.velocity.v > 0.3);
+    let told = |event: &EventKind| matches!(event, EventKind::Localisation { .. });
+    assert!(!rig.events.iter().any(told));
+}
+
+#[test]
+fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan() {
+    let (mut rig, ..) = driving();
+    let found = Pose2::new(-3.0, 2.0, 1.5);
+    rig.inbox.corrections.push(Correction {
+        stamp: rig.now,
+        boot_id: "boot-1".into(),
+        map_from_base: found,
+        covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
+        is_found_anew: true,
+    });
+    rig.tick();
+    assert!(
+        rig.pilot.map_from_base().distance(&found) < 0.1,
+        "{:?}",
+        rig.pilot.map_from_base()
+    );
+    let discarded = |event: &EventKind| matches!(event, EventKind::PlanDiscarded { reason, .. } if reason.contains("somewhere else"));
+    assert!(rig.events.iter().any(discarded), "{:?}", rig.events);
+    rig.run(1.5);
+    assert!(rig.at_rest());
+}

@@ -1,0 +1,46 @@
+//! Does a robot without GPS and compass find its goal, with odometry that is stated wrongly? In lockstep, by the simulator's truth.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::time::Duration;
+
+use zenav_tests::process::run;
+
+const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
+
+/// A report of a drive of the worn TIAGo through the house or the kitchen.
+fn drive(arguments: &str) -> serde_json::Value {
+    let arguments = format!("run --robot tiago+indoor+worn --timeout 120 -o json {arguments}");
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let folder = tempfile::tempdir().unwrap();
+    let output = run(ZENAV, &arguments, folder.path(), Duration::from_secs(240));
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"))
+}
+
+#[test]
+fn in_a_known_map_it_is_at_its_goal_to_a_few_centimetres_although_its_odometry_is_not() {
+    let goal = "--world kitchen --goal 0.88 0.09 --known-map --tolerance 0.05";
+    let found = drive(&format!("{goal} --poses localise"));
+    assert_eq!(found["outcome"], "reached", "{found}");
+    assert!(found["pose_error_m"].as_f64().unwrap() < 0.03, "{found}");
+    let reckoned = drive(&format!("{goal} --poses edge"));
+    assert!(reckoned["pose_error_m"].as_f64().unwrap() > 0.05, "{reckoned}");
+}
+
+#[test]
+fn slam_maps_the_kitchen_from_scans_and_odometry_alone_and_alike_again() {
+    let arguments = "--world kitchen --goal 0.88 0.09 --poses slam";
+    let (one, two) = (drive(arguments), drive(arguments));
+    assert_eq!(one["outcome"], "reached", "{one}");
+    assert!(one["pose_error_m"].as_f64().unwrap() < 0.05, "{one}");
+    assert_eq!(one, two, "bit for bit from a seed");
+}
+
+#[test]
+fn localisation_without_a_map_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["run", "--world", "kitchen", "--goal", "0", "0", "--poses", "localise"];
+    let output = run(ZENAV, &arguments, folder.path(), Duration::from_secs(60));
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--known-map"));
+}
