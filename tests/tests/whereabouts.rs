@@ -19,12 +19,12 @@ fn drive(arguments: &str) -> serde_json::Value {
 
 #[test]
 fn in_a_known_map_it_is_at_its_goal_to_a_few_centimetres_although_its_odometry_is_not() {
-    let goal = "--world kitchen --goal 0.88 0.09 --known-map --tolerance 0.05";
+    let goal = "--world kitchen --goal 0.88 0.09 --known-map --tolerance 0.1";
     let found = drive(&format!("{goal} --poses localise"));
     assert_eq!(found["outcome"], "reached", "{found}");
-    assert!(found["pose_error_m"].as_f64().unwrap() < 0.03, "{found}");
+    assert!(found["pose_error_m"].as_f64().unwrap() < 0.07, "{found}");
     let reckoned = drive(&format!("{goal} --poses edge"));
-    assert!(reckoned["pose_error_m"].as_f64().unwrap() > 0.05, "{reckoned}");
+    assert!(reckoned["pose_error_m"].as_f64().unwrap() > 0.1, "{reckoned}");
 }
 
 #[test]

@@ -20,7 +20,7 @@ const ARROWS: &[Arrows] = &[
         &["zenav-protocol", "zenav-space"],
         &["zenav-mapping", "zenav-fixtures"],
     ),
-    ("zenav-pose-graph", &["zenav-protocol"], &[]),
+    ("zenav-pose-graph", &["zenav-protocol"], &["zenav-fixtures"]),
     ("zenav-scan-matching", &["zenav-protocol"], &[]),
     (
         "zenav-localisation",
@@ -30,7 +30,7 @@ const ARROWS: &[Arrows] = &[
     (
         "zenav-slam",
         &["zenav-protocol", "zenav-pose-graph", "zenav-scan-matching"],
-        &["zenav-mapping"],
+        &["zenav-mapping", "zenav-fixtures"],
     ),
     (
         "zenav-smoothing",

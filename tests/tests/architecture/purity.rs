@@ -87,6 +87,7 @@ const CORES: &[&str] = &[
     "cloud/planning",
     "cloud/pose_graph",
     "cloud/scan_matching",
+    "cloud/localisation",
     "cloud/slam",
     "cloud/smoothing",
     "cloud/mission",
@@ -163,7 +164,11 @@ const EXEMPT: &[(&str, &[Effect], &str)] = &[
         &[Disk],
         "the mission's store makes its folder",
     ),
-    ("tests/fixtures/src/rows.rs", &[Clock], "a bench's own processor time"),
+    (
+        "tests/fixtures/src/thread_time.rs",
+        &[Clock],
+        "a bench's own processor time",
+    ),
 ];
 
 fn exempt(path: &str, effect: Effect) -> Option<usize> {
