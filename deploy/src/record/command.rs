@@ -16,11 +16,14 @@ use crate::output::{self, Format};
 
 /// Arguments of `zenav record`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  \
+#[command(
+    allow_missing_positional = true,
+    after_help = "Examples:\n  \
                   zenav record run.mcap                            everything of every robot, until Ctrl-C\n  \
                   zenav record --robot tiago scan pose run.mcap    two topics of one robot\n  \
                   zenav record --max-size 500MB run.mcap           run_0001.mcap, run_0002.mcap, …\n\
-                  The files open in Foxglove and in any other tool for MCAP.")]
+                  The files open in Foxglove and in any other tool for MCAP."
+)]
 pub struct RecordArgs {
     /// Keys (`zenav/*/edge/**`), sides and names (`edge/pose`), or names of topics (`pose`) [default: everything of the robots]
     #[arg(value_name = "KEYS")]
@@ -147,8 +150,40 @@ fn table(written: &Written) -> String {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use clap::{CommandFactory as _, Parser};
+
     use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: RecordArgs,
+    }
+
+    #[test]
+    fn the_last_name_is_the_file_and_those_before_it_are_keys() {
+        Line::command().debug_assert();
+        for (line, keys) in [
+            ("record run.mcap", &[][..]),
+            ("record --robot r --for 3 run.mcap", &[]),
+            ("record scan run.mcap", &["scan"]),
+            ("record --raw scan edge/pose run.mcap -o json", &["scan", "edge/pose"]),
+        ] {
+            let args = Line::try_parse_from(line.split(' ')).unwrap().args;
+            assert_eq!(
+                (args.keys.as_slice(), args.out),
+                (
+                    &keys.iter().map(|key| (*key).to_owned()).collect::<Vec<_>>()[..],
+                    PathBuf::from("run.mcap")
+                ),
+                "{line}"
+            );
+        }
+        assert!(Line::try_parse_from(["record"]).is_err());
+        assert!(Line::try_parse_from(["record", "--all", "scan", "run.mcap"]).is_err());
+    }
 
     #[test]
     fn sizes_have_the_usual_endings() {

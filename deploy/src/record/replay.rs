@@ -240,6 +240,7 @@ impl Guard {
         while let Some(state) = states.take_received() {
             self.alive.extend(state.chunks.into_iter().next());
         }
+        self.check()?;
         if clock.take().is_some() && self.keys.contains(&topics::SIM_CLOCK.key(&[])) && !self.allowed {
             return Err(Failure::new(
                 exit_code::REJECTED,
@@ -249,7 +250,7 @@ impl Guard {
                 ),
             ));
         }
-        self.check()
+        Ok(())
     }
 
     fn note(&mut self, key: &str, up: bool) {
