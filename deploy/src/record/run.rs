@@ -139,7 +139,7 @@ pub struct Trace {
     /// The newest scan of each revision of the map, and the arrival of the revision.
     revisions: Vec<(u64, Stamp)>,
     trajectory: Option<u64>,
-    goal_since: Option<u64>,
+    moving: bool,
     plan_since: Option<u64>,
     open: BTreeMap<(String, u32), usize>,
 }
@@ -236,7 +236,7 @@ impl Run {
             }
         } else if pattern == topics::GOAL_STATE.pattern {
             if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
-                robot.goal(goal, sample.logged);
+                robot.goal(goal);
             }
         } else if pattern == topics::MISSION.pattern
             && let Ok(Some((_, status))) = sample.message(&topics::MISSION)
@@ -304,6 +304,7 @@ impl RobotRun {
             self.stage("heartbeat round trip", 1e3 * round_trip);
         }
         let is_moving = state.velocity.v.abs() >= MOVING || state.velocity.w.abs() >= MOVING;
+        self.trace.moving = is_moving;
         if is_moving && let Some(since) = self.trace.plan_since.take() {
             self.stage("plan to motion", millis(since, logged));
         }
@@ -371,17 +372,13 @@ impl RobotRun {
         {
             self.stage("scan to plan", millis(arrival, logged));
         }
-        if let Some(since) = self.trace.goal_since.take() {
-            self.stage("goal to plan", millis(since, logged));
+        if !self.trace.moving {
             self.trace.plan_since = Some(logged);
         }
     }
 
-    fn goal(&mut self, goal: GoalState, logged: u64) {
+    fn goal(&mut self, goal: GoalState) {
         let (now, length) = (self.trace.now, self.length);
-        if !self.goals.contains_key(&goal.id) && !goal.state.is_end() {
-            self.trace.goal_since = Some(logged);
-        }
         match self.goals.get_mut(&goal.id) {
             Some(known) => {
                 if !known.state.state.is_end() {
