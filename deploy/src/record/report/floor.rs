@@ -14,6 +14,8 @@ use crate::failure::Failure;
 
 /// Around what there is to see, m.
 const MARGIN: f64 = 0.3;
+/// Units of the picture in a metre: letters smaller than one would be drawn badly.
+const SCALE: f64 = 100.0;
 /// Most points of a path.
 const POINTS: usize = 1500;
 /// Longest side of the image, px: of larger maps each pixel is several cells.
@@ -123,20 +125,20 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     let Some(area) = Area::around(all) else {
         return Ok(String::new());
     };
-    let extent = area.high - area.low;
+    let extent = SCALE * (area.high - area.low);
     // Rows of the picture run downwards.
-    let at = |point: Point2<f64>| (point.x - area.low.x, area.high.y - point.y);
+    let at = |point: Point2<f64>| (SCALE * (point.x - area.low.x), SCALE * (area.high.y - point.y));
     let unit = extent.amax() / 100.0;
     let mut svg = format!(
-        "<svg class=\"floor\" viewBox=\"0 0 {:.3} {:.3}\" role=\"img\" aria-label=\"map with the path driven\">",
+        "<svg class=\"floor\" viewBox=\"0 0 {:.1} {:.1}\" role=\"img\" aria-label=\"map with the path driven\">",
         extent.x, extent.y
     );
     if let Some((bytes, place)) = &image {
         let (x, y) = at(Point2::new(place.low.x, place.high.y));
-        let size = place.high - place.low;
+        let size = SCALE * (place.high - place.low);
         let _ = write!(
             svg,
-            "<image x=\"{x:.3}\" y=\"{y:.3}\" width=\"{:.3}\" height=\"{:.3}\" preserveAspectRatio=\"none\" href=\"data:image/png;base64,{}\"/>",
+            "<image x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" preserveAspectRatio=\"none\" href=\"data:image/png;base64,{}\"/>",
             size.x,
             size.y,
             STANDARD.encode(bytes)
@@ -146,7 +148,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
         let points: Vec<String> = points
             .map(|point| {
                 let (x, y) = at(point);
-                format!("{x:.2},{y:.2}")
+                format!("{x:.1},{y:.1}")
             })
             .collect();
         format!(
@@ -182,7 +184,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
             .into_iter()
             .map(|corner| {
                 let (x, y) = at(pose.transform_point(corner));
-                format!("{x:.3},{y:.3}")
+                format!("{x:.1},{y:.1}")
             })
             .collect();
         let _ = write!(
@@ -196,7 +198,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
         let (x, y) = at(*goal);
         let _ = write!(
             svg,
-            "<text class=\"name\" font-size=\"{:.3}\" x=\"{:.3}\" y=\"{:.3}\">{}</text>",
+            "<text class=\"name\" style=\"font-size:{:.1}px\" x=\"{:.3}\" y=\"{:.3}\">{}</text>",
             2.6 * unit,
             x + 1.6 * unit,
             y - 1.2 * unit,
@@ -212,9 +214,9 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     let _ = write!(
         svg,
         "<line class=\"bar\" stroke-width=\"{:.3}\" x1=\"{x:.3}\" x2=\"{:.3}\" y1=\"{y:.3}\" y2=\"{y:.3}\"/>\
-         <text class=\"name\" font-size=\"{:.3}\" x=\"{x:.3}\" y=\"{:.3}\">{bar} m</text></svg>",
+         <text class=\"name\" style=\"font-size:{:.1}px\" x=\"{x:.3}\" y=\"{:.3}\">{bar} m</text></svg>",
         0.5 * unit,
-        x + bar,
+        x + SCALE * bar,
         2.6 * unit,
         y - 1.2 * unit
     );

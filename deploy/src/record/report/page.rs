@@ -24,7 +24,7 @@ h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; font-weight: 650; l
 h2 { font-size: 1.15rem; margin: 2.6rem 0 .6rem; font-weight: 650; }
 h3 { font-size: .82rem; margin: 1.8rem 0 .4rem; font-weight: 600; color: var(--soft); text-transform: uppercase; letter-spacing: .06em; }
 p { margin: .3rem 0; } .soft { color: var(--soft); }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(120px, 1fr)); gap: 1px; margin: 1.2rem 0; background: var(--line);
+.figures { display: grid; grid-template-columns: repeat(4, 1fr); gap: 1px; margin: 1.2rem 0; background: var(--line);
   border: 1px solid var(--line); border-radius: 8px; overflow: hidden; }
 .figures div { background: var(--paper); padding: .7rem .9rem; } .figures b { display: block; font-size: 1.25rem; font-weight: 600; }
 .figures span { color: var(--soft); font-size: .8rem; }
@@ -32,14 +32,15 @@ table { border-collapse: collapse; width: 100%; font-size: .9rem; } th { text-al
 th, td { padding: .34rem .8rem .34rem 0; border-bottom: 1px solid var(--line); vertical-align: top; } .n { text-align: right; }
 td.leg { padding-left: 1.2rem; } .good { color: var(--good); } .bad { color: var(--bad); } .warn { color: var(--warn); }
 .wide { overflow-x: auto; } svg { display: block; width: 100%; height: auto; } svg text { fill: var(--soft); font-size: 11px; }
-.floor { background: var(--floor); border-radius: 8px; max-height: 620px; } .floor text.name { fill: var(--ink); font-size: inherit; }
-.floor text { font-size: unset; } .floor .path { fill: none; stroke: var(--bad); stroke-linejoin: round; stroke-linecap: round; }
+.floor { background: var(--floor); border-radius: 8px; max-height: 620px; } .floor text.name { fill: var(--ink); }
+.floor image { image-rendering: pixelated; } .floor .path { fill: none; stroke: var(--bad); stroke-linejoin: round; stroke-linecap: round; }
 .floor .plan { fill: none; stroke: var(--good); opacity: .8; } .floor .start { fill: #7a3cb0; } .floor .goal { fill: #f09600; }
 .floor .robot { fill: var(--accent); fill-opacity: .35; stroke: var(--accent); } .floor .bar { stroke: var(--ink); }
 .chart .grid { stroke: var(--line); stroke-width: 1; } .chart .curve { fill: none; stroke: var(--accent); stroke-width: 1.6; stroke-linejoin: round; }
 .chart .mark { stroke: var(--warn); stroke-width: 1; stroke-dasharray: 2 3; } rect { rx: 2px; } .success { fill: var(--good); }
 .failure { fill: var(--bad); } .running { fill: var(--accent); } .halted { fill: var(--soft); opacity: .55; }
 details > summary { cursor: pointer; color: var(--accent); padding: .4rem 0; } footer { margin-top: 3rem; color: var(--soft); font-size: .82rem; }
+@media (max-width: 560px) { .figures { grid-template-columns: repeat(2, 1fr); } }
 @media print { body { max-width: none; } }
 ";
 
@@ -119,7 +120,11 @@ fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failur
     }
     if !robot.nodes.is_empty() {
         let timeline = chart::timeline(&robot.nodes, robot.secs);
-        let _ = writeln!(page, "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>");
+        let _ = writeln!(
+            page,
+            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Running at the end blue, \
+             succeeded green, failed red; grey where its result was not told.</p>"
+        );
     }
     stages(robot, page);
     events(robot, page);
