@@ -323,6 +323,9 @@ impl MapHistory {
         if described.is_some_and(|(_, stored)| stored) {
             return Err("the map was loaded from a file, which is not in the record".to_owned());
         }
+        if self.scans.iter().all(|scan| scan.stamp > patch.stamp) {
+            return Err("the record began later than the map: the scans of its beginning are not in it".to_owned());
+        }
         let mapper = Mapper::new(self.settings.clone(), patch.map.id.clone());
         self.inserted = 0;
         self.mappers = vec![(mapper.clone(), false)];
@@ -433,6 +436,7 @@ fn table(recomputed: &Recomputed) -> String {
         .map(|map| {
             let verdict = match &map.difference {
                 None => "identical, byte for byte".to_owned(),
+                Some(why) if map.cells == 0 => format!("not computed again: {why}"),
                 Some(why) => format!(
                     "different: {why}; {} of {} cells of the last map differ",
                     map.differing_cells, map.cells
@@ -568,6 +572,25 @@ mod tests {
         let why = verdict.difference.unwrap();
         assert!(why.starts_with("revision 5: ") && why.contains("differ"), "{why}");
         assert!((4..15).contains(&verdict.same_patches), "{}", verdict.same_patches);
+    }
+
+    #[test]
+    fn a_map_whose_beginning_is_missing_is_not_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let (whole, part) = (folder.path().join("run.mcap"), folder.path().join("part.mcap"));
+        record(&whole, &[], 0, None);
+        let mut reader = RecordReader::open(&whole).unwrap();
+        let mut writer = RecordWriter::create(&part, RecordOptions::default(), 1).unwrap();
+        while let Some(sample) = reader.next_sample().unwrap() {
+            // As of a recorder that comes late: the patches are kept for it, the scans are not.
+            if sample.logged >= 2_000 || !sample.key.ends_with("scan") {
+                writer.write(&sample).unwrap();
+            }
+        }
+        writer.finish(0).unwrap();
+        let map = &recompute(&part, &[Part::Mapping], None).unwrap().maps[0];
+        assert!(!map.identical && map.same_patches == 0, "{map:?}");
+        assert!(map.difference.as_ref().unwrap().contains("began later"), "{map:?}");
     }
 
     #[test]

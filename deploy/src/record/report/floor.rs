@@ -208,7 +208,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     let bar = BARS
         .into_iter()
         .rev()
-        .find(|bar| *bar <= 0.25 * extent.x)
+        .find(|bar| SCALE * *bar <= 0.25 * extent.x)
         .unwrap_or(BARS[0]);
     let (x, y) = (2.0 * unit, extent.y - 2.0 * unit);
     let _ = write!(
