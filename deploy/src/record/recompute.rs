@@ -255,6 +255,7 @@ impl MapHistory {
         if !is_known {
             if let Err(why) = self.begin(&patch, described) {
                 self.mappers.clear();
+                self.scans.retain(|scan| scan.stamp > patch.stamp);
                 self.differ(why);
                 return;
             }
