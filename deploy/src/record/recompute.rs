@@ -252,13 +252,11 @@ impl MapHistory {
             .mappers
             .first()
             .is_some_and(|(mapper, _)| mapper.map().id == patch.map.id);
-        if !is_known {
-            if let Err(why) = self.begin(&patch, described) {
-                self.mappers.clear();
-                self.scans.retain(|scan| scan.stamp > patch.stamp);
-                self.differ(why);
-                return;
-            }
+        if !is_known && let Err(why) = self.begin(&patch, described) {
+            self.mappers.clear();
+            self.scans.retain(|scan| scan.stamp > patch.stamp);
+            self.differ(why);
+            return;
         }
         let candidates: Vec<usize> = (0..self.scans.len())
             .filter(|nth| self.scans[*nth].stamp <= patch.stamp)
