@@ -103,7 +103,7 @@ impl RecordReader {
         Ok(reader)
     }
 
-    /// What is known of the run: the entries of the metadata [`ABOUT`].
+    /// What is known of the run: the entries of the metadata `zenav`.
     #[must_use]
     pub fn about(&self) -> &BTreeMap<String, String> {
         &self.about

@@ -40,7 +40,7 @@ pub struct RecordOptions {
     pub max_time: Option<Duration>,
     /// Whether Foxglove's own messages are left out.
     pub raw_only: bool,
-    /// What is known of the run: entries of the metadata [`ABOUT`].
+    /// What is known of the run: entries of the metadata `zenav`.
     pub about: BTreeMap<String, String>,
 }
 
