@@ -7,7 +7,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
-    batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam, wall_following,
+    batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, record, slam, wall_following,
 };
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
@@ -61,6 +61,16 @@ enum Command {
     Map(inspect::MapArgs),
     /// Validate, show, watch and simulate behaviour trees
     Bt(inspect::BtArgs),
+    /// Record what goes over the bus into an MCAP file, which Foxglove opens
+    Record(record::RecordArgs),
+    /// Play a record on a bus again, or compute its map again and compare
+    Replay(record::ReplayArgs),
+    /// Compare two records: goals, path, time, clearance, latencies, keys
+    Diff(record::DiffArgs),
+    /// Tell a record as one page: map, path, speed, clearance, latencies, tree, events
+    Report(record::ReportArgs),
+    /// Make a moving picture of a record
+    Film(record::FilmArgs),
     /// Check a running deployment: what is wrong, and what to do
     Doctor(inspect::DoctorArgs),
     /// Plan a batch of queries offline
@@ -132,6 +142,11 @@ fn run(command: Command) -> Outcome {
         Command::Topic(args) => inspect::topic(&args),
         Command::Map(args) => inspect::map(&args),
         Command::Bt(args) => inspect::bt(&args),
+        Command::Record(args) => record::record(&args),
+        Command::Replay(args) => record::replay(&args),
+        Command::Diff(args) => record::diff(&args),
+        Command::Report(args) => record::report(&args),
+        Command::Film(args) => record::film(&args),
         Command::Doctor(args) => inspect::doctor(&args),
         Command::Plan(args) => batch::plan(&args),
         Command::Smooth(args) => batch::smooth(&args),

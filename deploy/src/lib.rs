@@ -14,6 +14,7 @@
 //! | `connect` | how a command reaches the router and its robot |
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `inspect` | topics, maps, trees, health |
+//! | `record` | runs as files: recorded, replayed, computed again, compared, told |
 //! | `batch` | planning, smoothing and mapping offline |
 //! | `slam` | maps and poses from logs; pose graphs, certified |
 //! | `bench` | how fast is the bus, how well do robots drive |
@@ -41,6 +42,7 @@ pub mod netem;
 pub mod operator;
 pub mod output;
 pub mod receivers;
+pub mod record;
 pub mod report;
 pub mod slam;
 pub mod wall_following;

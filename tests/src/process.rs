@@ -78,6 +78,22 @@ impl Process {
         let _ = self.child.wait();
     }
 
+    /// Interrupts it as Ctrl-C does (`SIGINT`) and waits for its end; its exit code.
+    ///
+    /// # Errors
+    /// When the signal cannot be sent, it does not end in time, or a signal ended it.
+    pub fn interrupt(&mut self, limit: Duration) -> Result<i32, String> {
+        self.signal(rustix::process::Signal::INT)?;
+        let deadline = Instant::now() + limit;
+        while Instant::now() < deadline {
+            if let Ok(Some(status)) = self.child.try_wait() {
+                return status.code().ok_or_else(|| format!("`zenav {}`: {status}", self.name));
+            }
+            std::thread::park_timeout(Duration::from_millis(10));
+        }
+        Err(format!("`zenav {}` does not end", self.name))
+    }
+
     /// Pauses it (`SIGSTOP`).
     ///
     /// # Errors

@@ -206,7 +206,7 @@ case "$1 $2" in
     "demo "*) has --speed || set -- "$@" --speed {SPEED} ;;
     "router "* | "sim serve") has --listen || set -- "$@" --listen {router} ;;
     "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
-    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch")
+    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch" | "record "* | "replay "*)
         has --connect || set -- "$@" --connect {router} ;;
 esac
 exec {ZENAV} "$@"

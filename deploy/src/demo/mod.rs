@@ -38,6 +38,7 @@ use crate::files;
 use crate::gateway::{self, PageArgs};
 use crate::launch::runtime;
 use crate::output::{Format, spinner, value};
+use crate::record::{self, RecordOptions, Recording, Written};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
 use film::Film;
@@ -117,6 +118,9 @@ pub struct DemoArgs {
     /// Write a moving picture of the run (kitchen and online)
     #[arg(long, value_name = "FILE.gif")]
     film: Option<PathBuf>,
+    /// Record the run into a file that must not exist yet, and write its report as report.html
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
     /// Plain log lines instead of a live display
     #[arg(long)]
     no_ui: bool,
@@ -240,12 +244,26 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         let deployment = deployment(args, &script, &endpoint, &state)?;
         let world = files::world(&deployment.simulation.world)?;
         let mut parts = Parts::default();
-        let played = if script.alone {
+        // Before the parts: what they say first is in the record.
+        let recording = match &args.record {
+            Some(file) => Some(begin_record(args, &script, &deployment, &endpoint, file).await?),
+            None => None,
+        };
+        let mut played = if script.alone {
             wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint).await
         } else {
             play(args, &script, &deployment, &world, &mut parts, &endpoint).await
         };
         parts.end().await;
+        if let Some((bus, recording)) = recording {
+            let recorded = recording.finish().await;
+            bus.close().await;
+            match (&mut played, recorded) {
+                (Ok(report), Ok(written)) => tell_record(&folder, report, written)?,
+                (Ok(_), Err(failure)) => played = Err(failure),
+                (Err(_), _) => {}
+            }
+        }
         router.close().await;
         played
     }
@@ -257,6 +275,45 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     report.map_found = map_found;
     report.wall_time_s = began.elapsed().as_secs_f64();
     Ok(report)
+}
+
+/// Records everything that goes over the demo's router.
+async fn begin_record(
+    args: &DemoArgs,
+    script: &Script,
+    deployment: &Deployment,
+    endpoint: &str,
+    file: &Path,
+) -> Result<(Bus, Recording), Failure> {
+    let title = format!("{}, seed {}, speed {}", script.name, args.seed, args.speed);
+    let settings = serde_json::to_string(&deployment.mapping.settings).map_err(Failure::failed)?;
+    let options = RecordOptions {
+        about: [
+            (record::TITLE_ENTRY.to_owned(), title),
+            (record::MAPPING_ENTRY.to_owned(), settings),
+        ]
+        .into(),
+        ..RecordOptions::default()
+    };
+    let bus = Bus::open(BusConfig::command("recorder", endpoint)).await?;
+    let recording = Recording::start(&bus, &["zenav/**".to_owned()], file, options)?;
+    Ok((bus, recording))
+}
+
+/// Adds the record and its page to the report.
+fn tell_record(folder: &Path, report: &mut DemoReport, written: Written) -> Result<(), Failure> {
+    if written.dropped > 0 {
+        report.notes.push(format!(
+            "the record lacks {} samples: this machine was too slow",
+            written.dropped
+        ));
+    }
+    for file in written.files {
+        let page = folder.join("report.html");
+        record::write_report(&file, &page)?;
+        report.files.extend([file, page]);
+    }
+    Ok(())
 }
 
 async fn play(

@@ -24,4 +24,5 @@ pub use bt::{BtArgs, bt};
 pub(crate) use build::read_log;
 pub use doctor::{DoctorArgs, doctor};
 pub use map::{MapArgs, map};
+pub(crate) use topic::pattern;
 pub use topic::{TopicArgs, topic};

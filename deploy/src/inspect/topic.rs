@@ -92,7 +92,7 @@ pub fn topic(args: &TopicArgs) -> Outcome {
 }
 
 /// The key expression that is meant.
-fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
+pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
     let robot = robot.unwrap_or("*");
     if text.starts_with("zenav/") || text.starts_with('*') || text.starts_with('@') {
         return Ok(text.to_owned());
@@ -119,13 +119,6 @@ fn row_name(row: &Row) -> &'static str {
         .unwrap_or(row.pattern)
 }
 
-/// The row of the table that a concrete key belongs to.
-fn row_of(key: &str) -> Option<&'static Row> {
-    TABLE
-        .iter()
-        .find(|row| topics::alive_chunks(row.pattern, key).is_some())
-}
-
 /// A key that carries something.
 #[derive(Serialize)]
 struct Live {
@@ -140,7 +133,7 @@ impl Live {
     fn new(key: &str, reading: Reading, encoding: &str) -> Self {
         Self {
             key: key.to_owned(),
-            message: row_of(key).map(|row| row.message),
+            message: topics::row_of(key).map(|row| row.message),
             encoding: encoding.to_owned(),
             reading,
         }
@@ -210,7 +203,7 @@ fn known_table(rows: &[Known]) -> String {
 }
 
 async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outcome {
-    let rows: Vec<Known> = match row_of(key) {
+    let rows: Vec<Known> = match topics::row_of(key) {
         Some(row) => vec![Known::of(row)],
         None => TABLE
             .iter()
@@ -268,7 +261,10 @@ mod tests {
 
     #[test]
     fn every_key_of_the_table_finds_its_row() {
-        assert_eq!(row_of("zenav/tiago/cloud/goal/g1").unwrap().message, "GoalState");
-        assert!(row_of("zenav/tiago/other").is_none());
+        assert_eq!(
+            topics::row_of("zenav/tiago/cloud/goal/g1").unwrap().message,
+            "GoalState"
+        );
+        assert!(topics::row_of("zenav/tiago/other").is_none());
     }
 }

@@ -44,6 +44,7 @@
 //! | `serve_part` | all asks of one component, as its core's own request type |
 //! | `alive` | liveliness tokens: which components are there |
 //! | `raw` | untyped bytes, for tools |
+//! | `tap` | everything that comes, as it came and when, for recorders; and publishing it again |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
 //! | `inbox` | bounded queues between Zenoh's threads and the readers |
@@ -65,6 +66,7 @@ mod serve_part;
 mod session;
 mod shutdown;
 mod subscribe;
+mod tap;
 
 pub use alive::{AliveToken, AliveWatch};
 pub use ask::{Answer, AskError};
@@ -77,3 +79,4 @@ pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};
 pub use shutdown::{Shutdown, interrupted};
 pub use subscribe::{Latest, Received, Subscription};
+pub use tap::{RawPublisher, Tap, Tapped};

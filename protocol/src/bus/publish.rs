@@ -31,7 +31,7 @@ pub struct Publisher<T> {
     message: PhantomData<fn(&T)>,
 }
 
-enum Carrier {
+pub(super) enum Carrier {
     Plain(zenoh::pubsub::Publisher<'static>),
     Advanced(Box<AdvancedPublisher<'static>>),
 }
@@ -58,11 +58,28 @@ impl Bus {
                 reason: "expected a key without wildcards to publish on".into(),
             });
         }
-        let congestion = match topic.encoding {
+        let carrier = self.carrier(key_expr, topic.qos, topic.encoding)?;
+        Ok(Publisher {
+            carrier,
+            encoding: topic.encoding,
+            key,
+            failures: Complaints::default(),
+            message: PhantomData,
+        })
+    }
+
+    /// A publisher with the quality of service of a topic.
+    pub(super) fn carrier(
+        &self,
+        key_expr: zenoh::key_expr::KeyExpr<'static>,
+        qos: Qos,
+        encoding: Encoding,
+    ) -> Result<Carrier, BusError> {
+        let congestion = match encoding {
             Encoding::Json => CongestionControl::Drop,
             Encoding::Cbor => CongestionControl::Block,
         };
-        let priority = match (topic.qos, topic.encoding) {
+        let priority = match (qos, encoding) {
             (Qos::RealTime, _) => Priority::RealTime,
             (_, Encoding::Cbor) => Priority::DataLow,
             (Qos::Latest, _) => Priority::Data,
@@ -71,26 +88,19 @@ impl Bus {
         let plain = self
             .session
             .declare_publisher(key_expr)
-            .encoding(zenoh::bytes::Encoding::from(topic.encoding.mime()))
+            .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
             .congestion_control(congestion)
             .priority(priority)
-            .express(topic.qos == Qos::RealTime);
-        let carrier = match topic.qos {
+            .express(qos == Qos::RealTime);
+        Ok(match qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
                 let advanced = plain
-                    .cache(CacheConfig::default().max_samples(kept(topic.qos)))
+                    .cache(CacheConfig::default().max_samples(kept(qos)))
                     .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
                     .publisher_detection();
                 Carrier::Advanced(Box::new(self.declared(advanced.wait())?))
             }
-        };
-        Ok(Publisher {
-            carrier,
-            encoding: topic.encoding,
-            key,
-            failures: Complaints::default(),
-            message: PhantomData,
         })
     }
 }

@@ -1,0 +1,197 @@
+//! `zenav record`. Which keys are recorded, into which files, until when?
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use zenav_protocol::bus::interrupted;
+use zenav_protocol::topics;
+
+use super::recorder::Recording;
+use super::writer::{RecordOptions, Written};
+use crate::connect::{self, RobotArgs, positive};
+use crate::exit_code;
+use crate::failure::Outcome;
+use crate::inspect::pattern;
+use crate::output::{self, Format};
+
+/// Arguments of `zenav record`.
+#[derive(Debug, clap::Args)]
+#[command(
+    allow_missing_positional = true,
+    after_help = "Examples:\n  \
+                  zenav record run.mcap                            everything of every robot, until Ctrl-C\n  \
+                  zenav record --robot tiago scan pose run.mcap    two topics of one robot\n  \
+                  zenav record --max-size 500MB run.mcap           run_0001.mcap, run_0002.mcap, …\n\
+                  The files open in Foxglove and in any other tool for MCAP."
+)]
+pub struct RecordArgs {
+    /// Keys (`zenav/*/edge/**`), sides and names (`edge/pose`), or names of topics (`pose`) [default: everything of the robots]
+    #[arg(value_name = "KEYS")]
+    keys: Vec<String>,
+    /// File; it must not exist yet
+    #[arg(value_name = "OUT.mcap")]
+    out: PathBuf,
+    /// Connection and robot.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Every key on the bus, also those of others
+    #[arg(long, conflicts_with = "keys")]
+    all: bool,
+    /// Begin a new file once one has this size, such as 500MB or 2GB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    max_size: Option<u64>,
+    /// Begin a new file once one holds this time, s
+    #[arg(long, value_name = "SECS", value_parser = positive)]
+    max_duration: Option<f64>,
+    /// End after this time, s
+    #[arg(long = "for", value_name = "SECS", value_parser = positive)]
+    secs: Option<f64>,
+    /// Leave out Foxglove's own messages: only the samples
+    #[arg(long)]
+    raw: bool,
+    /// Output format
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// A size in bytes, with the endings of the metric system.
+fn size(text: &str) -> Result<u64, String> {
+    let expected = || "expected a size, such as 500MB or 2GB".to_owned();
+    let text = text.trim();
+    let end = text
+        .find(|letter: char| !letter.is_ascii_digit() && letter != '.')
+        .unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    let unit = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kb" => 1e3,
+        "m" | "mb" => 1e6,
+        "g" | "gb" => 1e9,
+        "t" | "tb" => 1e12,
+        _ => return Err(expected()),
+    };
+    let bytes = number.parse::<f64>().map_err(|_| expected())? * unit;
+    if bytes >= 1e4 && bytes.is_finite() {
+        Ok(bytes as u64)
+    } else {
+        Err(format!("{}, 10kB at least", expected()))
+    }
+}
+
+/// `zenav record`.
+///
+/// # Errors
+/// Nobody to connect to, bad keys, or a file that cannot be written.
+pub fn record(args: &RecordArgs) -> Outcome {
+    let robot = args.robot.robot.as_deref();
+    let patterns = if args.all {
+        vec!["**".to_owned()]
+    } else if args.keys.is_empty() {
+        let mut patterns = vec![format!("zenav/{}/**", robot.unwrap_or("*"))];
+        if robot.is_some() {
+            patterns.push(topics::SIM_CLOCK.key(&[]));
+        }
+        patterns
+    } else {
+        let patterns = args.keys.iter().map(|key| pattern(key, robot));
+        patterns.collect::<Result<_, _>>()?
+    };
+    let options = RecordOptions {
+        max_bytes: args.max_size,
+        max_time: args.max_duration.map(seconds),
+        raw_only: args.raw,
+        ..RecordOptions::default()
+    };
+    let written = connect::on_bus(&args.robot.link, async |bus| {
+        let mut recording = Recording::start(&bus, &patterns, &args.out, options)?;
+        tracing::info!("recording {} into {}", patterns.join(", "), args.out.display());
+        let out_of_time = async {
+            match args.secs {
+                Some(secs) => tokio::time::sleep(seconds(secs)).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            written = recording.ended() => written,
+            () = interrupted() => recording.finish().await,
+            () = out_of_time => recording.finish().await,
+        }
+    })?;
+    output::value(args.output, &written, table)?;
+    Ok(exit_code::OK)
+}
+
+fn seconds(secs: f64) -> Duration {
+    Duration::try_from_secs_f64(secs).unwrap_or(Duration::from_secs(1 << 30))
+}
+
+fn table(written: &Written) -> String {
+    let rows: Vec<Vec<String>> = written
+        .keys
+        .iter()
+        .map(|(key, count)| {
+            let hz = *count as f64 / written.secs.max(1e-3);
+            vec![key.clone(), count.to_string(), format!("{hz:.1}")]
+        })
+        .collect();
+    let mut lines = vec![output::table(&["KEY", "MESSAGES", "HZ"], &rows), String::new()];
+    lines.push(format!(
+        "{} messages on {} keys in {:.1} s: {:.1} MB of payload, {:.1} MB in the file{}; {} dropped",
+        written.messages,
+        written.keys.len(),
+        written.secs,
+        written.payload_bytes as f64 * 1e-6,
+        written.file_bytes as f64 * 1e-6,
+        if written.files.len() == 1 { "" } else { "s" },
+        written.dropped,
+    ));
+    lines.extend(written.files.iter().map(|file| format!("wrote {}", file.display())));
+    lines.join("\n")
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use clap::{CommandFactory as _, Parser};
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: RecordArgs,
+    }
+
+    #[test]
+    fn the_last_name_is_the_file_and_those_before_it_are_keys() {
+        Line::command().debug_assert();
+        for (line, keys) in [
+            ("record run.mcap", &[][..]),
+            ("record --robot r --for 3 run.mcap", &[]),
+            ("record scan run.mcap", &["scan"]),
+            ("record --raw scan edge/pose run.mcap -o json", &["scan", "edge/pose"]),
+        ] {
+            let args = Line::try_parse_from(line.split(' ')).unwrap().args;
+            assert_eq!(
+                (args.keys.as_slice(), args.out),
+                (
+                    &keys.iter().map(|key| (*key).to_owned()).collect::<Vec<_>>()[..],
+                    PathBuf::from("run.mcap")
+                ),
+                "{line}"
+            );
+        }
+        assert!(Line::try_parse_from(["record"]).is_err());
+        assert!(Line::try_parse_from(["record", "--all", "scan", "run.mcap"]).is_err());
+    }
+
+    #[test]
+    fn sizes_have_the_usual_endings() {
+        assert_eq!(size("500MB"), Ok(500_000_000));
+        assert_eq!(size("1.5 g"), Ok(1_500_000_000));
+        assert_eq!(size("20000"), Ok(20_000));
+        for wrong in ["", "MB", "5", "-5MB", "5 parsecs", "1e9"] {
+            assert!(size(wrong).is_err(), "{wrong}");
+        }
+    }
+}

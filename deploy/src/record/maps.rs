@@ -1,0 +1,98 @@
+//! Maps. How do the maps of a run look at one of its moments? Replicas, kept by the run's own patches.
+
+use std::collections::BTreeMap;
+
+use zenav_protocol::codec::{self, Encoding};
+use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::map_replica::{MapReplica, PatchResult};
+use zenav_protocol::messages::{MapInfo, MapRef, MapReply};
+use zenav_protocol::topics;
+
+use super::format::{Kind, Sample};
+
+/// The map of each robot.
+#[derive(Debug, Default)]
+pub struct Maps {
+    robots: BTreeMap<String, RobotMap>,
+}
+
+#[derive(Debug, Default)]
+struct RobotMap {
+    replica: MapReplica,
+    /// What mapping says that there is.
+    told: MapRef,
+}
+
+impl Maps {
+    /// Takes over what a sample tells of a map; returns the robot whose map has changed.
+    pub fn see(&mut self, sample: &Sample) -> Option<String> {
+        if let Some((robot, reply)) = sample.reply(&topics::MAP) {
+            let map = self.robots.entry(robot.clone()).or_default();
+            return map.replica.replace(&reply).then_some(robot);
+        }
+        // Only what can be a map's is decoded.
+        let pattern = topics::row_of(&sample.key)?.pattern;
+        if pattern == topics::MAP_INFO.pattern {
+            let (chunks, info) = sample.message(&topics::MAP_INFO).ok().flatten()?;
+            self.robots.entry(chunks.into_iter().next()?).or_default().told = info.map;
+        } else if pattern == topics::MAP_PATCH.pattern {
+            let (chunks, patch) = sample.message(&topics::MAP_PATCH).ok().flatten()?;
+            let robot = chunks.into_iter().next()?;
+            let map = self.robots.entry(robot.clone()).or_default();
+            return (map.replica.apply(&patch) == PatchResult::Applied).then_some(robot);
+        }
+        None
+    }
+
+    /// A robot's map, where one is known.
+    #[must_use]
+    pub fn grid(&self, robot: &str) -> Option<&OccupancyGrid> {
+        let map = self.robots.get(robot)?;
+        map.replica.has_map().then(|| map.replica.grid())
+    }
+
+    /// Robots of whose map a part is missing here.
+    pub fn incomplete(&self) -> impl Iterator<Item = &str> {
+        let lacks = |map: &RobotMap| map.told.revision > 0 && !map.replica.holds(&map.told);
+        let robots = self.robots.iter().filter(move |(_, map)| lacks(map));
+        robots.map(|(robot, _)| robot.as_str())
+    }
+
+    /// The maps as mapping would answer who asks for them now.
+    #[must_use]
+    pub fn replies(&self, now: u64) -> Vec<Sample> {
+        let known = self.robots.iter().filter(|(_, map)| map.replica.has_map());
+        known
+            .filter_map(|(robot, map)| {
+                Some(Sample {
+                    key: topics::MAP.key(&[robot]),
+                    encoding: Encoding::Cbor.mime().to_owned(),
+                    kind: Kind::Reply,
+                    bytes: codec::encode(&reply(&map.replica), Encoding::Cbor).ok()?,
+                    attachment: None,
+                    logged: now,
+                    published: None,
+                })
+            })
+            .collect()
+    }
+}
+
+fn reply(map: &MapReplica) -> MapReply {
+    let values = map.grid().values();
+    let count = |class| values.iter().filter(|value| Occupancy::of(**value) == class).count() as u64;
+    MapReply {
+        info: MapInfo {
+            stamp: map.stamp(),
+            map: map.map().clone(),
+            spec: *map.grid().spec(),
+            free: count(Occupancy::Free),
+            occupied: count(Occupancy::Occupied),
+            unknown: count(Occupancy::Unknown),
+            scans: 0,
+            stored: false,
+        },
+        values: values.to_vec(),
+        trajectory: Vec::new(),
+    }
+}

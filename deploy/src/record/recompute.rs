@@ -1,0 +1,602 @@
+//! `zenav replay --recompute`. Do the cores make the same of the same inputs? Of recorded scans the map, byte for byte.
+//!
+//! Two things that mapping was told are on no key: which scans it never saw, as it keeps only the newest of those that wait, and when it
+//! learnt the robot's footprint. Both are searched for: a patch that some choice of them explains to the last byte is the same patch.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::path::Path;
+
+use clap::ValueEnum;
+use serde::Serialize;
+use zenav_mapping::{Mapper, MappingSettings};
+use zenav_protocol::codec::{self, Encoding};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::map_replica::MapReplica;
+use zenav_protocol::messages::{MapPatch, MapRef, Scan};
+use zenav_protocol::robot::Footprint;
+use zenav_protocol::topics;
+
+use super::format::{Kind, MAPPING_ENTRY, Sample};
+use super::reader::RecordReader;
+use crate::config;
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// Patches that wait for the description that says how many scans are in them.
+const WAITING: usize = 4;
+/// Most histories of one map that are followed at once.
+const HISTORIES: usize = 8;
+/// Most choices of scans that are tried for one patch.
+const CHOICES: usize = 128;
+
+/// What can be computed again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Part {
+    /// Maps from scans
+    Mapping,
+    /// Trajectories from requests
+    Motion,
+}
+
+/// What came of a record's inputs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Recomputed {
+    /// The map of each robot.
+    pub maps: Vec<MapVerdict>,
+    /// What could not be computed again, and why.
+    pub notes: Vec<String>,
+}
+
+impl Recomputed {
+    /// Whether there is something, and all of it is what was recorded.
+    #[must_use]
+    pub fn is_identical(&self) -> bool {
+        !self.maps.is_empty() && self.maps.iter().all(|map| map.identical)
+    }
+}
+
+/// How a recomputed map compares with the recorded one.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct MapVerdict {
+    /// The robot.
+    pub robot: String,
+    /// Whether every patch is what was recorded, byte for byte.
+    pub identical: bool,
+    /// Patches in the record.
+    pub patches: u64,
+    /// Of them, those that came out the same.
+    pub same_patches: u64,
+    /// Scans in the record.
+    pub scans: u64,
+    /// Of them, those that mapping never saw.
+    pub unseen_scans: u64,
+    /// Cells of the last map.
+    pub cells: u64,
+    /// Of them, those that came out otherwise.
+    pub differing_cells: u64,
+    /// The first patch that came out otherwise, or why nothing could be compared.
+    pub difference: Option<String>,
+}
+
+/// `zenav replay FILE --recompute PARTS`.
+pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format: Format) -> Outcome {
+    let told = deployment.map(|path| config::load(Some(path))).transpose()?;
+    let recomputed = recompute(file, parts, told.map(|deployment| deployment.mapping.settings))?;
+    output::value(format, &recomputed, table)?;
+    Ok(if recomputed.is_identical() {
+        exit_code::OK
+    } else {
+        exit_code::FAILED
+    })
+}
+
+/// Computes parts of a record again. The mapper's settings are those given, else the record's, else the defaults.
+///
+/// # Errors
+/// A bad record, or one of other messages.
+pub fn recompute(file: &Path, parts: &[Part], settings: Option<MappingSettings>) -> Result<Recomputed, Failure> {
+    let mut recomputed = Recomputed::default();
+    if parts.contains(&Part::Motion) {
+        recomputed.notes.push(
+            "motion: not computed again: requests to motion workers are asks, which are on no key that a recorder hears".to_owned(),
+        );
+    }
+    if !parts.contains(&Part::Mapping) {
+        return Ok(recomputed);
+    }
+    let mut reader = RecordReader::open(file)?;
+    reader.check_messages()?;
+    let settings = match (settings, reader.about().get(MAPPING_ENTRY)) {
+        (Some(settings), _) => settings,
+        (None, Some(text)) => serde_json::from_str(text).map_err(Failure::usage_at(file))?,
+        (None, None) => {
+            recomputed
+                .notes
+                .push("mapping: the record does not say the mapper's settings; taken are the defaults".to_owned());
+            MappingSettings::default()
+        }
+    };
+    // Known from the beginning, although the recorder may have asked for them later than mapping did.
+    let footprints = footprints(file)?;
+    let mut robots = BTreeMap::<String, MapHistory>::new();
+    while let Some(sample) = reader.next_sample()? {
+        let mut chunks = sample.key.split('/');
+        if let (Some("zenav"), Some(robot)) = (chunks.next(), chunks.next()) {
+            if !robots.contains_key(robot) {
+                let footprint = footprints.get(robot).cloned();
+                robots.insert(robot.to_owned(), MapHistory::new(robot, settings.clone(), footprint));
+            }
+            if let Some(history) = robots.get_mut(robot) {
+                history.see(&sample);
+            }
+        }
+    }
+    recomputed.maps = robots
+        .into_values()
+        .filter(|history| history.verdict.patches > 0)
+        .map(MapHistory::end)
+        .collect();
+    if recomputed.maps.is_empty() {
+        recomputed
+            .notes
+            .push("mapping: no patch of a map is in the record".to_owned());
+    }
+    Ok(recomputed)
+}
+
+/// The footprint of each robot, as its edge told the recorder.
+fn footprints(file: &Path) -> Result<BTreeMap<String, Footprint>, Failure> {
+    let mut reader = RecordReader::open(file)?;
+    let mut footprints = BTreeMap::new();
+    while let Some(sample) = reader.next_sample()? {
+        if let Some((robot, info)) = sample.reply(&topics::EDGE_INFO)
+            && let Some(model) = info.model
+        {
+            footprints.insert(robot, model.footprint);
+        }
+    }
+    Ok(footprints)
+}
+
+/// A patch as it was recorded.
+struct Recorded {
+    patch: MapPatch,
+    bytes: Vec<u8>,
+}
+
+/// The map of one robot, computed along its record.
+struct MapHistory {
+    settings: MappingSettings,
+    footprint: Option<Footprint>,
+    /// Scans that are in no patch yet, as they came.
+    scans: Vec<Scan>,
+    patches: VecDeque<Recorded>,
+    /// Scans in the map at each revision that was described, and whether it came from a file.
+    described: HashMap<MapRef, (u64, bool)>,
+    /// What may have happened in mapping, each with whether it knows the footprint.
+    mappers: Vec<(Mapper, bool)>,
+    inserted: u64,
+    replica: MapReplica,
+    verdict: MapVerdict,
+}
+
+impl MapHistory {
+    fn new(robot: &str, settings: MappingSettings, footprint: Option<Footprint>) -> Self {
+        Self {
+            settings,
+            footprint,
+            scans: Vec::new(),
+            patches: VecDeque::new(),
+            described: HashMap::new(),
+            mappers: Vec::new(),
+            inserted: 0,
+            replica: MapReplica::new(),
+            verdict: MapVerdict {
+                robot: robot.to_owned(),
+                ..MapVerdict::default()
+            },
+        }
+    }
+
+    fn see(&mut self, sample: &Sample) {
+        if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
+            self.verdict.scans += 1;
+            self.scans.push(scan);
+        } else if let Ok(Some((_, scan))) = sample.message(&topics::LIDAR_SCAN) {
+            self.verdict.scans += 1;
+            self.scans.push(scan);
+        } else if let Ok(Some((_, info))) = sample.message(&topics::MAP_INFO) {
+            self.described.insert(info.map, (info.scans, info.stored));
+        } else if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
+            self.verdict.patches += 1;
+            let bytes = if sample.kind == Kind::Put {
+                sample.bytes.clone()
+            } else {
+                Vec::new()
+            };
+            self.patches.push_back(Recorded { patch, bytes });
+        }
+        // The description of a patch comes just after it.
+        let is_described = |recorded: &Recorded| self.described.contains_key(&recorded.patch.map);
+        if self.patches.len() > WAITING || self.patches.front().is_some_and(is_described) {
+            self.step();
+        }
+    }
+
+    fn end(mut self) -> MapVerdict {
+        while !self.patches.is_empty() {
+            self.step();
+        }
+        if let Some((mapper, _)) = self.mappers.first() {
+            let (cells, differing) = compare(self.replica.grid(), &mapper.grid());
+            (self.verdict.cells, self.verdict.differing_cells) = (cells, differing);
+        }
+        self.verdict.identical = self.verdict.difference.is_none() && self.verdict.same_patches == self.verdict.patches;
+        self.verdict
+    }
+
+    fn differ(&mut self, why: String) {
+        self.verdict.difference.get_or_insert(why);
+    }
+
+    /// Computes the next patch.
+    fn step(&mut self) {
+        let Some(Recorded { patch, bytes }) = self.patches.pop_front() else {
+            return;
+        };
+        let described = self.described.remove(&patch.map);
+        // Whatever mapping was told, the record's own map is this.
+        let _ = self.replica.apply(&patch);
+        let is_known = self
+            .mappers
+            .first()
+            .is_some_and(|(mapper, _)| mapper.map().id == patch.map.id);
+        if !is_known && let Err(why) = self.begin(&patch, described) {
+            self.mappers.clear();
+            self.scans.retain(|scan| scan.stamp > patch.stamp);
+            self.differ(why);
+            return;
+        }
+        let candidates: Vec<usize> = (0..self.scans.len())
+            .filter(|nth| self.scans[*nth].stamp <= patch.stamp)
+            .collect();
+        let wanted = described.map_or(candidates.len() as u64, |(scans, _)| {
+            scans.saturating_sub(self.inserted)
+        });
+        let wanted = usize::try_from(wanted).unwrap_or(usize::MAX);
+        if wanted > candidates.len() {
+            self.differ(format!(
+                "revision {}: {wanted} scans are in it, the record has {}",
+                patch.map.revision,
+                candidates.len()
+            ));
+        }
+        let choices = choices(&candidates, wanted.min(candidates.len()));
+        let mut explained = Vec::new();
+        let mut unexplained = None;
+        for chosen in &choices {
+            let scans: Vec<&Scan> = chosen.iter().map(|nth| &self.scans[*nth]).collect();
+            for (mapper, knows) in &self.mappers {
+                for (mut after, knows) in self.insertions(mapper, *knows, &scans) {
+                    let made = after.take_patch();
+                    let same = made
+                        .as_ref()
+                        .is_some_and(|made| codec::encode(made, Encoding::Cbor).is_ok_and(|encoded| encoded == bytes));
+                    if same && explained.len() < HISTORIES {
+                        explained.push((after, knows, chosen.len()));
+                    } else if unexplained.is_none() {
+                        unexplained = Some((after, knows, made, chosen.len()));
+                    }
+                }
+            }
+            if !explained.is_empty() {
+                break;
+            }
+        }
+        if let Some((_, _, count)) = explained.first() {
+            self.verdict.same_patches += 1;
+            self.inserted += *count as u64;
+            self.verdict.unseen_scans += (candidates.len() - count) as u64;
+            self.mappers = explained
+                .into_iter()
+                .map(|(mapper, knows, _)| (mapper, knows))
+                .collect();
+        } else if let Some((mapper, knows, made, count)) = unexplained {
+            let how = difference(&patch, made.as_ref());
+            self.differ(format!("revision {}: {how}", patch.map.revision));
+            self.inserted += count as u64;
+            self.mappers = vec![(mapper, knows)];
+        }
+        self.scans.retain(|scan| scan.stamp > patch.stamp);
+    }
+
+    /// A map's first patch.
+    fn begin(&mut self, patch: &MapPatch, described: Option<(u64, bool)>) -> Result<(), String> {
+        if patch.base_revision != 0 {
+            return Err(format!(
+                "the record begins at revision {} of the map, whose beginning is not in it",
+                patch.map.revision
+            ));
+        }
+        if described.is_some_and(|(_, stored)| stored) {
+            return Err("the map was loaded from a file, which is not in the record".to_owned());
+        }
+        if self.scans.iter().all(|scan| scan.stamp > patch.stamp) {
+            return Err("the record began later than the map: the scans of its beginning are not in it".to_owned());
+        }
+        let mapper = Mapper::new(self.settings.clone(), patch.map.id.clone());
+        self.inserted = 0;
+        self.mappers = vec![(mapper.clone(), false)];
+        if let Some(footprint) = &self.footprint {
+            self.mappers.insert(0, (mapper.with_footprint(footprint.clone()), true));
+        }
+        Ok(())
+    }
+
+    /// The mapper after these scans: with the footprint that it knows, or learns before any of them.
+    fn insertions(&self, mapper: &Mapper, knows: bool, scans: &[&Scan]) -> Vec<(Mapper, bool)> {
+        let learns = match &self.footprint {
+            Some(footprint) if !knows => (0..scans.len()).map(|nth| Some((nth, footprint))).collect(),
+            _ => Vec::new(),
+        };
+        let ways = std::iter::once(None).chain(learns);
+        ways.map(|way| {
+            let mut after = mapper.clone();
+            for (nth, scan) in scans.iter().enumerate() {
+                if let Some((_, footprint)) = way.filter(|(learnt, _)| *learnt == nth) {
+                    after.set_footprint(footprint.clone());
+                }
+                after.insert(scan);
+            }
+            (after, knows || way.is_some())
+        })
+        .collect()
+    }
+}
+
+/// Which of the candidates may have been inserted, the likeliest first: all but the oldest ones, as when mapping began later than the
+/// record, then every other choice as far as there are not too many.
+fn choices(candidates: &[usize], wanted: usize) -> Vec<Vec<usize>> {
+    fn more(candidates: &[usize], wanted: usize, chosen: &mut Vec<usize>, found: &mut Vec<Vec<usize>>) {
+        if found.len() >= CHOICES {
+            return;
+        }
+        if chosen.len() == wanted {
+            found.push(chosen.clone());
+            return;
+        }
+        let missing = wanted - chosen.len();
+        for (nth, candidate) in candidates.iter().enumerate().rev() {
+            if nth + 1 < missing {
+                break;
+            }
+            chosen.push(*candidate);
+            more(&candidates[..nth], wanted, chosen, found);
+            chosen.pop();
+        }
+    }
+    let mut found = Vec::new();
+    more(candidates, wanted, &mut Vec::new(), &mut found);
+    // Chosen from the newest backwards; inserted as they came.
+    for choice in &mut found {
+        choice.reverse();
+    }
+    found
+}
+
+/// How a patch that was made differs from the recorded one.
+fn difference(recorded: &MapPatch, made: Option<&MapPatch>) -> String {
+    let Some(made) = made else {
+        return "nothing has changed in the recomputed map".to_owned();
+    };
+    if made.spec != recorded.spec {
+        return format!(
+            "{}x{} cells, recorded {}x{}",
+            made.spec.width, made.spec.height, recorded.spec.width, recorded.spec.height
+        );
+    }
+    if made.stamp != recorded.stamp || made.map != recorded.map || made.base_revision != recorded.base_revision {
+        return format!(
+            "revision {} at {:.3} s, recorded {} at {:.3} s",
+            made.map.revision,
+            made.stamp.as_secs(),
+            recorded.map.revision,
+            recorded.stamp.as_secs()
+        );
+    }
+    let places = |patch: &MapPatch| patch.tiles.iter().map(|tile| (tile.x, tile.y)).collect::<Vec<_>>();
+    if places(made) != places(recorded) {
+        return format!("{} tiles changed, recorded {}", made.tiles.len(), recorded.tiles.len());
+    }
+    let cells = made.tiles.iter().zip(&recorded.tiles);
+    let differing: usize = cells
+        .map(|(made, recorded)| made.values.iter().zip(&recorded.values).filter(|(a, b)| a != b).count())
+        .sum();
+    format!("{differing} cells differ")
+}
+
+/// Cells of a map, and of them those that another map has otherwise.
+fn compare(recorded: &OccupancyGrid, made: &OccupancyGrid) -> (u64, u64) {
+    let spec = recorded.spec();
+    let differing = recorded
+        .values()
+        .iter()
+        .enumerate()
+        .filter(|(index, value)| made.at(spec.center(spec.cell(*index))) != Some(*value))
+        .count();
+    (spec.len() as u64, differing as u64)
+}
+
+fn table(recomputed: &Recomputed) -> String {
+    let mut lines: Vec<String> = recomputed
+        .maps
+        .iter()
+        .map(|map| {
+            let verdict = match &map.difference {
+                None => "identical, byte for byte".to_owned(),
+                Some(why) if map.cells == 0 => format!("not computed again: {why}"),
+                Some(why) => format!(
+                    "different: {why}; {} of {} cells of the last map differ",
+                    map.differing_cells, map.cells
+                ),
+            };
+            let unseen = match map.unseen_scans {
+                0 => String::new(),
+                count => format!(", {count} of them never reached mapping"),
+            };
+            format!(
+                "{}: map {verdict} ({} of {} patches the same; {} scans{unseen})",
+                map.robot, map.same_patches, map.patches, map.scans
+            )
+        })
+        .collect();
+    lines.extend(recomputed.notes.iter().map(|note| format!("note: {note}")));
+    lines.join("\n")
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::path::PathBuf;
+
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::messages::InfoReply;
+
+    use super::super::writer::{RecordOptions, RecordWriter};
+    use super::*;
+
+    fn sample<T: Serialize>(key: &str, message: &T, kind: Kind, logged: u64) -> Sample {
+        let encoding = if key.ends_with("map_patch") {
+            Encoding::Cbor
+        } else {
+            Encoding::Json
+        };
+        Sample {
+            key: key.to_owned(),
+            encoding: encoding.mime().to_owned(),
+            kind,
+            bytes: codec::encode(message, encoding).unwrap(),
+            attachment: None,
+            logged,
+            published: None,
+        }
+    }
+
+    fn scan(nth: u64) -> Scan {
+        let ranges = (0..180)
+            .map(|beam| 1.0 + 0.01 * ((beam * 7 + nth * 13) % 90) as f32)
+            .collect();
+        Scan {
+            base_from_laser: Pose2::new(0.1, 0.0, 0.0),
+            ..zenav_fixtures::scan(
+                1_000_000_000 + nth * 100_000_000,
+                Pose2::new(0.05 * nth as f64, 0.0, 0.02 * nth as f64),
+                ranges,
+            )
+        }
+    }
+
+    /// A run in which mapping never saw the scans of `unseen`, and knew the footprint from `learnt` on.
+    fn record(path: &Path, unseen: &[u64], learnt: u64, changed: Option<u64>) {
+        let mut writer = RecordWriter::create(path, RecordOptions::default(), 1).unwrap();
+        let model = zenav_fixtures::robot("tiago");
+        let footprint = model.footprint.clone();
+        let info = InfoReply {
+            model: Some(model),
+            ..InfoReply::default()
+        };
+        let mut mapper = Mapper::new(MappingSettings::default(), "m");
+        for nth in 0..30 {
+            if nth == learnt {
+                mapper.set_footprint(footprint.clone());
+            }
+            let logged = 1_000 + nth * 100;
+            let mut message = scan(nth);
+            if !unseen.contains(&nth) {
+                mapper.insert(&message);
+            }
+            if changed == Some(nth) {
+                message.ranges[90] = 0.5;
+            }
+            writer
+                .write(&sample("zenav/r/edge/scan", &message, Kind::Put, logged))
+                .unwrap();
+            // Two scans in each patch, and their description behind it.
+            if nth % 2 == 1
+                && let Some(patch) = mapper.take_patch()
+            {
+                let patch = sample("zenav/r/cloud/map_patch", &patch, Kind::Put, logged + 10);
+                let described = sample("zenav/r/cloud/map", &mapper.info(), Kind::Put, logged + 20);
+                writer.write(&patch).unwrap();
+                writer.write(&described).unwrap();
+            }
+        }
+        writer
+            .write(&sample("zenav/r/ask/edge/info", &info, Kind::Reply, 10_000))
+            .unwrap();
+        writer.finish(0).unwrap();
+    }
+
+    fn verdict(unseen: &[u64], learnt: u64, changed: Option<u64>) -> MapVerdict {
+        let folder = tempfile::tempdir().unwrap();
+        let path: PathBuf = folder.path().join("run.mcap");
+        record(&path, unseen, learnt, changed);
+        let recomputed = recompute(&path, &[Part::Mapping], None).unwrap();
+        assert_eq!(recomputed.maps.len(), 1);
+        recomputed.maps.into_iter().next().unwrap()
+    }
+
+    #[test]
+    fn the_map_of_the_same_scans_is_the_same_byte_for_byte() {
+        for learnt in [0, 1, 4, 100] {
+            let verdict = verdict(&[], learnt, None);
+            assert!(verdict.identical, "{verdict:?}");
+            assert_eq!((verdict.patches, verdict.scans, verdict.unseen_scans), (15, 30, 0));
+            assert!(verdict.cells > 1000 && verdict.differing_cells == 0);
+        }
+    }
+
+    #[test]
+    fn scans_that_mapping_never_saw_are_found_out() {
+        let verdict = verdict(&[0, 7, 12], 3, None);
+        assert!(verdict.identical, "{verdict:?}");
+        assert_eq!(verdict.unseen_scans, 3);
+    }
+
+    #[test]
+    fn another_scan_makes_another_map_and_the_first_difference_is_named() {
+        let verdict = verdict(&[], 0, Some(9));
+        assert!(!verdict.identical);
+        let why = verdict.difference.unwrap();
+        assert!(why.starts_with("revision 5: ") && why.contains("differ"), "{why}");
+        assert!((4..15).contains(&verdict.same_patches), "{}", verdict.same_patches);
+    }
+
+    #[test]
+    fn a_map_whose_beginning_is_missing_is_not_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let (whole, part) = (folder.path().join("run.mcap"), folder.path().join("part.mcap"));
+        record(&whole, &[], 0, None);
+        let mut reader = RecordReader::open(&whole).unwrap();
+        let mut writer = RecordWriter::create(&part, RecordOptions::default(), 1).unwrap();
+        while let Some(sample) = reader.next_sample().unwrap() {
+            // As of a recorder that comes late: the patches are kept for it, the scans are not.
+            if sample.logged >= 2_000 || !sample.key.ends_with("scan") {
+                writer.write(&sample).unwrap();
+            }
+        }
+        writer.finish(0).unwrap();
+        let map = &recompute(&part, &[Part::Mapping], None).unwrap().maps[0];
+        assert!(!map.identical && map.same_patches == 0, "{map:?}");
+        assert!(map.difference.as_ref().unwrap().contains("began later"), "{map:?}");
+    }
+
+    #[test]
+    fn choices_begin_with_the_newest_and_end() {
+        assert_eq!(choices(&[1, 2, 3], 2), [vec![2, 3], vec![1, 3], vec![1, 2]]);
+        assert_eq!(choices(&[1, 2], 2), [vec![1, 2]]);
+        assert_eq!(choices(&[1, 2], 0), [Vec::<usize>::new()]);
+        assert_eq!(choices(&(0..60).collect::<Vec<_>>(), 30).len(), CHOICES);
+    }
+}

@@ -1,0 +1,358 @@
+//! Page. What stands where in the report, and how does it look? One HTML file, light or dark as its reader's system is.
+
+use std::fmt::Write as _;
+
+use super::super::run::{RobotRun, Run, phase};
+use super::{chart, floor};
+use crate::failure::Failure;
+use crate::report::Percentiles;
+
+/// Most events in the page.
+const MOST_EVENTS: usize = 500;
+/// Events that are shown without a click.
+const SHOWN_EVENTS: usize = 12;
+
+const STYLE: &str = r"
+:root { color-scheme: light dark; --ink: #1d2228; --soft: #667080; --line: #dfe3e8; --paper: #ffffff; --card: #f6f7f9; --accent: #2266d0;
+  --good: #1e824c; --bad: #c8402c; --warn: #b26a00; --floor: #d6dade; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ee; --soft: #98a2b0; --line: #333a43; --paper: #15181c; --card: #1d2126;
+  --accent: #6aa2ff; --good: #58c08a; --bad: #ff7a66; --warn: #e0a040; --floor: #2b3036; } image { filter: invert(0.86); } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 920px; padding: 2.5rem 1.25rem 4rem; background: var(--paper); color: var(--ink);
+  font: 15px/1.55 system-ui, -apple-system, 'Segoe UI', sans-serif; font-variant-numeric: tabular-nums; }
+h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; font-weight: 650; letter-spacing: -.01em; }
+h2 { font-size: 1.15rem; margin: 2.6rem 0 .6rem; font-weight: 650; }
+h3 { font-size: .82rem; margin: 1.8rem 0 .4rem; font-weight: 600; color: var(--soft); text-transform: uppercase; letter-spacing: .06em; }
+p { margin: .3rem 0; } .soft { color: var(--soft); }
+.figures { display: grid; grid-template-columns: repeat(4, 1fr); gap: 1px; margin: 1.2rem 0; background: var(--line);
+  border: 1px solid var(--line); border-radius: 8px; overflow: hidden; }
+.figures div { background: var(--paper); padding: .7rem .9rem; } .figures b { display: block; font-size: 1.25rem; font-weight: 600; }
+.figures span { color: var(--soft); font-size: .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: .9rem; } th { text-align: left; font-weight: 600; color: var(--soft); font-size: .8rem; }
+th, td { padding: .34rem .8rem .34rem 0; border-bottom: 1px solid var(--line); vertical-align: top; } .n { text-align: right; }
+td.leg { padding-left: 1.2rem; } .good { color: var(--good); } .bad { color: var(--bad); } .warn { color: var(--warn); }
+.wide { overflow-x: auto; } svg { display: block; width: 100%; height: auto; } svg text { fill: var(--soft); font-size: 11px; }
+.floor { background: var(--floor); border-radius: 8px; max-height: 620px; } .floor text.name { fill: var(--ink); }
+.floor image { image-rendering: pixelated; } .floor .path { fill: none; stroke: var(--bad); stroke-linejoin: round; stroke-linecap: round; }
+.floor .plan { fill: none; stroke: var(--good); opacity: .8; } .floor .start { fill: #7a3cb0; } .floor .goal { fill: #f09600; }
+.floor .robot { fill: var(--accent); fill-opacity: .35; stroke: var(--accent); } .floor .bar { stroke: var(--ink); }
+.chart .grid { stroke: var(--line); stroke-width: 1; } .chart .curve { fill: none; stroke: var(--accent); stroke-width: 1.6; stroke-linejoin: round; }
+.chart .mark { stroke: var(--warn); stroke-width: 1; stroke-dasharray: 2 3; } rect { rx: 2px; } .success { fill: var(--good); }
+.failure { fill: var(--bad); } .running { fill: var(--accent); } .halted { fill: var(--soft); opacity: .55; }
+details > summary { cursor: pointer; color: var(--accent); padding: .4rem 0; } footer { margin-top: 3rem; color: var(--soft); font-size: .82rem; }
+@media (max-width: 560px) { .figures { grid-template-columns: repeat(2, 1fr); } }
+@media print { body { max-width: none; } }
+";
+
+/// Text as it may stand in HTML, between tags and in attributes.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            letter if letter.is_control() && letter != '\n' => escaped.push(' '),
+            letter => escaped.push(letter),
+        }
+    }
+    escaped
+}
+
+/// The page of a run.
+///
+/// # Errors
+/// When the image of a map cannot be made.
+pub fn html(run: &Run) -> Result<String, Failure> {
+    let mut page = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n<p class=\"soft\">{date} UTC &middot; {:.1} s recorded &middot; \
+         {} messages on {} keys{}</p>\n",
+        run.wall_secs,
+        run.keys.values().map(|count| count.messages).sum::<u64>(),
+        run.keys.len(),
+        if run.cut_off {
+            " &middot; the record was cut off"
+        } else {
+            ""
+        },
+        title = escape(&run.title),
+        date = date(run.began),
+    );
+    for (name, robot) in &run.robots {
+        section(name, robot, &mut page)?;
+    }
+    keys(run, &mut page);
+    let _ = write!(
+        page,
+        "<footer>zenav {}. Speed and path are the robot&rsquo;s own estimate; clearance is from its outline to the nearest return of its lidar; \
+         latencies are wall time at the recorder; what a node or a search took is as its component told.</footer>\n</body>\n</html>\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    Ok(page)
+}
+
+fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failure> {
+    let _ = writeln!(page, "<h2>{}</h2>", escape(name));
+    figures(robot, page);
+    let floor = floor::svg(robot)?;
+    if !floor.is_empty() {
+        let _ = writeln!(
+            page,
+            "{floor}\n<p class=\"soft\">Driven in red, the last plan in green; start violet, goals orange.</p>"
+        );
+    }
+    goals(robot, page);
+    let marks: Vec<f64> = robot
+        .events
+        .iter()
+        .filter(|(_, is_warning, _)| *is_warning)
+        .map(|(time, _, _)| *time)
+        .take(200)
+        .collect();
+    for (title, series) in [("Speed, m/s", &robot.speed), ("Clearance, m", &robot.clearance)] {
+        if !series.is_empty() {
+            let chart = chart::line(series, robot.secs, &marks, title);
+            let _ = writeln!(page, "<h3>{title}</h3>\n{chart}");
+        }
+    }
+    if !robot.nodes.is_empty() {
+        let timeline = chart::timeline(&robot.nodes, robot.secs);
+        let _ = writeln!(
+            page,
+            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Running at the end blue, \
+             succeeded green, failed red; grey where its result was not told.</p>"
+        );
+    }
+    stages(robot, page);
+    events(robot, page);
+    Ok(())
+}
+
+fn figures(robot: &RobotRun, page: &mut String) {
+    let metres = |value: Option<f64>| value.map_or_else(|| "&ndash;".to_owned(), |value| format!("{value:.2} m"));
+    let mean = if robot.secs > 0.0 {
+        robot.length / robot.secs
+    } else {
+        0.0
+    };
+    let ended = robot.goals.values().filter(|goal| goal.state.state.is_end());
+    let reached = ended
+        .clone()
+        .filter(|goal| goal.state.state == zenav_protocol::messages::GoalPhase::Succeeded)
+        .count();
+    let figures = [
+        (format!("{reached} of {}", robot.goals.len()), "goals reached"),
+        (format!("{:.1} s", robot.secs), "time"),
+        (format!("{:.2} m", robot.length), "driven"),
+        (format!("{mean:.2} m/s"), "mean speed"),
+        (format!("{:.2} m/s", robot.top_speed()), "top speed"),
+        (metres(robot.least_clearance()), "least clearance"),
+        (
+            format!(
+                "{}{}",
+                robot.plans,
+                if robot.rejected > 0 {
+                    format!(" ({} refused)", robot.rejected)
+                } else {
+                    String::new()
+                }
+            ),
+            "plans",
+        ),
+        (robot.bumps.to_string(), "bumps"),
+    ];
+    page.push_str("<div class=\"figures\">");
+    for (value, name) in figures {
+        let _ = write!(page, "<div><b>{value}</b><span>{name}</span></div>");
+    }
+    page.push_str("</div>\n");
+}
+
+fn goals(robot: &RobotRun, page: &mut String) {
+    if robot.goals.is_empty() {
+        return;
+    }
+    page.push_str(
+        "<h3>Goals</h3>\n<div class=\"wide\"><table><tr><th>Goal</th><th>Outcome</th><th class=\"n\">Time, s</th><th class=\"n\">Driven, m</th>\
+         <th class=\"n\">Plans</th><th class=\"n\">Replans</th></tr>\n",
+    );
+    let mut goals: Vec<_> = robot.goals.values().collect();
+    goals.sort_by(|a, b| a.from.total_cmp(&b.from));
+    for goal in goals {
+        let state = &goal.state;
+        let _ = writeln!(
+            page,
+            "<tr><td>{}</td><td class=\"{}\">{}{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.2}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
+            escape(&state.id),
+            class(state.state),
+            phase(state.state),
+            reason(state.reason.as_deref()),
+            goal.to - goal.from,
+            goal.length,
+            state.feedback.plans,
+            state.feedback.replans
+        );
+        for leg in &state.legs {
+            let time = leg
+                .ended
+                .map_or_else(String::new, |ended| format!("{:.1}", ended.secs_since(leg.started)));
+            let _ = writeln!(
+                page,
+                "<tr><td class=\"leg\">{}</td><td class=\"{}\">{}{}</td><td class=\"n\">{time}</td><td class=\"n\"></td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
+                escape(&leg.name),
+                class(leg.state),
+                phase(leg.state),
+                reason(leg.reason.as_deref()),
+                leg.plans,
+                leg.replans
+            );
+        }
+    }
+    page.push_str("</table></div>\n");
+}
+
+fn reason(reason: Option<&str>) -> String {
+    reason.map_or_else(String::new, |reason| format!(": {}", escape(reason)))
+}
+
+const fn class(phase: zenav_protocol::messages::GoalPhase) -> &'static str {
+    use zenav_protocol::messages::GoalPhase::{Aborted, Canceled, Rejected, Succeeded};
+    match phase {
+        Succeeded => "good",
+        Aborted | Rejected => "bad",
+        Canceled => "warn",
+        _ => "",
+    }
+}
+
+fn stages(robot: &RobotRun, page: &mut String) {
+    if robot.stages.is_empty() {
+        return;
+    }
+    page.push_str(
+        "<h3>Latency of stages, ms</h3>\n<div class=\"wide\"><table><tr><th>Stage</th><th class=\"n\">Median</th><th class=\"n\">p99</th>\
+         <th class=\"n\">Longest</th><th class=\"n\">Samples</th></tr>\n",
+    );
+    for (name, samples) in &robot.stages {
+        let percentiles = Percentiles::of(samples);
+        let longest = samples.iter().copied().fold(0.0, f64::max);
+        let cell = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.1}"));
+        let _ = writeln!(
+            page,
+            "<tr><td>{name}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{longest:.1}</td><td class=\"n\">{}</td></tr>",
+            cell(percentiles.p50),
+            cell(percentiles.p99),
+            samples.len()
+        );
+    }
+    page.push_str("</table></div>\n");
+}
+
+fn events(robot: &RobotRun, page: &mut String) {
+    if robot.events.is_empty() {
+        return;
+    }
+    page.push_str("<h3>Events</h3>\n");
+    let rows: Vec<String> = robot
+        .events
+        .iter()
+        .take(MOST_EVENTS)
+        .map(|(time, is_warning, text)| {
+            let class = if *is_warning { " class=\"warn\"" } else { "" };
+            format!(
+                "<tr><td class=\"n\">{time:.1} s</td><td{class}>{}</td></tr>\n",
+                escape(text)
+            )
+        })
+        .collect();
+    let (shown, hidden) = rows.split_at(rows.len().min(SHOWN_EVENTS));
+    let _ = writeln!(page, "<div class=\"wide\"><table>{}</table></div>", shown.concat());
+    if !hidden.is_empty() {
+        let more = robot.events.len() - shown.len();
+        let _ = writeln!(
+            page,
+            "<details><summary>{more} more</summary><div class=\"wide\"><table>{}</table></div></details>",
+            hidden.concat()
+        );
+    }
+}
+
+fn keys(run: &Run, page: &mut String) {
+    let _ = write!(
+        page,
+        "<h2>Record</h2>\n<details><summary>{} keys</summary><div class=\"wide\"><table><tr><th>Key</th><th class=\"n\">Messages</th><th class=\"n\">Hz</th>\
+         <th class=\"n\">kB</th></tr>\n",
+        run.keys.len()
+    );
+    for (key, count) in &run.keys {
+        let _ = writeln!(
+            page,
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.1}</td></tr>",
+            escape(key),
+            count.messages,
+            count.messages as f64 / run.wall_secs.max(1e-3),
+            count.bytes as f64 * 1e-3
+        );
+    }
+    page.push_str("</table></div></details>\n");
+}
+
+/// Day and time of a UNIX time in ns, such as `2026-03-01 14:05` (civil from days: Howard Hinnant, "chrono-compatible date algorithms").
+fn date(nanos: u64) -> String {
+    let secs = nanos / 1_000_000_000;
+    let (days, of_day) = ((secs / 86_400) as i64, secs % 86_400);
+    let shifted = days + 719_468;
+    let era = shifted.div_euclid(146_097);
+    let day_of_era = shifted.rem_euclid(146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let year = year_of_era + era * 400 + next;
+    format!(
+        "{year:04}-{month:02}-{day:02} {:02}:{:02}",
+        of_day / 3600,
+        of_day % 3600 / 60
+    )
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::geometry::Pose2;
+
+    use super::*;
+
+    #[test]
+    fn dates_are_right() {
+        assert_eq!(date(0), "1970-01-01 00:00");
+        assert_eq!(date(951_827_696_000_000_000), "2000-02-29 12:34");
+        assert_eq!(date(1_798_761_599_000_000_000), "2026-12-31 23:59");
+    }
+
+    #[test]
+    fn a_page_needs_nothing_from_elsewhere_and_takes_no_code_from_a_name() {
+        let robot = RobotRun {
+            poses: vec![(0.0, Pose2::IDENTITY), (1.0, Pose2::new(2.0, 1.0, 0.0))],
+            speed: vec![(0.0, 0.0), (1.0, 0.5)],
+            events: vec![(0.5, true, "<script>alert(1)</script>".to_owned()); 20],
+            secs: 1.0,
+            ..RobotRun::default()
+        };
+        let run = Run {
+            title: "a & \"b\"".to_owned(),
+            robots: [("<r>".to_owned(), robot)].into(),
+            ..Run::default()
+        };
+        let page = html(&run).unwrap();
+        assert!(page.contains("a &amp; &quot;b&quot;") && page.contains("&lt;r&gt;"));
+        for outside in ["<script", "http://", "https://", "src=", "@import", "url("] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        assert!(page.contains("8 more") && page.contains("prefers-color-scheme: dark"));
+    }
+}

@@ -1,0 +1,519 @@
+//! Run. What happened, in numbers? Each robot's path, speed, clearance, goals, plans, stages and tree, out of a record.
+//!
+//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. What came from the cloud has the time of the
+//! newest pose that had arrived before it. Latencies are wall time at the recorder.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{
+    EdgeState, Event, EventKind, GoalPhase, GoalState, GuardZone, Link, MapPatch, MissionStatus, Plan, PoseEstimate,
+    Scan,
+};
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+
+use super::format::{Kind, Sample, TITLE_ENTRY};
+use super::maps::Maps;
+use super::reader::RecordReader;
+use super::words;
+use crate::failure::Failure;
+
+/// Time between two points of a series, s.
+const STEP: f64 = 0.05;
+/// Slower than this counts as standing, m/s or rad/s.
+const MOVING: f64 = 0.02;
+/// Stamps and arrivals of scans that are remembered.
+const REMEMBERED: usize = 512;
+/// Most events and spans of nodes that are kept.
+const MOST: usize = 20_000;
+
+/// What happened in a run.
+#[derive(Debug, Default)]
+pub struct Run {
+    /// What the recording calls it.
+    pub title: String,
+    /// When the first sample came, ns since the UNIX epoch.
+    pub began: u64,
+    /// From the first sample to the last, wall time, s.
+    pub wall_secs: f64,
+    /// Samples, and payload bytes, of each key.
+    pub keys: BTreeMap<String, KeyCount>,
+    /// Each robot.
+    pub robots: BTreeMap<String, RobotRun>,
+    /// Whether the record was cut off.
+    pub cut_off: bool,
+}
+
+/// What came on a key.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KeyCount {
+    /// Samples.
+    pub messages: u64,
+    /// Bytes of their payloads.
+    pub bytes: u64,
+}
+
+/// What happened to one robot.
+#[derive(Debug, Default)]
+pub struct RobotRun {
+    /// The robot, where its edge told.
+    pub model: Option<RobotModel>,
+    /// Where it was, map frame, over time, s.
+    pub poses: Vec<(f64, Pose2)>,
+    /// Forward speed, m/s, over time, s.
+    pub speed: Vec<(f64, f64)>,
+    /// Distance from the outline to the nearest return of a lidar, m, over time, s.
+    pub clearance: Vec<(f64, f64)>,
+    /// Path driven, m.
+    pub length: f64,
+    /// Time from the first pose to the last, s.
+    pub secs: f64,
+    /// Events: time, s, whether it is a warning, and in words.
+    pub events: Vec<(f64, bool, String)>,
+    /// Goals, as they were last.
+    pub goals: BTreeMap<String, GoalRun>,
+    /// Trajectories that were published.
+    pub plans: u64,
+    /// Plans that the robot refused.
+    pub rejected: u64,
+    /// Latencies of stages, ms.
+    pub stages: BTreeMap<&'static str, Vec<f64>>,
+    /// When each node of a tree ran.
+    pub nodes: Vec<NodeSpan>,
+    /// The plan that was in force last.
+    pub plan: Vec<Point2<f64>>,
+    /// The map at the end.
+    pub map: Option<OccupancyGrid>,
+    /// Contacts that the bumper told of.
+    pub bumps: u64,
+    /// What is needed while it is read.
+    pub(super) trace: Trace,
+}
+
+/// A goal, and when it was first heard of and ended, s.
+#[derive(Debug)]
+pub struct GoalRun {
+    /// Its last state.
+    pub state: GoalState,
+    /// When it was first heard of, s.
+    pub from: f64,
+    /// When it was last heard of, s.
+    pub to: f64,
+    /// Driven meanwhile, m.
+    pub length: f64,
+    length_before: f64,
+}
+
+/// A node that ran.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodeSpan {
+    /// Goal and number of the node.
+    pub node: (String, u32),
+    /// Levels above it.
+    pub depth: usize,
+    /// Its name.
+    pub name: String,
+    /// From when to when, s.
+    pub from: f64,
+    /// Until when, s.
+    pub to: f64,
+    /// `RUNNING` while it does, then how it ended.
+    pub status: String,
+}
+
+/// What is needed on the way.
+#[derive(Debug, Default)]
+pub struct Trace {
+    /// The first pose's stamp.
+    first: Option<Stamp>,
+    /// The time of the newest pose, s.
+    now: f64,
+    at: Option<Pose2>,
+    /// Arrivals of scans, ns.
+    scans: Vec<(Stamp, u64)>,
+    /// The newest scan of each revision of the map, and the arrival of the revision.
+    revisions: Vec<(u64, Stamp)>,
+    trajectory: Option<u64>,
+    moving: bool,
+    plan_since: Option<u64>,
+    open: BTreeMap<(String, u32), usize>,
+}
+
+impl Run {
+    /// Reads a record.
+    ///
+    /// # Errors
+    /// A bad record, or one of other messages.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let mut reader = RecordReader::open(path)?;
+        reader.check_messages()?;
+        let stem = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut run = Self {
+            title: reader.about().get(TITLE_ENTRY).cloned().unwrap_or_else(stem),
+            ..Self::default()
+        };
+        let mut maps = Maps::default();
+        let (mut first, mut last) = (None, 0);
+        // The model comes when the recorder has asked for it; clearance is from the first scan on.
+        let mut scans = Vec::new();
+        while let Some(sample) = reader.next_sample()? {
+            first.get_or_insert(sample.logged);
+            last = last.max(sample.logged);
+            maps.see(&sample);
+            run.see(&sample, &mut scans);
+        }
+        run.began = first.unwrap_or_default();
+        run.wall_secs = last.saturating_sub(run.began) as f64 * 1e-9;
+        run.cut_off = reader.is_cut_off();
+        for (name, robot) in &mut run.robots {
+            robot.map = maps.grid(name).cloned();
+            robot.end();
+        }
+        run.robots
+            .retain(|_, robot| !robot.poses.is_empty() || !robot.goals.is_empty());
+        Ok(run)
+    }
+
+    fn see(&mut self, sample: &Sample, early: &mut Vec<(String, f64, Scan)>) {
+        if let Some((name, info)) = sample.reply(&topics::EDGE_INFO) {
+            let robot = self.robots.entry(name.clone()).or_default();
+            robot.model = info.model;
+            let footprint = robot.model.as_ref().map(|model| &model.footprint);
+            if let Some(footprint) = footprint {
+                for (_, time, scan) in early.iter().filter(|(of, _, _)| *of == name) {
+                    robot
+                        .clearance
+                        .extend(clearance(scan, footprint).map(|least| (*time, least)));
+                }
+            }
+            early.retain(|(of, _, _)| *of != name);
+            return;
+        }
+        if sample.kind == Kind::Reply {
+            return;
+        }
+        let count = self.keys.entry(sample.key.clone()).or_default();
+        count.messages += 1;
+        count.bytes += sample.bytes.len() as u64;
+        let Some(row) = topics::row_of(&sample.key) else { return };
+        let mut chunks = sample.key.split('/');
+        let Some(name) = chunks.nth(1).filter(|name| *name != "sim" && *name != "svc") else {
+            return;
+        };
+        let robot = self.robots.entry(name.to_owned()).or_default();
+        let pattern = row.pattern;
+        if pattern == topics::POSE.pattern {
+            if let Ok(Some((_, pose))) = sample.message(&topics::POSE) {
+                robot.pose(&pose);
+            }
+        } else if pattern == topics::SCAN.pattern {
+            if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
+                robot.scan(&scan, sample.logged);
+                if robot.model.is_none() && early.len() < REMEMBERED {
+                    early.push((name.to_owned(), robot.trace.now, scan));
+                }
+            }
+        } else if pattern == topics::STATE.pattern {
+            if let Ok(Some((_, state))) = sample.message(&topics::STATE) {
+                robot.state(&state, sample.logged);
+            }
+        } else if pattern == topics::EVENT.pattern {
+            if let Ok(Some((_, event))) = sample.message(&topics::EVENT) {
+                robot.event(&event);
+            }
+        } else if pattern == topics::MAP_PATCH.pattern {
+            if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
+                robot.patch(&patch, sample.logged);
+            }
+        } else if pattern == topics::PLAN.pattern {
+            if let Ok(Some((_, plan))) = sample.message(&topics::PLAN) {
+                robot.plan(&plan, sample.logged);
+            }
+        } else if pattern == topics::GOAL_STATE.pattern {
+            if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
+                robot.goal(goal);
+            }
+        } else if pattern == topics::MISSION.pattern
+            && let Ok(Some((_, status))) = sample.message(&topics::MISSION)
+        {
+            robot.mission(&status);
+        }
+    }
+}
+
+impl RobotRun {
+    /// Least clearance, m.
+    #[must_use]
+    pub fn least_clearance(&self) -> Option<f64> {
+        let least = self.clearance.iter().map(|(_, clearance)| *clearance).reduce(f64::min);
+        least.filter(|least| least.is_finite())
+    }
+
+    /// Greatest speed, m/s.
+    #[must_use]
+    pub fn top_speed(&self) -> f64 {
+        self.speed.iter().map(|(_, speed)| speed.abs()).fold(0.0, f64::max)
+    }
+
+    fn stage(&mut self, name: &'static str, ms: f64) {
+        if ms.is_finite() && ms >= 0.0 {
+            self.stages.entry(name).or_default().push(ms);
+        }
+    }
+
+    fn pose(&mut self, pose: &PoseEstimate) {
+        if !pose.map_from_base.is_finite() {
+            return;
+        }
+        let first = *self.trace.first.get_or_insert(pose.stamp);
+        self.trace.now = pose.stamp.secs_since(first).max(0.0);
+        if let Some(before) = self.trace.at {
+            self.length += (pose.map_from_base.position() - before.position()).norm();
+        }
+        self.trace.at = Some(pose.map_from_base);
+        self.secs = self.trace.now;
+        if self.poses.last().is_none_or(|(time, _)| self.trace.now >= time + STEP) {
+            self.poses.push((self.trace.now, pose.map_from_base));
+            self.speed.push((self.trace.now, pose.velocity.v));
+        }
+    }
+
+    fn scan(&mut self, scan: &Scan, logged: u64) {
+        self.trace.scans.push((scan.stamp, logged));
+        let excess = self.trace.scans.len().saturating_sub(REMEMBERED);
+        self.trace.scans.drain(..excess);
+        if let Some(model) = &self.model {
+            let least = clearance(scan, &model.footprint);
+            self.clearance.extend(least.map(|least| (self.trace.now, least)));
+        }
+    }
+
+    /// When a scan arrived, ns.
+    fn arrival(&self, stamp: Stamp) -> Option<u64> {
+        let mut scans = self.trace.scans.iter().rev();
+        scans.find(|(of, _)| *of == stamp).map(|(_, arrival)| *arrival)
+    }
+
+    fn state(&mut self, state: &EdgeState, logged: u64) {
+        if let Some(round_trip) = state.round_trip_secs {
+            self.stage("heartbeat round trip", 1e3 * round_trip);
+        }
+        let is_moving = state.velocity.v.abs() >= MOVING || state.velocity.w.abs() >= MOVING;
+        self.trace.moving = is_moving;
+        if is_moving && let Some(since) = self.trace.plan_since.take() {
+            self.stage("plan to motion", millis(since, logged));
+        }
+    }
+
+    fn event(&mut self, event: &Event) {
+        let is_warning = matches!(
+            event.kind,
+            EventKind::Bumped
+                | EventKind::PlanRejected { .. }
+                | EventKind::PlanExpired { .. }
+                | EventKind::BatteryLow { .. }
+                | EventKind::InputsDropped { .. }
+                | EventKind::Stopped { .. }
+                | EventKind::Guard {
+                    zone: GuardZone::Stop,
+                    ..
+                }
+                | EventKind::LinkChanged {
+                    link: Link::Stale | Link::Lost
+                }
+        );
+        match event.kind {
+            EventKind::Bumped => self.bumps += 1,
+            EventKind::PlanRejected { .. } => self.rejected += 1,
+            _ => {}
+        }
+        let time = self.trace.first.map_or(0.0, |first| event.stamp.secs_since(first));
+        if self.events.len() < MOST {
+            self.events.push((time, is_warning, words::event(&event.kind)));
+        }
+    }
+
+    fn patch(&mut self, patch: &MapPatch, logged: u64) {
+        if let Some(arrival) = self.arrival(patch.stamp) {
+            self.stage("scan to map", millis(arrival, logged));
+        }
+        self.trace.revisions.push((patch.map.revision, patch.stamp));
+        let excess = self.trace.revisions.len().saturating_sub(REMEMBERED);
+        self.trace.revisions.drain(..excess);
+    }
+
+    fn plan(&mut self, plan: &Plan, logged: u64) {
+        let is_empty = plan.trajectory.is_empty() && plan.waypoints.is_empty();
+        if is_empty || self.trace.trajectory.replace(plan.trajectory_id) == Some(plan.trajectory_id) {
+            return;
+        }
+        self.plans += 1;
+        self.plan = if plan.trajectory.is_empty() {
+            plan.waypoints.clone()
+        } else {
+            plan.trajectory.iter().map(|point| point.position()).collect()
+        };
+        let statistics = &plan.statistics;
+        self.stage("search", statistics.search_ms);
+        self.stage("corridor", statistics.corridor_ms);
+        self.stage("geometry", statistics.geometry_ms);
+        self.stage("time law", statistics.timing_ms);
+        // Where the map stands still the plan is based on a pose.
+        let mut revisions = self.trace.revisions.iter().rev();
+        let scan = revisions.find(|(revision, _)| *revision == plan.map.revision);
+        let near = |stamp: Stamp| plan.based_on.stamp.secs_since(stamp).abs() < 1.0;
+        if let Some((_, stamp)) = scan.filter(|(_, stamp)| near(*stamp))
+            && let Some(arrival) = self.arrival(*stamp)
+        {
+            self.stage("scan to plan", millis(arrival, logged));
+        }
+        if !self.trace.moving {
+            self.trace.plan_since = Some(logged);
+        }
+    }
+
+    fn goal(&mut self, goal: GoalState) {
+        let (now, length) = (self.trace.now, self.length);
+        match self.goals.get_mut(&goal.id) {
+            Some(known) => {
+                if !known.state.state.is_end() {
+                    known.to = now;
+                    known.length = length - known.length_before;
+                }
+                known.state = goal;
+            }
+            None => {
+                let new = GoalRun {
+                    from: now,
+                    to: now,
+                    length: 0.0,
+                    length_before: length,
+                    state: goal,
+                };
+                self.goals.insert(new.state.id.clone(), new);
+            }
+        }
+    }
+
+    fn mission(&mut self, status: &MissionStatus) {
+        let now = self.trace.now;
+        let goal = status.goal_id.clone().unwrap_or_default();
+        let mut depths: BTreeMap<u32, usize> = BTreeMap::new();
+        for node in &status.nodes {
+            let depth = node
+                .parent
+                .and_then(|parent| depths.get(&parent))
+                .map_or(0, |depth| depth + 1);
+            depths.insert(node.uid, depth);
+            let place = (goal.clone(), node.uid);
+            let running = node.status == "RUNNING";
+            match self.trace.open.get(&place).copied() {
+                Some(open) => {
+                    if let Some(span) = self.nodes.get_mut(open) {
+                        span.to = now;
+                        span.status.clone_from(&node.status);
+                    }
+                    if !running {
+                        self.trace.open.remove(&place);
+                    }
+                }
+                None if running && self.nodes.len() < MOST => {
+                    self.trace.open.insert(place.clone(), self.nodes.len());
+                    self.nodes.push(NodeSpan {
+                        node: place,
+                        depth,
+                        name: if node.name.is_empty() {
+                            node.id.clone()
+                        } else {
+                            node.name.clone()
+                        },
+                        from: now,
+                        to: now,
+                        status: node.status.clone(),
+                    });
+                }
+                None => {}
+            }
+        }
+        // Nodes of a goal before this one run no more.
+        let over: Vec<(String, u32)> = self.trace.open.keys().filter(|(of, _)| *of != goal).cloned().collect();
+        for place in over {
+            self.trace.open.remove(&place);
+        }
+    }
+
+    fn end(&mut self) {
+        self.clearance.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for goal in self.goals.values_mut().filter(|goal| !goal.state.state.is_end()) {
+            goal.to = self.secs;
+            goal.length = self.length - goal.length_before;
+        }
+    }
+}
+
+fn millis(from: u64, to: u64) -> f64 {
+    to.saturating_sub(from) as f64 * 1e-6
+}
+
+/// Distance from the outline to the nearest return of the scan, m; zero where one is inside. `None` without a return.
+fn clearance(scan: &Scan, footprint: &Footprint) -> Option<f64> {
+    let points = scan.returns().map(|point| scan.base_from_laser.transform_point(point));
+    match footprint {
+        Footprint::Radius(radius) => points
+            .map(|point| (point.coords.norm() - radius).max(0.0))
+            .reduce(f64::min),
+        Footprint::Polygon(corners) => points.map(|point| outside(point, corners)).reduce(f64::min),
+    }
+}
+
+/// Distance of a point from a convex polygon, counter-clockwise, m; zero inside.
+fn outside(point: Point2<f64>, corners: &[Point2<f64>]) -> f64 {
+    let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+    let mut inside = true;
+    let mut least = f64::INFINITY;
+    for (from, to) in edges {
+        let (edge, off) = (to - from, point - from);
+        inside &= edge.x * off.y - edge.y * off.x >= 0.0;
+        let share = (off.dot(&edge) / edge.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+        least = least.min((off - share * edge).norm());
+    }
+    if inside { 0.0 } else { least }
+}
+
+/// What became of a goal, in a word.
+#[must_use]
+pub fn phase(phase: GoalPhase) -> &'static str {
+    match phase {
+        GoalPhase::Accepted => "accepted",
+        GoalPhase::Active => "active",
+        GoalPhase::Paused => "paused",
+        GoalPhase::Succeeded => "succeeded",
+        GoalPhase::Aborted => "aborted",
+        GoalPhase::Canceled => "canceled",
+        GoalPhase::Rejected => "rejected",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clearance_is_from_the_outline() {
+        let square = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| Point2::new(x, y));
+        assert!((outside(Point2::new(2.0, 0.0), &square) - 1.5).abs() < 1e-12);
+        assert!((outside(Point2::new(1.5, 1.5), &square) - 2.0_f64.sqrt()).abs() < 1e-12);
+        assert!(outside(Point2::new(0.1, 0.2), &square) <= 0.0);
+        let scan = Scan {
+            ranges: vec![f32::INFINITY; 5],
+            ..zenav_fixtures::scan(1, Pose2::IDENTITY, vec![])
+        };
+        assert_eq!(clearance(&scan, &Footprint::Radius(0.3)), None);
+    }
+}

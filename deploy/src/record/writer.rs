@@ -1,0 +1,475 @@
+//! Writer. How do samples become a file that survives a killed recorder, and the next one when it is full?
+//!
+//! Chunks are written whole: whoever reads a file that was cut off gets everything up to its last chunk.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Compression, McapError, WriteOptions};
+use serde::Serialize;
+use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::codec::Encoding;
+use zenav_protocol::topics;
+
+use super::format::{
+    ABOUT, ATTACHMENT, DRAWN, ENCODING, FORMAT_ENTRY, KIND, Kind, PROFILE, Problem, RecordError, SCHEMA_ENTRY,
+    STARTED_ENTRY, Sample, VERSION,
+};
+use super::foxglove::{Artist, Drawn, Schema};
+use super::maps::Maps;
+use super::schema;
+
+/// Name of JSON Schema in MCAP.
+const JSON_SCHEMA: &str = "jsonschema";
+/// A chunk is written once it has this many bytes, or sooner by [`RecordWriter::flush`].
+const CHUNK: u64 = 1 << 20;
+
+/// What a recording is to be.
+#[derive(Clone, Debug, Default)]
+pub struct RecordOptions {
+    /// A file of this many bytes is followed by another.
+    pub max_bytes: Option<u64>,
+    /// A file of this time is followed by another.
+    pub max_time: Option<Duration>,
+    /// Whether Foxglove's own messages are left out.
+    pub raw_only: bool,
+    /// What is known of the run: entries of the metadata `zenav`.
+    pub about: BTreeMap<String, String>,
+}
+
+impl RecordOptions {
+    fn rotates(&self) -> bool {
+        self.max_bytes.is_some() || self.max_time.is_some()
+    }
+}
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Written {
+    /// The files, in order.
+    pub files: Vec<PathBuf>,
+    /// Samples.
+    pub messages: u64,
+    /// Samples of each key.
+    pub keys: BTreeMap<String, u64>,
+    /// Bytes of the samples' payloads.
+    pub payload_bytes: u64,
+    /// Bytes of the files.
+    pub file_bytes: u64,
+    /// Samples that were dropped because the disk or the machine was too slow.
+    pub dropped: u64,
+    /// From the first sample to the last, s.
+    pub secs: f64,
+}
+
+/// Writes a run, in one file or several.
+pub struct RecordWriter {
+    path: PathBuf,
+    options: RecordOptions,
+    file: RecordFile,
+    artist: Artist,
+    maps: Maps,
+    /// Replies, which every file begins with.
+    replies: BTreeMap<String, Sample>,
+    written: Written,
+    first: Option<u64>,
+    last: u64,
+}
+
+impl std::fmt::Debug for RecordWriter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RecordWriter")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
+    }
+}
+
+impl RecordWriter {
+    /// Begins a recording now, ns since the UNIX epoch. With a limit the files are named `OUT_0001.mcap` and so on.
+    ///
+    /// # Errors
+    /// The file exists already or cannot be made.
+    pub fn create(path: &Path, options: RecordOptions, now: u64) -> Result<Self, RecordError> {
+        let first = if options.rotates() {
+            numbered(path, 1)
+        } else {
+            path.to_owned()
+        };
+        let file = RecordFile::create(&first, &options, now)?;
+        Ok(Self {
+            path: path.to_owned(),
+            options,
+            file,
+            artist: Artist::default(),
+            maps: Maps::default(),
+            replies: BTreeMap::new(),
+            written: Written {
+                files: vec![first],
+                ..Written::default()
+            },
+            first: None,
+            last: now,
+        })
+    }
+
+    /// Writes a sample.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&mut self, sample: &Sample) -> Result<(), RecordError> {
+        if self.is_full(sample.logged) {
+            self.next_file(sample.logged)?;
+        }
+        self.first.get_or_insert(sample.logged);
+        self.last = self.last.max(sample.logged);
+        self.file.sample(sample)?;
+        if sample.kind == Kind::Reply {
+            self.replies.insert(sample.key.clone(), sample.clone());
+        } else {
+            self.written.messages += 1;
+            self.written.payload_bytes += sample.bytes.len() as u64;
+            count(&mut self.written.keys, &sample.key);
+        }
+        self.draw(sample)
+    }
+
+    /// Writes a sample as Foxglove sees it.
+    fn draw(&mut self, sample: &Sample) -> Result<(), RecordError> {
+        let changed = self.maps.see(sample);
+        if self.options.raw_only {
+            return Ok(());
+        }
+        for drawn in self.artist.draw(sample) {
+            self.file.drawn(&drawn, sample.logged)?;
+        }
+        if let Some(robot) = changed
+            && let Some(map) = self.maps.grid(&robot)
+            && let Some(drawn) = self.artist.draw_map(&robot, map, sample.logged, false)
+        {
+            self.file.drawn(&drawn, sample.logged)?;
+        }
+        Ok(())
+    }
+
+    /// Robots of whose map a part is missing in the recording.
+    pub fn incomplete_maps(&self) -> Vec<String> {
+        self.maps.incomplete().map(str::to_owned).collect()
+    }
+
+    /// Ends a file: the maps as they are now.
+    fn draw_maps(&mut self) -> Result<(), RecordError> {
+        for robot in self.artist.undrawn() {
+            if let Some(map) = self.maps.grid(&robot)
+                && let Some(drawn) = self.artist.draw_map(&robot, map, self.last, true)
+            {
+                self.file.drawn(&drawn, self.last)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes what waits to be: from now on it outlives this process.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        self.file.flush()
+    }
+
+    /// Ends the recording, with so many samples dropped before they came here.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self, dropped: u64) -> Result<Written, RecordError> {
+        self.draw_maps()?;
+        self.written.file_bytes += self.file.finish()?;
+        self.written.dropped = dropped;
+        self.written.secs = self.last.saturating_sub(self.first.unwrap_or(self.last)) as f64 * 1e-9;
+        Ok(self.written)
+    }
+
+    fn is_full(&self, now: u64) -> bool {
+        let bytes = self.options.max_bytes.is_some_and(|most| self.file.bytes() >= most);
+        let age = Duration::from_nanos(now.saturating_sub(self.file.begun));
+        bytes || self.options.max_time.is_some_and(|most| age >= most)
+    }
+
+    fn next_file(&mut self, now: u64) -> Result<(), RecordError> {
+        self.draw_maps()?;
+        self.written.file_bytes += self.file.finish()?;
+        let next = numbered(&self.path, self.written.files.len() + 1);
+        self.file = RecordFile::create(&next, &self.options, now)?;
+        self.written.files.push(next);
+        self.artist.begin_file();
+        // So that each file is of use without the ones before it.
+        let mut beginning: Vec<Sample> = self.replies.values().cloned().collect();
+        beginning.retain(|reply| topics::MAP.chunks(&reply.key).is_empty());
+        beginning.extend(self.maps.replies(now));
+        for reply in beginning {
+            let reply = Sample { logged: now, ..reply };
+            self.file.sample(&reply)?;
+            self.draw(&reply)?;
+        }
+        Ok(())
+    }
+}
+
+fn count(keys: &mut BTreeMap<String, u64>, key: &str) {
+    if let Some(count) = keys.get_mut(key) {
+        *count += 1;
+    } else {
+        keys.insert(key.to_owned(), 1);
+    }
+}
+
+/// `run.mcap` as `run_0001.mcap`.
+fn numbered(path: &Path, number: usize) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = path.extension().unwrap_or_default().to_string_lossy();
+    let dot = if ending.is_empty() { "" } else { "." };
+    path.with_file_name(format!("{stem}_{number:04}{dot}{ending}"))
+}
+
+/// Counts what passes to a file.
+struct Counted {
+    file: BufWriter<File>,
+    bytes: Arc<AtomicU64>,
+}
+
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// A channel of a file: what makes it one.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct ChannelName {
+    topic: String,
+    kind: &'static str,
+    encoding: String,
+}
+
+/// One MCAP file.
+struct RecordFile {
+    path: PathBuf,
+    begun: u64,
+    mcap: mcap::Writer<NoSeek<Counted>>,
+    bytes: Arc<AtomicU64>,
+    /// Number of each channel, and of its next message.
+    channels: BTreeMap<ChannelName, (u16, u32)>,
+    /// Numbers of the messages' schemas, by title.
+    schemas: BTreeMap<String, u16>,
+    drawn: BTreeMap<Schema, u16>,
+}
+
+impl RecordFile {
+    fn create(path: &Path, options: &RecordOptions, now: u64) -> Result<Self, RecordError> {
+        let file = File::create_new(path).map_err(|error| match error.kind() {
+            std::io::ErrorKind::AlreadyExists => RecordError::new(path, Problem::Exists),
+            _ => RecordError::new(path, Problem::Io(error)),
+        })?;
+        let bytes = Arc::new(AtomicU64::new(0));
+        let counted = Counted {
+            file: BufWriter::new(file),
+            bytes: Arc::clone(&bytes),
+        };
+        // Without seeking a chunk is gathered in memory and written whole.
+        let mcap = WriteOptions::new()
+            .profile(PROFILE)
+            .library(concat!("zenav/", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Lz4))
+            .chunk_size(Some(CHUNK))
+            .disable_seeking(true)
+            .create(NoSeek::new(counted))
+            .map_err(|error| broken(path, error))?;
+        let mut file = Self {
+            path: path.to_owned(),
+            begun: now,
+            mcap,
+            bytes,
+            channels: BTreeMap::new(),
+            schemas: BTreeMap::new(),
+            drawn: BTreeMap::new(),
+        };
+        let mut about = options.about.clone();
+        for (name, value) in [
+            (FORMAT_ENTRY, VERSION.to_owned()),
+            (SCHEMA_ENTRY, SCHEMA_VERSION.to_string()),
+            (STARTED_ENTRY, now.to_string()),
+        ] {
+            about.insert(name.to_owned(), value);
+        }
+        let about = Metadata {
+            name: ABOUT.to_owned(),
+            metadata: about,
+        };
+        let told = file.mcap.write_metadata(&about);
+        told.map_err(|error| broken(path, error))?;
+        file.flush()?;
+        Ok(file)
+    }
+
+    fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn sample(&mut self, sample: &Sample) -> Result<(), RecordError> {
+        let name = ChannelName {
+            topic: sample.key.clone(),
+            kind: sample.kind.name(),
+            encoding: sample.encoding.clone(),
+        };
+        let (channel, sequence) = self.channel(&name, Some(&sample.bytes), None)?;
+        // Before its sample: a reader has it at hand when the sample comes.
+        if let Some(attachment) = &sample.attachment {
+            let attached = ChannelName {
+                kind: ATTACHMENT,
+                encoding: format!("{} {}", sample.kind.name(), sample.encoding),
+                ..name
+            };
+            let (attached, _) = self.channel(&attached, None, None)?;
+            self.message(attached, sequence, sample.logged, None, attachment)?;
+        }
+        self.message(channel, sequence, sample.logged, sample.published, &sample.bytes)
+    }
+
+    fn drawn(&mut self, drawn: &Drawn, logged: u64) -> Result<(), RecordError> {
+        let name = ChannelName {
+            topic: drawn.topic.clone(),
+            kind: DRAWN,
+            encoding: Encoding::Json.mime().to_owned(),
+        };
+        let (channel, sequence) = self.channel(&name, None, Some(drawn.schema))?;
+        self.message(channel, sequence, logged, None, &drawn.json)
+    }
+
+    /// The channel's number and that of its next message; `example` is its first payload.
+    fn channel(
+        &mut self,
+        name: &ChannelName,
+        example: Option<&[u8]>,
+        drawn: Option<Schema>,
+    ) -> Result<(u16, u32), RecordError> {
+        if let Some((channel, sequence)) = self.channels.get_mut(name) {
+            *sequence = sequence.wrapping_add(1);
+            return Ok((*channel, *sequence));
+        }
+        let is_json = Encoding::of(&name.encoding) == Encoding::Json && name.kind != ATTACHMENT;
+        let schema = match (drawn, example) {
+            (Some(drawn), _) => self.drawn_schema(drawn)?,
+            (None, Some(example)) if is_json => self.message_schema(&name.topic, example)?,
+            _ => 0,
+        };
+        let message_encoding = match (name.kind, Encoding::of(&name.encoding)) {
+            (ATTACHMENT, _) => "application/octet-stream",
+            (_, Encoding::Cbor) => "cbor",
+            // Text that is no JSON, or bytes of somebody else's: as Zenoh names it.
+            (_, Encoding::Json) if schema == 0 => name.encoding.as_str(),
+            (_, Encoding::Json) => "json",
+        };
+        let metadata = [(KIND, name.kind), (ENCODING, name.encoding.as_str())];
+        let metadata = metadata
+            .into_iter()
+            .map(|(entry, value)| (entry.to_owned(), value.to_owned()))
+            .collect();
+        let channel = self
+            .mcap
+            .add_channel(schema, &name.topic, message_encoding, &metadata)
+            .map_err(|error| broken(&self.path, error))?;
+        self.channels.insert(name.clone(), (channel, 0));
+        Ok((channel, 0))
+    }
+
+    fn drawn_schema(&mut self, schema: Schema) -> Result<u16, RecordError> {
+        if let Some(number) = self.drawn.get(&schema) {
+            return Ok(*number);
+        }
+        let text = schema.json().to_string();
+        let number = self
+            .mcap
+            .add_schema(schema.name(), JSON_SCHEMA, text.as_bytes())
+            .map_err(|error| broken(&self.path, error))?;
+        self.drawn.insert(schema, number);
+        Ok(number)
+    }
+
+    /// The schema of a key's messages; 0 for what is no JSON object.
+    fn message_schema(&mut self, key: &str, example: &[u8]) -> Result<u16, RecordError> {
+        let message = topics::row_of(key).map(|row| row.message.rsplit(" -> ").next().unwrap_or(row.message));
+        let title = message.map_or_else(|| key.to_owned(), |message| format!("zenav.{message}"));
+        if let Some(number) = self.schemas.get(&title) {
+            return Ok(*number);
+        }
+        let Some(schema) = schema::of_example(&title, example) else {
+            return Ok(0);
+        };
+        let number = self
+            .mcap
+            .add_schema(&title, JSON_SCHEMA, schema.to_string().as_bytes())
+            .map_err(|error| broken(&self.path, error))?;
+        self.schemas.insert(title, number);
+        Ok(number)
+    }
+
+    fn message(
+        &mut self,
+        channel_id: u16,
+        sequence: u32,
+        log_time: u64,
+        published: Option<u64>,
+        bytes: &[u8],
+    ) -> Result<(), RecordError> {
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time,
+            publish_time: published.unwrap_or(log_time),
+        };
+        let written = self.mcap.write_to_known_channel(&header, bytes);
+        written.map_err(|error| broken(&self.path, error))
+    }
+
+    fn flush(&mut self) -> Result<(), RecordError> {
+        self.mcap.flush().map_err(|error| broken(&self.path, error))
+    }
+
+    /// Ends the file; returns its size, bytes.
+    fn finish(&mut self) -> Result<u64, RecordError> {
+        self.mcap.finish().map_err(|error| broken(&self.path, error))?;
+        Ok(self.bytes())
+    }
+}
+
+fn broken(path: &Path, error: McapError) -> RecordError {
+    let problem = match error {
+        McapError::Io(error) => Problem::Io(error),
+        other => Problem::Io(std::io::Error::other(other)),
+    };
+    RecordError::new(path, problem)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_one_recording_are_numbered() {
+        assert_eq!(numbered(Path::new("a/run.mcap"), 2), Path::new("a/run_0002.mcap"));
+        assert_eq!(numbered(Path::new("run"), 11), Path::new("run_0011"));
+    }
+}

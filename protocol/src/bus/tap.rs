@@ -1,0 +1,253 @@
+//! Tap. What comes on the bus, byte for byte, and when? For recorders; and how is it published again?
+//!
+//! Samples of plain topics are taken as they arrive. `Events` and `State` topics are subscribed to as their readers do: with what their
+//! publishers keep for late joiners, in order, and asked for again where one is missing. (One such subscription for all keys would not do:
+//! Zenoh's drops a sample that carries no number and an older time than the last one of the same router, as happens between priorities.)
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use zenoh::Wait;
+use zenoh::bytes::{Encoding as WireEncoding, ZBytes};
+use zenoh::key_expr::KeyExpr;
+use zenoh::sample::Sample;
+use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+
+use super::inbox::{Inbox, Slot, Store};
+use super::publish::{self, kept};
+use super::subscribe::{Carrier, HISTORY_TIMEOUT};
+use super::{Bus, BusError, RawSample};
+use crate::codec::Encoding;
+use crate::topics::{self, Qos, TABLE};
+
+/// A sample, what was attached to it, and when it came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tapped {
+    /// The sample.
+    pub sample: RawSample,
+    /// What its publisher attached to it.
+    pub attachment: Option<Vec<u8>>,
+    /// When it arrived in this process.
+    pub arrived: Instant,
+}
+
+/// Samples that wait, bounded by their bytes: what does not fit is dropped.
+struct Backlog {
+    items: VecDeque<(Instant, Sample)>,
+    bytes: usize,
+    capacity: usize,
+}
+
+/// Bytes that a waiting sample takes beside its payload, about.
+const OVERHEAD: usize = 256;
+
+fn weight(sample: &Sample) -> usize {
+    let attached = sample.attachment().map_or(0, ZBytes::len);
+    sample.payload().len() + attached + OVERHEAD
+}
+
+impl Store for Backlog {
+    type Item = (Instant, Sample);
+
+    fn put(&mut self, item: Self::Item) -> bool {
+        let weight = weight(&item.1);
+        // One that is larger than all the room still passes when nothing else waits.
+        let fits = self.items.is_empty() || self.bytes + weight <= self.capacity;
+        if fits {
+            self.bytes += weight;
+            self.items.push_back(item);
+        }
+        fits
+    }
+
+    fn pop(&mut self) -> Option<Self::Item> {
+        let item = self.items.pop_front()?;
+        self.bytes = self.bytes.saturating_sub(weight(&item.1));
+        Some(item)
+    }
+
+    fn len(&self) -> usize {
+        self.items.len()
+    }
+}
+
+/// A subscription to everything on some keys.
+pub struct Tap {
+    inbox: Arc<Inbox<Backlog>>,
+    _carriers: Vec<Carrier>,
+}
+
+impl fmt::Debug for Tap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Tap").finish_non_exhaustive()
+    }
+}
+
+impl Tap {
+    /// Waits for the next sample; `None` after the bus was closed. Cancel-safe.
+    pub async fn next(&mut self) -> Option<Tapped> {
+        let (arrived, sample) = self.inbox.next().await?;
+        Some(tapped(arrived, &sample))
+    }
+
+    /// The next sample, if one waits.
+    pub fn try_next(&mut self) -> Option<Tapped> {
+        let (arrived, sample) = self.inbox.try_next()?;
+        Some(tapped(arrived, &sample))
+    }
+
+    /// Number of samples dropped because the reader was too slow.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.inbox.dropped()
+    }
+}
+
+fn tapped(arrived: Instant, sample: &Sample) -> Tapped {
+    Tapped {
+        attachment: sample.attachment().map(|bytes| bytes.to_bytes().into_owned()),
+        sample: sample.into(),
+        arrived,
+    }
+}
+
+/// Whether a sample reaches a tap by the subscription that recovers lost ones.
+fn is_numbered(sample: &Sample) -> bool {
+    sample.source_info().is_some()
+        && topics::row_of(sample.key_expr().as_str())
+            .is_some_and(|row| matches!(row.qos, Some(Qos::Events { .. } | Qos::State)))
+}
+
+impl Bus {
+    /// Subscribes to all samples on keys that match one of the patterns, each once, from what is kept for late joiners on. At most
+    /// `capacity` bytes wait to be read; what comes beyond that is dropped and counted.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], [`BusError::Closed`].
+    pub fn tap(&self, patterns: &[String], capacity: usize) -> Result<Tap, BusError> {
+        let keys: Vec<KeyExpr<'static>> = patterns.iter().cloned().map(Self::key).collect::<Result<_, _>>()?;
+        let keys = Arc::new(keys);
+        let (inbox, slot) = Inbox::new(Backlog {
+            items: VecDeque::new(),
+            bytes: 0,
+            capacity,
+        });
+        let slot = Arc::new(slot);
+        let mut carriers = Vec::new();
+        for (nth, key) in keys.iter().enumerate() {
+            let (slot, all) = (Arc::clone(&slot), Arc::clone(&keys));
+            let callback = move |sample: Sample| {
+                let is_earlier = all
+                    .iter()
+                    .take(nth)
+                    .any(|earlier| earlier.intersects(sample.key_expr()));
+                if !is_earlier && !is_numbered(&sample) {
+                    put(&slot, sample);
+                }
+            };
+            let plain = self.session.declare_subscriber(key.clone()).callback(callback);
+            carriers.push(Carrier::Plain(self.declared(plain.wait())?));
+        }
+        for row in TABLE {
+            let Some(qos @ (Qos::Events { .. } | Qos::State)) = row.qos else {
+                continue;
+            };
+            let key = Self::key(topics::alive_key(row.pattern, &[]))?;
+            if !keys.iter().any(|pattern| pattern.intersects(&key)) {
+                continue;
+            }
+            let (slot, all) = (Arc::clone(&slot), Arc::clone(&keys));
+            let callback = move |sample: Sample| {
+                if is_numbered(&sample) && all.iter().any(|pattern| pattern.intersects(sample.key_expr())) {
+                    put(&slot, sample);
+                }
+            };
+            let advanced = self
+                .session
+                .declare_subscriber(key)
+                .callback(callback)
+                .history(HistoryConfig::default().detect_late_publishers().max_samples(kept(qos)))
+                .recovery(RecoveryConfig::default().heartbeat())
+                .query_timeout(HISTORY_TIMEOUT)
+                .wait();
+            carriers.push(Carrier::Advanced(self.declared(advanced)?));
+        }
+        Ok(Tap {
+            inbox,
+            _carriers: carriers,
+        })
+    }
+
+    /// A publisher of bytes on one key, with the quality of service that the key table gives it; a key that it does not have is published
+    /// plainly.
+    ///
+    /// # Errors
+    /// [`BusError::Key`], also for a key with wildcards; [`BusError::Closed`].
+    pub fn raw_publisher(&self, key: &str, encoding: &str) -> Result<RawPublisher, BusError> {
+        let key_expr = Self::key(key.to_owned())?;
+        if key_expr.is_wild() {
+            return Err(BusError::Key {
+                key: key.to_owned(),
+                reason: "expected a key without wildcards to publish on".into(),
+            });
+        }
+        let qos = topics::row_of(key).and_then(|row| row.qos).unwrap_or(Qos::Latest);
+        Ok(RawPublisher {
+            carrier: self.carrier(key_expr, qos, Encoding::of(encoding))?,
+            encoding: WireEncoding::from(encoding),
+        })
+    }
+}
+
+fn put(slot: &Slot<Backlog>, sample: Sample) {
+    slot.put((Instant::now(), sample));
+}
+
+/// Publishes bytes on one key.
+pub struct RawPublisher {
+    carrier: publish::Carrier,
+    encoding: WireEncoding,
+}
+
+impl fmt::Debug for RawPublisher {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RawPublisher").finish_non_exhaustive()
+    }
+}
+
+impl RawPublisher {
+    /// Publishes a value, with what is attached to it.
+    ///
+    /// # Errors
+    /// [`BusError::Closed`].
+    pub fn put(&self, bytes: Vec<u8>, attachment: Option<Vec<u8>>) -> Result<(), BusError> {
+        let attachment = attachment.map(ZBytes::from);
+        let put = match &self.carrier {
+            publish::Carrier::Plain(publisher) => publisher
+                .put(bytes)
+                .encoding(self.encoding.clone())
+                .attachment(attachment)
+                .wait(),
+            publish::Carrier::Advanced(publisher) => publisher
+                .put(bytes)
+                .encoding(self.encoding.clone())
+                .attachment(attachment)
+                .wait(),
+        };
+        put.map_err(|_| BusError::Closed)
+    }
+
+    /// Publishes that the key's value is deleted.
+    ///
+    /// # Errors
+    /// [`BusError::Closed`].
+    pub fn delete(&self) -> Result<(), BusError> {
+        let deleted = match &self.carrier {
+            publish::Carrier::Plain(publisher) => publisher.delete().wait(),
+            publish::Carrier::Advanced(publisher) => publisher.delete().wait(),
+        };
+        deleted.map_err(|_| BusError::Closed)
+    }
+}
