@@ -7,7 +7,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
-    batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam, wall_following,
+    annotations, batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam, wall_following,
 };
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
@@ -53,9 +53,17 @@ enum Command {
     Teleop(operator::TeleopArgs),
     /// Show, acquire or release the command lease of a robot
     Lease(operator::LeaseArgs),
+    /// Have a robot spin, drive straight, back up or wait
+    Do(operator::DoArgs),
+    /// List, read and set the parameters of a running robot
+    Param(operator::ParamArgs),
+    /// List, add and remove named places of a robot's map
+    Place(annotations::PlaceArgs),
+    /// List, add and remove keep-out and speed zones of a robot's map
+    Zone(annotations::ZoneArgs),
     /// List, print and measure topics
     Topic(inspect::TopicArgs),
-    /// Save, show, convert and build maps
+    /// Show, save, load, store, convert and build maps
     Map(inspect::MapArgs),
     /// Validate, show, watch and simulate behaviour trees
     Bt(inspect::BtArgs),
@@ -126,6 +134,10 @@ fn run(command: Command) -> Outcome {
         Command::Resume(args) => operator::resume(&args),
         Command::Teleop(args) => operator::teleop(&args),
         Command::Lease(args) => operator::lease(&args),
+        Command::Do(args) => operator::maneuver(&args),
+        Command::Param(args) => operator::param(&args),
+        Command::Place(args) => annotations::place(&args),
+        Command::Zone(args) => annotations::zone(&args),
         Command::Topic(args) => inspect::topic(&args),
         Command::Map(args) => inspect::map(&args),
         Command::Bt(args) => inspect::bt(&args),

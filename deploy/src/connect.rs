@@ -92,6 +92,30 @@ pub fn finite(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Says that a heading is hardly meant in radians.
+///
+/// # Errors
+/// With what was expected, for a heading beyond a full turn.
+pub fn check_yaw(yaw: f64) -> Result<(), String> {
+    if yaw.abs() <= std::f64::consts::TAU {
+        Ok(())
+    } else {
+        Err(format!(
+            "a heading of {yaw} rad: expected radians within a full turn; {yaw} degrees are {:.3}",
+            yaw.to_radians()
+        ))
+    }
+}
+
+/// A heading on the command line, rad.
+///
+/// # Errors
+/// With what was expected.
+pub fn heading(text: &str) -> Result<f64, String> {
+    let yaw = finite(text)?;
+    check_yaw(yaw).map(|()| yaw)
+}
+
 /// A positive, finite number on the command line.
 ///
 /// # Errors

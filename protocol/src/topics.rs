@@ -14,7 +14,7 @@ use serde::de::DeserializeOwned;
 
 use crate::codec::Encoding;
 use crate::messages::{
-    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
+    AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
     Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
     JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
     MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
@@ -313,6 +313,7 @@ crate::sensor_kinds!(key_table [
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
+        ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
@@ -341,7 +342,8 @@ crate::sensor_kinds!(key_table [
     }
     asks {
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
-        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
+        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 64 * MIB, Cbor;
+        ANNOTATE: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Mapping, MIB;
         MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }

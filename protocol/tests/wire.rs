@@ -79,6 +79,8 @@ zenav_protocol::sensor_kinds!(messages [
     GoalsReply
     MapRequest
     MapReply
+    Annotations
+    AnnotateRequest
     InfoRequest
     InfoReply
     JoinRequest
@@ -145,6 +147,7 @@ fn what_a_person_types_is_enough() {
         ("GoalRequest", r#"{"place": "sink"}"#),
         ("CancelRequest", "{}"),
         ("MapRequest", r#"{"action": "reset", "epoch": 7}"#),
+        ("AnnotateRequest", r#"{"action": "clear_zones", "epoch": 7}"#),
         ("StopRequest", "{}"),
         (
             "BehaviourRequest",

@@ -85,7 +85,7 @@ impl Mission {
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
         let now = self.own_time(now);
         let ctx = &mut self.ctx;
-        ctx.now = now;
+        ctx.observe(now, inputs.annotations);
         if let Some(state) = &inputs.state {
             ctx.lease.observe(now, state);
         }
@@ -202,6 +202,11 @@ impl Mission {
             let Some(goal) = self.goals.active().or_else(|| self.goals.next()).cloned() else {
                 return;
             };
+            // A goal of an earlier run may lead to a place that was added at run time.
+            let place = goal.state.request.place.as_ref();
+            if place.is_some_and(|place| !self.ctx.config.places.contains_key(place)) && self.ctx.may_learn_places() {
+                return;
+            }
             match self.attach(&goal) {
                 Ok(running) => {
                     let now = self.ctx.now;

@@ -238,8 +238,7 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
             stored: false,
         },
         values: grid.values().to_vec(),
-        trajectory: Vec::new(),
-    }));
+        trajectory: Vec::new(), stored: Vec::new(), }));
     let column = side / TILE / 2;
     let tile = |shift: u32| {
         let cells =

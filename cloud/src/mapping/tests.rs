@@ -32,6 +32,7 @@ fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
         action,
         request_id: Some(id.to_owned()),
         epoch,
+        ..MapRequest::default()
     }
 }
 

@@ -122,6 +122,10 @@ settings! {
     pub struct MappingSection {
         /// Whether it runs.
         pub enabled: bool = true;
+        /// Known map to begin with, a `map_server` description or an image; without it, the stored one.
+        pub map: Option<PathBuf> = None;
+        /// Whether scans are inserted into the known map; otherwise it is held.
+        pub live: bool = false;
     }
 }
 

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
 //! | `map`, `draw`, `convert`, `build` | maps: saved, drawn in the terminal, converted, built from logs |
+//! | `map_control` | which map a robot drives by: loaded, stored, held |
 //! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
 //! | `doctor`, `diagnosis`, `check` | is everything there and well? |
 
@@ -16,6 +17,7 @@ mod doctor;
 mod draw;
 mod listen;
 mod map;
+mod map_control;
 mod meter;
 mod payload;
 mod topic;

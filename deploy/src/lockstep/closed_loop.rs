@@ -338,7 +338,8 @@ impl RobotLoop {
 
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
         match request.action {
-            MapAction::Get => {}
+            // Nothing is kept on disk here.
+            MapAction::Get | MapAction::List | MapAction::Load => {}
             MapAction::Save => self.mapper.mark_stored(),
             MapAction::Reset => self.mapper.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapper.resume(),

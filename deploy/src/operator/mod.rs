@@ -5,19 +5,27 @@
 //! |---|---|
 //! | `stop` | stop, resume |
 //! | `lease` | who may command: show, acquire, release |
+//! | `change` | under which epoch a command changes something |
+//! | `param` | which gains a robot drives with |
+//! | `maneuver` | spin, drive straight, back up, wait |
 //! | `lease_session` | keeping the operator's lease while it is needed |
 //! | `keyboard` | which key means which motion, and for how long (pure) |
 //! | `status` | who commands now, and what is shown of it (pure) |
 //! | `teleop` | driving in the terminal |
 
+pub(crate) mod change;
 mod keyboard;
 mod lease;
 mod lease_session;
+mod maneuver;
+mod param;
 mod status;
 mod stop;
 mod teleop;
 
 pub use lease::{LeaseArgs, lease};
+pub use maneuver::{DoArgs, maneuver};
+pub use param::{ParamArgs, param};
 pub use stop::{StopArgs, resume, stop};
 pub use teleop::{TeleopArgs, teleop};
 
@@ -27,4 +35,26 @@ fn holder() -> String {
         .or_else(|_| std::env::var("USERNAME"))
         .unwrap_or_else(|_| "unknown".to_owned());
     format!("operator-{user}")
+}
+
+/// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.
+async fn ended() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let (Ok(mut hangup), Ok(mut terminate)) = (signal(SignalKind::hangup()), signal(SignalKind::terminate()))
+        else {
+            let _ = tokio::signal::ctrl_c().await;
+            return;
+        };
+        tokio::select! {
+            _ = tokio::signal::ctrl_c() => {}
+            _ = hangup.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = tokio::signal::ctrl_c().await;
+    }
 }

@@ -266,6 +266,5 @@ fn map() -> MapReply {
     MapReply {
         info,
         values,
-        trajectory: Vec::new(),
-    }
+        trajectory: Vec::new(), stored: Vec::new(), }
 }
