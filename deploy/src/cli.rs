@@ -7,7 +7,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
-    annotations, batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam, wall_following,
+    annotations, batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, slam,
+    wall_following,
 };
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.

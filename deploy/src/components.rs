@@ -195,14 +195,17 @@ impl Parts {
         };
         let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
         for id in robots {
-            self.map_robot(MappingConfig {
-                settings: deployment.mapping.settings.clone(),
-                folder: Some(deployment.robot_dir(id)),
-                known: known.clone(),
-                places: places.clone(),
-                zones: Arc::clone(&zones),
-                ..MappingConfig::new(id.as_str())
-            }, deployment);
+            self.map_robot(
+                MappingConfig {
+                    settings: deployment.mapping.settings.clone(),
+                    folder: Some(deployment.robot_dir(id)),
+                    known: known.clone(),
+                    places: places.clone(),
+                    zones: Arc::clone(&zones),
+                    ..MappingConfig::new(id.as_str())
+                },
+                deployment,
+            );
         }
         Ok(())
     }

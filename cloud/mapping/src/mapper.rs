@@ -345,7 +345,9 @@ impl MapSnapshot {
         MapReply {
             values: self.grid().into_values(),
             info: self.info,
-            trajectory: self.trajectory, stored: Vec::new(), }
+            trajectory: self.trajectory,
+            stored: Vec::new(),
+        }
     }
 }
 

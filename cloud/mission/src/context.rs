@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
-use zenav_protocol::messages::{Annotations, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
+use zenav_protocol::messages::{
+    Annotations, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan,
+};
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;

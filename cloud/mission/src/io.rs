@@ -3,8 +3,8 @@
 use thiserror::Error;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
-    Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest, LeaseReply,
-    LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
+    Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest,
+    LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
     PoseEstimate, Refusal, RemoteReply, RemoteRequest,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};

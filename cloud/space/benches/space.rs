@@ -238,7 +238,9 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
             stored: false,
         },
         values: grid.values().to_vec(),
-        trajectory: Vec::new(), stored: Vec::new(), }));
+        trajectory: Vec::new(),
+        stored: Vec::new(),
+    }));
     let column = side / TILE / 2;
     let tile = |shift: u32| {
         let cells =

@@ -12,9 +12,7 @@ use zenav_mapping::atomic::write_atomically;
 use zenav_protocol::bus::Request;
 use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::wrap_angle;
-use zenav_protocol::messages::{
-    AnnotateAction, AnnotateRequest, Annotations, GoalPoint, Refusal, Zone,
-};
+use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations, GoalPoint, Refusal, Zone};
 use zenav_protocol::time::Stamp;
 use zenav_space::Zones;
 
@@ -144,8 +142,12 @@ impl AnnotationBook {
         }
         // What is neither in the base nor added need not be known as removed.
         let base = &self.base;
-        overlay.places.retain(|name, place| place.is_some() || base.places.contains_key(name));
-        overlay.zones.retain(|name, zone| zone.is_some() || base.zones.iter().any(|known| known.name == *name));
+        overlay
+            .places
+            .retain(|name, place| place.is_some() || base.places.contains_key(name));
+        overlay
+            .zones
+            .retain(|name, zone| zone.is_some() || base.zones.iter().any(|known| known.name == *name));
         let after = laid_over(base, &overlay);
         if (&after.places, &after.zones) == (&self.now.places, &self.now.zones) {
             return Ok(None);
@@ -173,8 +175,11 @@ fn laid_over(base: &Annotations, overlay: &Overlay) -> Annotations {
             None => places.remove(name),
         };
     }
-    let mut zones: BTreeMap<String, Zone> =
-        base.zones.iter().map(|zone| (zone.name.clone(), zone.clone())).collect();
+    let mut zones: BTreeMap<String, Zone> = base
+        .zones
+        .iter()
+        .map(|zone| (zone.name.clone(), zone.clone()))
+        .collect();
     for (name, zone) in &overlay.zones {
         match zone {
             Some(zone) => zones.insert(name.clone(), zone.clone()),
@@ -348,20 +353,35 @@ mod tests {
         assert!(!first.change(add("fridge", 2.0)).await.unwrap(), "the same again");
         let remove = AnnotateAction::RemovePlace { name: "sink".into() };
         first.change(remove).await.unwrap();
-        first.change(AnnotateAction::AddZone { zone: zone("wet", 2.0) }).await.unwrap();
+        first
+            .change(AnnotateAction::AddZone { zone: zone("wet", 2.0) })
+            .await
+            .unwrap();
         assert_eq!(first.now().revision, 3);
         let second = book(folder.path());
         assert_eq!(second.now(), first.now());
-        assert_eq!(names(&second), (vec!["fridge".into()], vec!["stairs".into(), "wet".into()]));
-        let base = AnnotationBook::open([("oven".to_owned(), at(3.0))].into(), &Zones::default(), Some(folder.path()));
-        assert_eq!(names(&base.unwrap()), (vec!["fridge".into(), "oven".into()], vec!["wet".into()]));
+        assert_eq!(
+            names(&second),
+            (vec!["fridge".into()], vec!["stairs".into(), "wet".into()])
+        );
+        let base = AnnotationBook::open(
+            [("oven".to_owned(), at(3.0))].into(),
+            &Zones::default(),
+            Some(folder.path()),
+        );
+        assert_eq!(
+            names(&base.unwrap()),
+            (vec!["fridge".into(), "oven".into()], vec!["wet".into()])
+        );
     }
 
     #[tokio::test]
     async fn zones_are_removed_one_by_one_or_all() {
         let folder = tempfile::tempdir().unwrap();
         let mut book = book(folder.path());
-        book.change(AnnotateAction::AddZone { zone: zone("wet", 2.0) }).await.unwrap();
+        book.change(AnnotateAction::AddZone { zone: zone("wet", 2.0) })
+            .await
+            .unwrap();
         let remove = AnnotateAction::RemoveZone { name: "stairs".into() };
         book.change(remove.clone()).await.unwrap();
         assert_eq!(names(&book).1, ["wet"]);
@@ -383,11 +403,19 @@ mod tests {
             (
                 AnnotateAction::AddPlace {
                     name: "turned".into(),
-                    at: GoalPoint { yaw: Some(90.0), ..at(0.0) },
+                    at: GoalPoint {
+                        yaw: Some(90.0),
+                        ..at(0.0)
+                    },
                 },
                 "expected radians",
             ),
-            (AnnotateAction::AddZone { zone: zone("flat", 0.0) }, "zone `flat`"),
+            (
+                AnnotateAction::AddZone {
+                    zone: zone("flat", 0.0),
+                },
+                "zone `flat`",
+            ),
             (AnnotateAction::RemovePlace { name: "moon".into() }, "there are sink"),
         ] {
             let refusal = book.change(action).await.unwrap_err().to_string();

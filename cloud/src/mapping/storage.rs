@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 use zenav_mapping::Mapper;
 use zenav_mapping::store::{self, MapRecord, StoredMap};
-use zenav_protocol::id::Id;
 use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{MapRef, MapRequest, Refusal, StoredMapInfo};
 
 use super::{KnownMap, MappingConfig, Service};
@@ -35,7 +35,13 @@ pub(super) async fn begin(config: &MappingConfig) -> Mapper {
                     "stored map loaded"
                 );
                 // A new id: revisions of the last run that were never stored must not be mistaken for these.
-                return Mapper::with_stored(config.settings.clone(), new_map(robot), &grid, record.trajectory, record.scans);
+                return Mapper::with_stored(
+                    config.settings.clone(),
+                    new_map(robot),
+                    &grid,
+                    record.trajectory,
+                    record.scans,
+                );
             }
             Ok(Ok(None)) => {}
             Ok(Err(error)) => tracing::error!(robot, %error, "the stored map cannot be read: mapping begins a new one"),
@@ -62,7 +68,9 @@ impl Service {
     /// The folder of a stored map: the robot's own, or the one of this name.
     fn folder(&self, name: Option<&str>) -> Result<PathBuf, Refusal> {
         let Some(folder) = &self.config.folder else {
-            return Err(Refusal::rejected("no maps are stored here: mapping was given no folder"));
+            return Err(Refusal::rejected(
+                "no maps are stored here: mapping was given no folder",
+            ));
         };
         match name.map(|name| Id::new(name).map_err(|error| Refusal::bad_request(format!("`name`: {error}")))) {
             None => Ok(folder.clone()),
@@ -128,7 +136,12 @@ impl Service {
             return Err(Refusal::rejected("the map cannot be loaded: it has no cells"));
         }
         let map = new_map(&self.config.robot);
-        tracing::info!(robot = self.config.robot, map = map.id, live = request.live, "map loaded");
+        tracing::info!(
+            robot = self.config.robot,
+            map = map.id,
+            live = request.live,
+            "map loaded"
+        );
         self.mapper.load(map, &grid, record.trajectory, record.scans);
         if request.live {
             self.mapper.resume();

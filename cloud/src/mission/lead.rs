@@ -8,7 +8,8 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
 use zenav_protocol::messages::{
-    Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan, PoseEstimate, Refusal,
+    Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan,
+    PoseEstimate, Refusal,
 };
 use zenav_protocol::topics::{self, MissionRequest};
 

@@ -253,7 +253,9 @@ mod tests {
         MapReply {
             info,
             values: grid.values().to_vec(),
-            trajectory: Vec::new(), stored: Vec::new(), }
+            trajectory: Vec::new(),
+            stored: Vec::new(),
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]

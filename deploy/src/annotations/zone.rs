@@ -153,7 +153,10 @@ mod tests {
         assert_eq!(zone.rule, ZoneRule::SpeedLimit { max_speed: 0.2 });
         for (words, what) in [
             (&["a", "0,0", "1,0", "1,1"][..], "--keep-out"),
-            (&["a", "--keep-out", "--max-speed", "1", "0,0", "1,0", "1,1"], "cannot be used with"),
+            (
+                &["a", "--keep-out", "--max-speed", "1", "0,0", "1,0", "1,1"],
+                "cannot be used with",
+            ),
             (&["a", "--keep-out", "0,0", "1,0"], "3"),
             (&["a", "--keep-out", "0,0", "1,0", "1"], "expected X,Y"),
             (&["a", "--keep-out", "0,0", "1,1", "1,0", "0,1"], "zone `a`"),

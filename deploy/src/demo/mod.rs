@@ -157,7 +157,9 @@ pub fn run(args: &DemoArgs) -> Outcome {
         }
     }
     if args.known.names_map() && args.scenario.script().alone {
-        return Err(Failure::usage("--map: wall_follow drives without a map; expected kitchen or online"));
+        return Err(Failure::usage(
+            "--map: wall_follow drives without a map; expected kitchen or online",
+        ));
     }
     crate::receivers::ensure_enough();
     let folder = args.folder();

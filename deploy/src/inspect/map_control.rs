@@ -74,7 +74,13 @@ fn request(action: MapAction) -> MapRequest {
 }
 
 /// Sends a change of the map, under the lease in force or, where the robot is to be `at_rest`, under the operator's own.
-async fn send(bus: &Bus, robot: &str, within: Duration, request: MapRequest, at_rest: bool) -> Result<MapReply, Failure> {
+async fn send(
+    bus: &Bus,
+    robot: &str,
+    within: Duration,
+    request: MapRequest,
+    at_rest: bool,
+) -> Result<MapReply, Failure> {
     let ask = async |epoch| {
         let request = MapRequest {
             epoch,

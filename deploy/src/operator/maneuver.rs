@@ -154,7 +154,11 @@ pub fn maneuver(args: &DoArgs) -> Outcome {
 }
 
 fn line(ended: &Ended) -> String {
-    let reason = ended.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
+    let reason = ended
+        .reason
+        .as_ref()
+        .map(|reason| format!(": {reason}"))
+        .unwrap_or_default();
     format!("{} {:?}{reason} ({:.1} s)", ended.id, ended.state, ended.time_s)
 }
 
@@ -173,7 +177,10 @@ impl Execution<'_> {
             action,
             epoch: self.epoch,
         };
-        let reply = self.bus.ask(&topics::BEHAVIOUR, &[self.robot], &request, within).await?;
+        let reply = self
+            .bus
+            .ask(&topics::BEHAVIOUR, &[self.robot], &request, within)
+            .await?;
         Ok(reply.report)
     }
 
@@ -193,7 +200,12 @@ impl Execution<'_> {
             match &report {
                 Some(report) if report.state != BehaviourState::Running => return Ok((report.clone(), false)),
                 Some(_) => {}
-                None => return Err(Failure::failed(format!("{} has forgotten the maneuver: it restarted", self.robot))),
+                None => {
+                    return Err(Failure::failed(format!(
+                        "{} has forgotten the maneuver: it restarted",
+                        self.robot
+                    )));
+                }
             }
             show(display.as_ref(), self.id);
             tokio::select! {
@@ -218,7 +230,9 @@ impl Execution<'_> {
             let robot = self.robot;
             Failure::new(
                 exit_code::of_ask(&error),
-                format!("{robot} did not confirm the end of the maneuver ({error}); `zenav stop --robot {robot}` stops it"),
+                format!(
+                    "{robot} did not confirm the end of the maneuver ({error}); `zenav stop --robot {robot}` stops it"
+                ),
             )
         })?;
         let report = report.unwrap_or_else(|| BehaviourReport {
@@ -251,7 +265,9 @@ mod tests {
 
     fn parsed(words: &[&str]) -> Option<BehaviourAction> {
         let all = std::iter::once(&"do").chain(words);
-        Wrapper::try_parse_from(all).ok().map(|wrapper| wrapper.args.maneuver.action())
+        Wrapper::try_parse_from(all)
+            .ok()
+            .map(|wrapper| wrapper.args.maneuver.action())
     }
 
     #[test]
@@ -260,7 +276,13 @@ mod tests {
         assert_eq!(parsed(&["backup", "0.5"]), drive(-0.5, 0.1));
         assert_eq!(parsed(&["drive", "-0.5", "--speed", "0.3"]), drive(-0.5, 0.3));
         assert_eq!(parsed(&["spin", "-1.5"]), Some(BehaviourAction::Spin { angle: -1.5 }));
-        for bad in [&["backup", "-1"][..], &["wait", "0"], &["spin", "NaN"], &["drive"], &["jump"]] {
+        for bad in [
+            &["backup", "-1"][..],
+            &["wait", "0"],
+            &["spin", "NaN"],
+            &["drive"],
+            &["jump"],
+        ] {
             assert_eq!(parsed(bad), None, "{bad:?}");
         }
     }

@@ -266,5 +266,7 @@ fn map() -> MapReply {
     MapReply {
         info,
         values,
-        trajectory: Vec::new(), stored: Vec::new(), }
+        trajectory: Vec::new(),
+        stored: Vec::new(),
+    }
 }

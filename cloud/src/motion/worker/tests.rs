@@ -47,7 +47,9 @@ fn hall(door: f64) -> MapReplica {
     replica.replace(&MapReply {
         info,
         values: grid.values().to_vec(),
-        trajectory: Vec::new(), stored: Vec::new(), });
+        trajectory: Vec::new(),
+        stored: Vec::new(),
+    });
     replica
 }
 
@@ -218,7 +220,9 @@ fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forward
     map.replace(&MapReply {
         info,
         values,
-        trajectory: Vec::new(), stored: Vec::new(), });
+        trajectory: Vec::new(),
+        stored: Vec::new(),
+    });
     let mut request = request("jackal", "astar");
     (request.plan.start, request.plan.goal) = (Pose2::new(2.7, 1.0, 0.0), Pose2::new(0.5, 3.0, 0.0));
     request.goal_yaw = None;
