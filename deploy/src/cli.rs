@@ -62,11 +62,15 @@ enum Command {
     Place(annotations::PlaceArgs),
     /// List, add and remove keep-out and speed zones of a robot's map
     Zone(annotations::ZoneArgs),
-    /// List, print and measure topics
+    /// List, print, measure and publish topics
     Topic(inspect::TopicArgs),
     /// Show, save, load, store, convert and build maps
     Map(inspect::MapArgs),
-    /// Validate, show, watch and simulate behaviour trees
+    /// Send a request by hand, and print the answer
+    Ask(inspect::AskArgs),
+    /// Print the JSON Schema of a message
+    Schema(inspect::SchemaArgs),
+    /// Validate, show, watch and simulate behaviour trees; list their nodes
     Bt(inspect::BtArgs),
     /// Check a running deployment: what is wrong, and what to do
     Doctor(inspect::DoctorArgs),
@@ -141,6 +145,8 @@ fn run(command: Command) -> Outcome {
         Command::Zone(args) => annotations::zone(&args),
         Command::Topic(args) => inspect::topic(&args),
         Command::Map(args) => inspect::map(&args),
+        Command::Ask(args) => inspect::ask(&args),
+        Command::Schema(args) => inspect::schema(&args),
         Command::Bt(args) => inspect::bt(&args),
         Command::Doctor(args) => inspect::doctor(&args),
         Command::Plan(args) => batch::plan(&args),

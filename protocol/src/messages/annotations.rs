@@ -12,6 +12,7 @@ use super::GoalPoint;
 
 /// Places and zones of a robot's map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Annotations {
     /// Number of changes since the data folder was new.
     #[serde(default)]
@@ -26,17 +27,20 @@ pub struct Annotations {
 
 /// An area of the map with a rule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Zone {
     /// Name of the zone, for people.
     pub name: String,
     /// What holds inside.
     pub rule: ZoneRule,
     /// Corners of a simple polygon in order, map frame, m.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub points: Vec<Point2<f64>>,
 }
 
 /// What holds inside a zone.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ZoneRule {
     /// No part of a robot enters.
@@ -53,6 +57,7 @@ pub enum ZoneRule {
 /// While somebody holds the robot's lease, every action but `get` must carry the lease's epoch, as for
 /// [`MapRequest`](super::MapRequest).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AnnotateRequest {
     /// What is to be changed; without it, nothing.
     #[serde(default)]
@@ -65,6 +70,7 @@ pub struct AnnotateRequest {
 
 /// A change of the annotations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum AnnotateAction {
     /// Only answer.
