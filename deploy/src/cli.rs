@@ -11,6 +11,37 @@ use crate::{
     wall_following,
 };
 
+/// The commands in groups, as `--help` shows them: clap knows groups of options only.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("Run everything here", &["demo", "up", "run"]),
+    ("Drive", &["goal", "stop", "resume", "teleop", "do", "lease", "param"]),
+    ("Map", &["map", "place", "zone"]),
+    ("Look", &["gateway", "topic", "ask", "schema", "bt", "doctor", "config"]),
+    (
+        "Run parts on several machines",
+        &["router", "edge", "cloud", "sim", "netem"],
+    ),
+    ("Offline", &["plan", "smooth", "slam", "tune", "bench", "completions"]),
+];
+
+/// What stands below the commands.
+const FOOTER: &str = "\
+Examples:
+  zenav up                                   a simulated robot and its cloud on this machine
+  zenav up --map kitchen.yaml --pose -1 -0.5 0
+  zenav goal submit --place sink --wait
+  zenav zone add wet --keep-out 0,-1 0.6,-1 0.6,-0.4 0,-0.4
+  zenav doctor                               what is wrong, and what to do
+
+Exit codes:
+  0 ok  1 failed  2 usage  3 not found  4 cannot connect  5 timeout  6 cancelled  7 rejected  130 interrupted
+
+Environment:
+  RUST_LOG              what is logged, such as info or zenav_cloud=debug
+  NO_COLOR              no colours
+  ZENAV_SECTION__KEY    a value of a deployment (`zenav config show --origin`)
+  USER                  the name under which this user commands";
+
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
 #[command(
@@ -18,12 +49,30 @@ use crate::{
     version,
     about = "Mobile-robot navigation, split between robot and cloud, over Zenoh",
     propagate_version = true,
-    after_help = "Exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 cannot connect, 5 timeout, 6 cancelled, 7 rejected, 130 interrupted.\n\
-                  Environment: RUST_LOG sets what is logged; ZENAV_SECTION__KEY sets a value of a deployment (`zenav config show --origin`)."
+    help_template = "{about}\n\n{usage-heading} {usage}\n\n{after-help}\n\nOptions:\n{options}",
+    after_help = overview()
 )]
 struct Cli {
     #[command(subcommand)]
     command: Command,
+}
+
+/// The commands in their groups, then the footer.
+fn overview() -> String {
+    let all = Command::augment_subcommands(clap::Command::new("zenav"));
+    let about = |name: &str| {
+        let command = all.get_subcommands().find(|command| command.get_name() == name)?;
+        command.get_about().map(ToString::to_string)
+    };
+    let mut text = String::new();
+    for (group, names) in GROUPS {
+        text.push_str(&format!("{group}:\n"));
+        for name in names {
+            text.push_str(&format!("  {name:<12} {}\n", about(name).unwrap_or_default()));
+        }
+        text.push('\n');
+    }
+    text + "`zenav COMMAND --help` tells more.\n\n" + FOOTER
 }
 
 #[derive(Debug, Subcommand)]
@@ -114,7 +163,7 @@ fn init_logging() {
     use std::io::IsTerminal as _;
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off,zenoh_link=off,zenoh_transport=off"));
-    let colors = std::io::stderr().is_terminal();
+    let colors = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     // A second initialisation (tests in one process) changes nothing.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -163,5 +212,38 @@ fn run(command: Command) -> Outcome {
             crate::output::line(String::from_utf8_lossy(&script).trim_end());
             Ok(exit_code::OK)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_command_stands_in_one_group_of_the_help() {
+        let all = Cli::command();
+        let known: BTreeSet<&str> = all.get_subcommands().map(clap::Command::get_name).collect();
+        let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
+        assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
+        assert_eq!(grouped.len(), known.len());
+    }
+
+    #[test]
+    fn the_command_line_is_sound_and_its_help_tells_codes_and_environment() {
+        Cli::command().debug_assert();
+        let help = Cli::command().render_help().to_string();
+        for part in [
+            "Drive:",
+            "  goal ",
+            "Exit codes:",
+            "NO_COLOR",
+            "ZENAV_SECTION__KEY",
+            "Usage: zenav",
+        ] {
+            assert!(help.contains(part), "{part}: {help}");
+        }
+        assert!(help.lines().all(|line| line.chars().count() <= 120), "{help}");
     }
 }

@@ -215,6 +215,31 @@ pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Fai
     Ok(robots)
 }
 
+/// The robots of which a component shows, in order.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] when none shows within a while.
+pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, Failure> {
+    let start = Instant::now();
+    loop {
+        let alive = robots(bus).await?;
+        let found: Vec<String> = alive
+            .iter()
+            .filter(|(_, components)| components.contains(component))
+            .map(|(robot, _)| robot.clone())
+            .collect();
+        if !found.is_empty() {
+            return Ok(found);
+        }
+        if start.elapsed() > LOOK_FOR {
+            let known: BTreeSet<String> = alive.into_keys().collect();
+            let there = unknown(None, &known);
+            return Err(Failure::not_found(format!("no {component} runs here: {there}")));
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
 /// The robot that a command means: the named one, if there is such, or the only one.
 ///
 /// # Errors

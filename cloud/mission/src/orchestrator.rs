@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::messages::{Blockage, GoalPhase, GoalRequest, GoalState, Refusal};
+use zenav_protocol::messages::{Blockage, GoalFeedback, GoalPhase, GoalRequest, GoalState, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -342,6 +342,16 @@ impl Mission {
         true
     }
 
+    /// Distance from the robot to the place of a goal, m; `None` for a goal without one place.
+    fn final_error(&self, id: &str) -> Option<f64> {
+        let request = &self.goals.get(id)?.state.request;
+        let Ok(Target::Pose(goal)) = goal_validation::target(request, &self.ctx) else {
+            return None;
+        };
+        let pose = self.ctx.robot.pose()?;
+        Some((pose.x - goal.x).hypot(pose.y - goal.y))
+    }
+
     /// Ends a goal: its tree is halted, the robot comes to rest, the end is persisted and published.
     pub(super) fn finish(&mut self, id: &str, phase: GoalPhase, reason: Option<String>) {
         if let Some(mut running) = self.running.take_if(|running| running.goal_id == id) {
@@ -352,8 +362,12 @@ impl Mission {
             self.ctx.hold();
             self.ctx.motion.clear();
             let (feedback, legs) = (self.ctx.goal.feedback.clone(), std::mem::take(&mut self.ctx.goal.legs));
+            let final_error = self.final_error(id);
             self.goals.change(id, |goal| {
-                goal.state.feedback = feedback;
+                goal.state.feedback = GoalFeedback {
+                    final_error,
+                    ..feedback
+                };
                 goal.state.legs = legs;
             });
             self.ctx.goal = ActiveGoal::default();

@@ -202,6 +202,9 @@ pub struct GoalFeedback {
     /// Recoveries started.
     #[serde(default)]
     pub recoveries: u64,
+    /// Distance from the robot to the goal's place at the end, by the robot's own estimate, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub final_error: Option<f64>,
     /// What the robot waits for to leave, while it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blockage: Option<Blockage>,
@@ -261,4 +264,7 @@ pub struct GoalsRequest {
 pub struct GoalsReply {
     /// The goals, newest first.
     pub goals: Vec<GoalState>,
+    /// Time of the answer, on the mission's clock: the goals' stamps are older.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub now: Option<Stamp>,
 }
