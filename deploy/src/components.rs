@@ -366,7 +366,7 @@ fn edge_bus(deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConf
 
 async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), Failure> {
     let endpoints = bus.endpoints().await;
-    tracing::info!(?endpoints, "the robot's own endpoint");
+    tracing::info!(robot = %service.edge.robot, ?endpoints, "the robot's own endpoint");
     zenav_edge::run(bus, service, body, shutdown)
         .await
         .map_err(Failure::failed)

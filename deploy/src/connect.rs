@@ -240,6 +240,39 @@ pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, F
     }
 }
 
+/// Waits until somebody takes goals for a group.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] when nobody does within a while; names the groups that there are.
+pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
+    let start = Instant::now();
+    loop {
+        let alive = bus
+            .list_alive(topics::alive_key(topics::ALIVE_WORKER, &["*", "*"]), GLANCE)
+            .await?;
+        let groups: BTreeSet<String> = alive
+            .iter()
+            .filter_map(|key| {
+                topics::alive_chunks(topics::ALIVE_WORKER, key)?
+                    .first()?
+                    .strip_prefix("group-")
+            })
+            .map(str::to_owned)
+            .collect();
+        if groups.contains(group) {
+            return Ok(());
+        }
+        if start.elapsed() > LOOK_FOR {
+            let there = match groups.is_empty() {
+                true => "the deployment has no groups (`[groups]` in its file names them)".to_owned(),
+                false => format!("there is {}", groups.into_iter().collect::<Vec<_>>().join(", ")),
+            };
+            return Err(Failure::not_found(format!("no group `{group}`: {there}")));
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
 /// The robot that a command means: the named one, if there is such, or the only one.
 ///
 /// # Errors

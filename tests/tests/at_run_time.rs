@@ -30,7 +30,11 @@ fn client(deployment: &Deployment, words: &[&str], code: i32) -> String {
         text(stdout),
         text(stderr)
     );
-    if code == 0 { text(stdout) } else { text(stderr) + &text(stdout) }
+    if code == 0 {
+        text(stdout)
+    } else {
+        text(stderr) + &text(stdout)
+    }
 }
 
 #[track_caller]
@@ -58,12 +62,18 @@ async fn maps_are_stored_loaded_and_begun_with() {
     client(&deployment, &["goal", "submit", "-0.9", "-0.2", "--wait"], 0);
 
     let stored = zenav(&["map", "store", "mine"]);
-    assert_eq!(stored["stored"], false, "a copy under a name is not the robot's own map: {stored}");
+    assert_eq!(
+        stored["stored"], false,
+        "a copy under a name is not the robot's own map: {stored}"
+    );
     assert_eq!(zenav(&["map", "list"])[0]["name"], "mine");
     zenav(&["map", "save", "known"]);
     let loaded = zenav(&["map", "load", "mine"]);
     assert!(loaded["id"] != stored["id"] && loaded["stored"] == true, "{loaded}");
-    assert_eq!((&loaded["width"], &loaded["occupied"]), (&stored["width"], &stored["occupied"]));
+    assert_eq!(
+        (&loaded["width"], &loaded["occupied"]),
+        (&stored["width"], &stored["occupied"])
+    );
     let from_file = zenav(&["map", "load", "known.yaml", "--live"]);
     assert_eq!(from_file["width"], stored["width"], "{from_file}");
     for (words, code, what) in [
@@ -84,12 +94,24 @@ async fn maps_are_stored_loaded_and_begun_with() {
     up.kill();
 
     // Another start, with a known map and a pose on it.
-    let known = ["--map", "known.yaml", "--pose", "-0.9", "-0.2", "1.5", "--data", "other"];
+    let known = [
+        "--map",
+        "known.yaml",
+        "--pose",
+        "-0.9",
+        "-0.2",
+        "1.5",
+        "--data",
+        "other",
+    ];
     let mut up = deployment.start_up_with(&known);
     let mut robot = ready(&deployment).await;
     robot.next(LONG).await;
     let map = zenav(&["map", "show"]);
-    assert_eq!((&map["width"], &map["occupied"]), (&stored["width"], &stored["occupied"]));
+    assert_eq!(
+        (&map["width"], &map["occupied"]),
+        (&stored["width"], &stored["occupied"])
+    );
     let asked = zenav(&["ask", "ask/cloud/map", r#"{"action": "list"}"#]);
     assert_eq!(asked["info"]["stored"], true, "{asked}");
     let pose = zenav(&["topic", "echo", "edge/pose", "--count", "1"]);
@@ -101,10 +123,20 @@ async fn maps_are_stored_loaded_and_begun_with() {
     robot.assert_untouched();
     up.kill();
 
-    let refused = deployment.zenav(&["up", "--map", "nowhere.yaml", "--listen", "tcp/127.0.0.1:0", "--no-gateway"]);
+    let refused = deployment.zenav(&[
+        "up",
+        "--map",
+        "nowhere.yaml",
+        "--listen",
+        "tcp/127.0.0.1:0",
+        "--no-gateway",
+    ]);
     assert_eq!(refused.status.code(), Some(3), "{refused:?}");
     let degrees = deployment.zenav(&["up", "--pose", "0", "0", "90"]);
-    assert!(String::from_utf8_lossy(&degrees.stderr).contains("1.571"), "{degrees:?}");
+    assert!(
+        String::from_utf8_lossy(&degrees.stderr).contains("1.571"),
+        "{degrees:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -123,21 +155,51 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         })
         .await;
     // Between the robot and the far end, with room to pass on the left.
-    let wet = ["zone", "add", "wet", "--keep-out", "9,-1.4", "10,-1.4", "10,0.2", "9,0.2"];
+    let wet = [
+        "zone",
+        "add",
+        "wet",
+        "--keep-out",
+        "9,-1.4",
+        "10,-1.4",
+        "10,0.2",
+        "9,0.2",
+    ];
     assert_eq!(zenav(&wet)[0]["name"], "wet");
     client(&deployment, &["goal", "watch", "far"], 0);
     let plan = robot.plans().last().expect("a plan").clone();
     let entered = |x: f64, y: f64| (9.0..=10.0).contains(&x) && y < 0.2;
     let last = &plan.trajectory;
-    assert!(!last.iter().any(|point| entered(point.x, point.y)), "the plan passes the zone");
-    let on_the_left = robot.plans().iter().flat_map(|plan| plan.trajectory.iter()).any(|point| point.y > 0.4);
+    assert!(
+        !last.iter().any(|point| entered(point.x, point.y)),
+        "the plan passes the zone"
+    );
+    let on_the_left = robot
+        .plans()
+        .iter()
+        .flat_map(|plan| plan.trajectory.iter())
+        .any(|point| point.y > 0.4);
     assert!(on_the_left, "some plan went around");
     let refused = client(&deployment, &["goal", "submit", "9.5", "-0.5"], 7);
     assert!(refused.contains("keep-out zone: wet"), "{refused}");
 
     // Back to a place that was added at run time, slowly where people are.
-    zenav(&["zone", "add", "people", "--max-speed", "0.15", "6.5,-1.4", "8.5,-1.4", "8.5,1.4", "6.5,1.4"]);
-    client(&deployment, &["goal", "submit", "--place", "half_way", "--id", "back"], 0);
+    zenav(&[
+        "zone",
+        "add",
+        "people",
+        "--max-speed",
+        "0.15",
+        "6.5,-1.4",
+        "8.5,-1.4",
+        "8.5,1.4",
+        "6.5,1.4",
+    ]);
+    client(
+        &deployment,
+        &["goal", "submit", "--place", "half_way", "--id", "back"],
+        0,
+    );
     let mut fastest: f64 = 0.0;
     let there = |state: &EdgeState| state.mode == Mode::Idle && state.plan.as_ref().is_none_or(|plan| plan.finished);
     robot
@@ -169,7 +231,11 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
     let mut up = deployment.start_up();
     ready(&deployment).await;
     assert_eq!(zenav(&["zone", "list"]).as_array().unwrap().len(), 2);
-    client(&deployment, &["goal", "submit", "--place", "half_way", "--tolerance", "0.3", "--wait"], 0);
+    client(
+        &deployment,
+        &["goal", "submit", "--place", "half_way", "--tolerance", "0.3", "--wait"],
+        0,
+    );
     zenav(&["place", "remove", "half_way"]);
     let unknown = client(&deployment, &["goal", "submit", "--place", "half_way"], 3);
     assert!(unknown.contains("there are far_end"), "{unknown}");
@@ -194,9 +260,14 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     let mut robot = ready(&deployment).await;
     let zenav = |words: &[&str]| json(&deployment, words);
 
-    let before = zenav(&["param", "get", "guard_margin"])["guard_margin"].as_f64().unwrap();
+    let before = zenav(&["param", "get", "guard_margin"])["guard_margin"]
+        .as_f64()
+        .unwrap();
     let set = zenav(&["param", "set", "guard_margin", "0.07"]);
-    assert_eq!((set["before"].as_f64(), set["value"].as_f64()), (Some(before), Some(0.07)));
+    assert_eq!(
+        (set["before"].as_f64(), set["value"].as_f64()),
+        (Some(before), Some(0.07))
+    );
     assert_eq!(zenav(&["param", "list"])["guard_margin"], 0.07);
     for (words, code, what) in [
         (&["param", "set", "guard_margin", "-1"][..], 7, "guard_margin"),
@@ -208,7 +279,10 @@ async fn parameters_maneuvers_and_requests_by_hand() {
 
     let yaw = robot.pose().map_from_base.yaw;
     let spun = zenav(&["do", "spin", "1.0", "--id", "s1"]);
-    assert_eq!((&spun["id"], &spun["state"]), (&Value::from("s1"), &Value::from("succeeded")));
+    assert_eq!(
+        (&spun["id"], &spun["state"]),
+        (&Value::from("s1"), &Value::from("succeeded"))
+    );
     let turned = zenav_protocol::geometry::wrap_angle(robot.pose().map_from_base.yaw - yaw);
     assert!((turned - 1.0).abs() < 0.15, "{turned}");
     let again = zenav(&["do", "spin", "1.0", "--id", "s1"]);
@@ -230,7 +304,11 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     let info = zenav(&["ask", "ask/edge/info"]);
     assert_eq!(info["robot"], ROBOT);
     for (words, code, what) in [
-        (&["ask", "goal", r#"{"x": 0, "y": 0, "tolerence": 1}"#][..], 2, "perhaps `tolerance`"),
+        (
+            &["ask", "goal", r#"{"x": 0, "y": 0, "tolerence": 1}"#][..],
+            2,
+            "perhaps `tolerance`",
+        ),
         (&["ask", "goal", r#"{"x": "#], 2, "EOF"),
         (&["ask", "goal", r#"{"place": "nowhere"}"#], 3, "nowhere"),
         (&["ask", "gaol", "{}"], 3, "goals"),
@@ -243,7 +321,11 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     }
     client(&deployment, &["topic", "pub", "my/lamp", r#"{"on": true}"#], 0);
     client(&deployment, &["ask", "ask/cloud/map?format=pgm", "--out", "map.pgm"], 0);
-    assert!(std::fs::read(deployment.folder().join("map.pgm")).unwrap().starts_with(b"P5"));
+    assert!(
+        std::fs::read(deployment.folder().join("map.pgm"))
+            .unwrap()
+            .starts_with(b"P5")
+    );
     up.assert_running();
 }
 
@@ -262,5 +344,8 @@ fn schemas_and_node_palettes_need_no_robot() {
     assert!(run(&["bt", "nodes", "spin"]).contains("Spin (Action)"));
     let unknown = deployment.zenav(&["schema", "GoalRequset"]);
     assert_eq!(unknown.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&unknown.stderr).contains("perhaps `GoalRequest`"), "{unknown:?}");
+    assert!(
+        String::from_utf8_lossy(&unknown.stderr).contains("perhaps `GoalRequest`"),
+        "{unknown:?}"
+    );
 }

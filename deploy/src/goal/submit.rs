@@ -160,6 +160,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outco
     let patience = robot.link.patience();
     match &args.group {
         Some(group) => connect::on_bus(&robot.link, async |bus| {
+            connect::find_group(&bus, group).await?;
             submit(&bus, group, &request, patience, args.wait, format).await
         }),
         None => connect::on_robot(robot, async |bus, robot| {
