@@ -30,7 +30,7 @@ Examples:
   zenav up                                   a simulated robot and its cloud on this machine
   zenav up --map kitchen.yaml --pose -1 -0.5 0
   zenav goal submit --place sink --wait
-  zenav zone add wet --keep-out 0,-1 0.6,-1 0.6,-0.4 0,-0.4
+  zenav zone add wet --keep-out 0 -1 0.6 -1 0.6 -0.4 0 -0.4
   zenav doctor                               what is wrong, and what to do
 
 Exit codes:

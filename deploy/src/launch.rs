@@ -74,6 +74,9 @@ impl PoseArgs {
 
 /// Arguments of `zenav up`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav up\n  zenav up --world house --speed 4\n  zenav up --map kitchen.yaml --pose -1 -0.5 0\n  zenav up two_robots.toml --listen tcp/127.0.0.1:0\n\nWith ZENAV_SECTION__KEY any value of the deployment can be set; `zenav config show --origin` prints all."
+)]
 pub struct UpArgs {
     /// Deployment file; without it, one simulated robot and every service on this machine
     file: Option<PathBuf>,

@@ -160,10 +160,14 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         "add",
         "wet",
         "--keep-out",
-        "9,-1.4",
-        "10,-1.4",
-        "10,0.2",
-        "9,0.2",
+        "9",
+        "-1.4",
+        "10",
+        "-1.4",
+        "10",
+        "0.2",
+        "9",
+        "0.2",
     ];
     assert_eq!(zenav(&wet)[0]["name"], "wet");
     client(&deployment, &["goal", "watch", "far"], 0);
@@ -190,10 +194,14 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         "people",
         "--max-speed",
         "0.15",
-        "6.5,-1.4",
-        "8.5,-1.4",
-        "8.5,1.4",
-        "6.5,1.4",
+        "6.5",
+        "-1.4",
+        "8.5",
+        "-1.4",
+        "8.5",
+        "1.4",
+        "6.5",
+        "1.4",
     ]);
     client(
         &deployment,
@@ -245,7 +253,11 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         (&["zone", "remove", "wet"][..], 3, "zone `wet`"),
         (&["place", "remove", "moon"], 3, "there are far_end"),
         (&["place", "add", "a|b", "0", "0"], 2, "the name"),
-        (&["zone", "add", "z", "--keep-out", "0,0", "1,1", "2,2"], 2, "zone `z`"),
+        (
+            &["zone", "add", "z", "--keep-out", "0", "0", "1", "1", "2", "2"],
+            2,
+            "zone `z`",
+        ),
     ] {
         let said = client(&deployment, words, code);
         assert!(said.contains(what), "{words:?}: {said}");

@@ -12,7 +12,7 @@ use crate::output::{self, Format};
 /// Keep-out and speed zones.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  zenav zone add wet --keep-out 0.2,-1 0.8,-1 0.8,-0.4 0.2,-0.4\n  zenav zone add door --max-speed 0.2 1,0 2,0 2,1 1,1\n  zenav zone remove wet\n\nA zone acts on the plan that is driven too: the robot plans anew around it. Zones are kept in the data folder of mapping, beside those of\nthe deployment's file, and outlive a restart."
+    after_help = "Examples:\n  zenav zone add wet --keep-out 0.2 -1 0.8 -1 0.8 -0.4 0.2 -0.4\n  zenav zone add door --max-speed 0.2 1 0 2 0 2 1 1 1\n  zenav zone remove wet\n\nA zone acts on the plan that is driven too: the robot plans anew around it. Zones are kept in the data folder of mapping, beside those of\nthe deployment's file, and outlive a restart."
 )]
 pub struct ZoneArgs {
     /// Connection and robot.
@@ -51,14 +51,9 @@ struct AddArgs {
     /// Largest speed while the robot's centre is inside, m/s
     #[arg(long, value_name = "M/S", value_parser = positive)]
     max_speed: Option<f64>,
-    /// Corners of the zone in order, map frame, m: at least three
-    #[arg(value_name = "X,Y", required = true, num_args = 3.., allow_hyphen_values = true, value_parser = corner)]
-    points: Vec<Point2<f64>>,
-}
-
-fn corner(text: &str) -> Result<Point2<f64>, String> {
-    let numbers = text.split_once(',').ok_or("expected X,Y in m")?;
-    Ok(Point2::new(finite(numbers.0.trim())?, finite(numbers.1.trim())?))
+    /// Corners of the zone in order, map frame, m: x and y of at least three
+    #[arg(value_name = "X Y", required = true, num_args = 6.., allow_negative_numbers = true, value_parser = finite)]
+    coordinates: Vec<f64>,
 }
 
 /// Lists, adds and removes zones.
@@ -93,10 +88,17 @@ impl AddArgs {
             Some(max_speed) => ZoneRule::SpeedLimit { max_speed },
             None => ZoneRule::KeepOut,
         };
+        let (pairs, odd) = self.coordinates.as_chunks::<2>();
+        if !odd.is_empty() {
+            return Err(Failure::usage(format!(
+                "{} coordinates: expected x and y of each corner",
+                self.coordinates.len()
+            )));
+        }
         let zone = Zone {
             name: self.name.clone(),
             rule,
-            points: self.points.clone(),
+            points: pairs.iter().copied().map(Point2::from).collect(),
         };
         // The same check as at the service, before anything is sent.
         zenav_space::Zones::new(std::slice::from_ref(&zone)).map_err(Failure::usage)?;
@@ -147,19 +149,19 @@ mod tests {
 
     #[test]
     fn a_zone_has_one_rule_and_a_simple_polygon() {
-        let zone = added(&["wet", "--keep-out", "-1,0", "1,0", "1,-1"]).unwrap();
+        let zone = added(&["wet", "--keep-out", "-1", "0", "1", "0", "1", "-1"]).unwrap();
         assert_eq!((zone.rule, zone.points[0]), (ZoneRule::KeepOut, Point2::new(-1.0, 0.0)));
-        let zone = added(&["door", "--max-speed", "0.2", "0,0", "1,0", "1,1"]).unwrap();
+        let zone = added(&["door", "--max-speed", "0.2", "0", "0", "1", "0", "1", "1"]).unwrap();
         assert_eq!(zone.rule, ZoneRule::SpeedLimit { max_speed: 0.2 });
         for (words, what) in [
-            (&["a", "0,0", "1,0", "1,1"][..], "--keep-out"),
+            (&["a", "0", "0", "1", "0", "1", "1"][..], "--keep-out"),
             (
-                &["a", "--keep-out", "--max-speed", "1", "0,0", "1,0", "1,1"],
+                &["a", "--keep-out", "--max-speed", "1", "0", "0", "1", "0", "1", "1"],
                 "cannot be used with",
             ),
-            (&["a", "--keep-out", "0,0", "1,0"], "3"),
-            (&["a", "--keep-out", "0,0", "1,0", "1"], "expected X,Y"),
-            (&["a", "--keep-out", "0,0", "1,1", "1,0", "0,1"], "zone `a`"),
+            (&["a", "--keep-out", "0", "0", "1", "0"], "6"),
+            (&["a", "--keep-out", "0", "0", "1", "0", "1", "1", "2"], "7 coordinates"),
+            (&["a", "--keep-out", "0", "0", "1", "1", "1", "0", "0", "1"], "zone `a`"),
         ] {
             let error = added(words).unwrap_err();
             assert!(error.contains(what), "{words:?}: {error}");

@@ -26,6 +26,9 @@ use crate::output::{self, Format};
 
 /// Maps.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav map show\n  zenav map save kitchen          kitchen.yaml and kitchen.pgm, here\n  zenav map load kitchen.yaml\n  zenav map store                 the next start begins with it\n  zenav map convert den312d.map den312d.yaml"
+)]
 pub struct MapArgs {
     /// Connection and robot.
     #[command(flatten)]

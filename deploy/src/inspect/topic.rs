@@ -17,6 +17,9 @@ use crate::output::{self, Format};
 
 /// Topics.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav topic list\n  zenav topic echo edge/pose --count 1\n  zenav topic hz edge/scan --for 5\n  zenav topic info goal\n  zenav topic list --table       all keys with their messages"
+)]
 pub struct TopicArgs {
     /// Connection and robot.
     #[command(flatten)]

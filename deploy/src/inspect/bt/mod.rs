@@ -19,6 +19,9 @@ use crate::output::Format;
 
 /// Behaviour trees.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav bt validate patrol.xml\n  zenav bt show navigate\n  zenav bt watch\n  zenav bt nodes --xml > nodes.xml    Groot2's palette"
+)]
 pub struct BtArgs {
     /// Connection and robot.
     #[command(flatten)]
