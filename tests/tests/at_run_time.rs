@@ -7,6 +7,7 @@ use std::process::Output;
 use std::time::Duration;
 
 use serde_json::Value;
+use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{EdgeState, Mode};
 use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::Observer;
@@ -44,13 +45,13 @@ fn json(deployment: &Deployment, words: &[&str]) -> Value {
 }
 
 /// Waits until a mission commands the robot.
-async fn ready(deployment: &Deployment) -> Observer {
+async fn ready(deployment: &Deployment) -> (Bus, Observer) {
     let bus = deployment.bus().await;
     let mut robot = Observer::new(&bus, ROBOT);
     robot
         .until("a mission commands the robot", LONG, |state| state.lease.live)
         .await;
-    robot
+    (bus, robot)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -67,7 +68,7 @@ async fn maps_are_stored_loaded_and_begun_with() {
         "a copy under a name is not the robot's own map: {stored}"
     );
     assert_eq!(zenav(&["map", "list"])[0]["name"], "mine");
-    zenav(&["map", "save", "known"]);
+    let saved = zenav(&["map", "save", "known"]);
     let loaded = zenav(&["map", "load", "mine"]);
     assert!(loaded["id"] != stored["id"] && loaded["stored"] == true, "{loaded}");
     assert_eq!(
@@ -105,13 +106,10 @@ async fn maps_are_stored_loaded_and_begun_with() {
         "other",
     ];
     let mut up = deployment.start_up_with(&known);
-    let mut robot = ready(&deployment).await;
+    let (_bus, mut robot) = ready(&deployment).await;
     robot.next(LONG).await;
     let map = zenav(&["map", "show"]);
-    assert_eq!(
-        (&map["width"], &map["occupied"]),
-        (&stored["width"], &stored["occupied"])
-    );
+    assert_eq!((&map["width"], &map["occupied"]), (&saved["width"], &saved["occupied"]));
     let asked = zenav(&["ask", "ask/cloud/map", r#"{"action": "list"}"#]);
     assert_eq!(asked["info"]["stored"], true, "{asked}");
     let pose = zenav(&["topic", "echo", "edge/pose", "--count", "1"]);
@@ -143,7 +141,7 @@ async fn maps_are_stored_loaded_and_begun_with() {
 async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals() {
     let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
     let mut up = deployment.start_up();
-    let mut robot = ready(&deployment).await;
+    let (_bus, mut robot) = ready(&deployment).await;
     let zenav = |words: &[&str]| json(&deployment, words);
 
     zenav(&["place", "add", "half_way", "6", "0"]);
@@ -209,9 +207,11 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         0,
     );
     let mut fastest: f64 = 0.0;
-    let there = |state: &EdgeState| state.mode == Mode::Idle && state.plan.as_ref().is_none_or(|plan| plan.finished);
+    let for_back = |state: &EdgeState| state.plan.as_ref().is_some_and(|plan| plan.goal_id == "back");
     robot
-        .until("it drives back", LONG, |state| state.mode == Mode::Follow)
+        .until("it drives back", LONG, |state| {
+            state.mode == Mode::Follow && for_back(state)
+        })
         .await;
     loop {
         let state = robot.next(LONG).await;
@@ -219,7 +219,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
         if (6.8..8.2).contains(&x) {
             fastest = fastest.max(state.velocity.v);
         }
-        if there(&state) {
+        if state.mode == Mode::Idle || !for_back(&state) {
             break;
         }
     }
@@ -269,7 +269,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
 async fn parameters_maneuvers_and_requests_by_hand() {
     let deployment = Deployment::new(ZENAV, "empty", SPEED);
     let mut up = deployment.start_up();
-    let mut robot = ready(&deployment).await;
+    let (_bus, mut robot) = ready(&deployment).await;
     let zenav = |words: &[&str]| json(&deployment, words);
 
     let before = zenav(&["param", "get", "guard_margin"])["guard_margin"]
@@ -302,7 +302,7 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     let still = zenav_protocol::geometry::wrap_angle(robot.pose().map_from_base.yaw - yaw);
     assert!((still - turned).abs() < 0.1, "{still}");
     zenav(&["do", "wait", "0.5"]);
-    client(&deployment, &["do", "drive", "1", "--speed", "1000"], 2);
+    client(&deployment, &["do", "drive", "0.2", "--speed", "0"], 2);
     // The lease is given back: the mission commands again.
     robot
         .until("a mission commands the robot again", LONG, |state| {
