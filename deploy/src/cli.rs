@@ -49,7 +49,7 @@ Environment:
     version,
     about = "Mobile-robot navigation, split between robot and cloud, over Zenoh",
     propagate_version = true,
-    help_template = "{about}\n\n{usage-heading} {usage}\n\n{after-help}\n\nOptions:\n{options}",
+    help_template = "{about}\n\n{usage-heading} {usage}{after-help}\n\nOptions:\n{options}",
     after_help = overview()
 )]
 struct Cli {

@@ -74,8 +74,10 @@ fn robot_name(text: &str) -> Result<String, String> {
 
 fn endpoint(text: &str) -> Result<String, String> {
     match text.split_once('/') {
-        Some((protocol, address)) if !protocol.is_empty() && !address.is_empty() => Ok(text.to_owned()),
-        _ => Err(format!("expected an endpoint, such as {DEFAULT_ENDPOINT}")),
+        Some(("tcp", address)) if address.contains(':') => Ok(text.to_owned()),
+        _ => Err(format!(
+            "expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp alone"
+        )),
     }
 }
 
@@ -377,6 +379,19 @@ mod tests {
         let (a, b) = (fresh_id("goal"), fresh_id("goal"));
         assert!(Id::new(a.clone()).is_ok());
         assert_ne!(a, b);
+    }
+
+    #[test]
+    fn an_endpoint_that_nobody_can_dial_is_told_at_once() {
+        assert!(endpoint("tcp/robot.local:7447").is_ok() && endpoint("tcp/[::1]:7447").is_ok());
+        for bad in [
+            "http://localhost:7447",
+            "ws/localhost:7447",
+            "localhost:7447",
+            "tcp/localhost",
+        ] {
+            assert!(endpoint(bad).unwrap_err().contains("tcp/127.0.0.1:7447"), "{bad}");
+        }
     }
 
     #[test]

@@ -8,8 +8,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
-use crate::config::{self, Deployment};
-use crate::connect::{check_yaw, finite};
+use crate::config::{self, Deployment, RobotSection};
+use crate::connect::{ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -242,6 +242,7 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.known.apply(&mut deployment);
     args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
+    free_robot_endpoint(&mut deployment);
     let world = files::world(&deployment.simulation.world)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
@@ -274,6 +275,26 @@ pub fn up(args: &UpArgs) -> Outcome {
         }
         result
     })
+}
+
+/// Two deployments on one machine: where the default robot's own endpoint is taken, it takes a free one.
+fn free_robot_endpoint(deployment: &mut Deployment) {
+    let Some(address) = ROBOT_ENDPOINT.strip_prefix("tcp/") else {
+        return;
+    };
+    for (id, robot) in &mut deployment.robots {
+        let is_taken = || {
+            let bound = std::net::TcpListener::bind(address);
+            bound.is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
+        };
+        if robot.listen == ROBOT_ENDPOINT && is_taken() {
+            tracing::info!(
+                robot = id,
+                "{address} is in use: the robot's own endpoint takes a free port"
+            );
+            robot.listen = RobotSection::default().listen;
+        }
+    }
 }
 
 async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {

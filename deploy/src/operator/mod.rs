@@ -31,10 +31,20 @@ pub use teleop::{TeleopArgs, teleop};
 
 /// The name under which this user commands: the same for every command of the user, so that one can release what another took.
 fn holder() -> String {
-    let user = std::env::var("USER")
-        .or_else(|_| std::env::var("USERNAME"))
-        .unwrap_or_else(|_| "unknown".to_owned());
-    format!("operator-{user}")
+    let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME"));
+    format!("operator-{}", user.unwrap_or_else(|_| user_number()))
+}
+
+/// A user whose name the environment does not tell.
+fn user_number() -> String {
+    #[cfg(unix)]
+    {
+        format!("uid-{}", rustix::process::getuid().as_raw())
+    }
+    #[cfg(not(unix))]
+    {
+        "unknown".to_owned()
+    }
 }
 
 /// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.

@@ -77,7 +77,12 @@ pub(super) fn nodes(word: Option<&str>, xml: bool, format: Format) -> Outcome {
 fn table(nodes: &[Node]) -> String {
     let mut text = String::new();
     for node in nodes {
-        let _ = writeln!(text, "{} ({}): {}", node.id, node.category, node.doc);
+        let doc = if node.doc.is_empty() {
+            String::new()
+        } else {
+            format!(": {}", node.doc)
+        };
+        let _ = writeln!(text, "{} ({}){doc}", node.id, node.category);
         for port in &node.ports {
             let default = port
                 .default
